@@ -157,16 +157,16 @@ def parts(text: str, heading: str) -> list[str]:
 
 
 def worst_case(text: str) -> str:
-    """One row a stage of the scenario of worst cases: error by tone and noise, and the limits that it keeps.
+    """One row a stage of the scenario of worst cases: error by tone and noise, and the limits it meets.
 
     Examples
     --------
     >>> head = "| stage | worst tone | with noise, 99.7 % | limits |\\n|---|---|---:|---:|\\n"
-    >>> rows = [f"| fsm | {tone} | 9 mas | keeps 10 |" for tone in TONES]
+    >>> rows = [f"| fsm | {tone} | 9 mas | meets 10 |" for tone in TONES]
     >>> print(worst_case("**Scenario `worst_case`**\\n\\n" + head + "\\n".join(rows)))
     | stage | APE | RPE, slow tone | RPE, fast tone |
     | --- | ---: | ---: | ---: |
-    | fsm | 9 mas, keeps 10 | 9 mas, keeps 10 | 9 mas, keeps 10 |
+    | fsm | 9 mas, meets 10 | 9 mas, meets 10 | 9 mas, meets 10 |
     """
     lines = [
         [cell.strip() for cell in line.split("|")[1:-1]]

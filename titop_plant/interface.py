@@ -1,4 +1,4 @@
-"""What plant and controllers agree on: rate, ports, stages, scenarios, and what a controller was made for.
+"""Interface of plant and controllers: rate, ports, stages, scenarios, and design basis of a controller.
 
 This module needs numpy only, so that the controllers at run time may import it. It holds the constants of the
 protocol, each of them only here; physical values (limits of the actuators, sensitivity of the mirror) are those of the
@@ -189,7 +189,7 @@ def period_ticks(camera_ticks: int) -> int:
 
 @dataclass(frozen=True)
 class DesignBasis:
-    """What of a telescope a controller was made for, or what a telescope is; ``None`` where nothing is said.
+    """Properties of a telescope for which a controller was designed, or those of a telescope; ``None``: not stated.
 
     The object ``design_basis`` of a controller's file holds these values. The sampling period, which belongs to it, is
     the file's ``dt``.
@@ -243,14 +243,14 @@ class DesignBasis:
         known = [entry.name for entry in fields(cls)]
         for key in values:
             if key not in known:
-                raise ValueError(f"{name}: keys of design_basis must be of {', '.join(known)}, got {key!r}")
+                raise ValueError(f"{name}: keys of design_basis must be among {', '.join(known)}, got {key!r}")
         try:
             return cls(**values)
         except ValueError as error:
             raise ValueError(f"{name}: design_basis: {error}") from None
 
     def to_mapping(self) -> dict[str, Any]:
-        """What is said, as :meth:`from_mapping` takes it."""
+        """Stated values, as :meth:`from_mapping` takes them."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -261,7 +261,7 @@ class DesignBasis:
         Raises
         ------
         ValueError
-            One of them is not said.
+            One of them is not stated.
         """
         if self.fsm_authority is None or self.pma_authority is None:
             raise ValueError(f"fsm_authority and pma_authority must be given, got {self.to_mapping()}")
@@ -273,7 +273,7 @@ class DesignBasis:
         Raises
         ------
         ValueError
-            Neither says one.
+            Neither states one.
         """
         found = telescope.los_sensitivity if self.los_sensitivity is None else self.los_sensitivity
         if found is None:
@@ -281,17 +281,17 @@ class DesignBasis:
         return found
 
     def differences(self, other: DesignBasis) -> dict[str, tuple[Any, Any]]:
-        """Values that both say and that differ: name to (own, other)."""
+        """Values that both state and that differ: name to (own, other)."""
         mine, others = self.to_mapping(), other.to_mapping()
         return {name: (mine[name], others[name]) for name in mine if name in others and mine[name] != others[name]}
 
 
 class Designed(Protocol):
-    """A controller that says what it was made for, such as a :class:`lftkit.SampledSystem`."""
+    """A controller with a design basis, such as a :class:`lftkit.SampledSystem`."""
 
     @property
     def name(self) -> str:
-        """What it is, for messages."""
+        """Name for messages."""
 
     @property
     def design_basis(self) -> Mapping[str, Any]:
@@ -330,7 +330,7 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
             made, present = (
                 ", ".join(f"{name} {_text(pair[side])}" for name, pair in found.items()) for side in (0, 1)
             )
-            lines.append(f"{controller.name} was made for {made}, not for {present}")
+            lines.append(f"{controller.name} was designed for {made}, not for {present}")
     return tuple(lines)
 
 

@@ -37,14 +37,14 @@ class PhysicalSettings(Settings):
     scenario: str | None = setting(
         None,
         "disturbance scenario",
-        absent="worst_case, none beside sources of your own",
+        absent="worst_case, or none with your own sources",
         choices=(*SCENARIOS, NO_SCENARIO),
     )
     seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
     noise: bool = grouped(DISTURBANCES, setting(True, "sensor noise on"))
     disturbance: bool = grouped(DISTURBANCES, setting(True, "wheel and drive disturbances on"))
     camera_rate: float = grouped(
-        DISTURBANCES, setting(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
+        DISTURBANCES, setting(CAMERA_RATE, f"frame rate, a divisor of {RATE}", "Hz", 1.0, float(RATE))
     )
     camera_dropout: float = grouped(DISTURBANCES, setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0))
     theta: float | None = grouped(
@@ -98,9 +98,9 @@ class PhysicalSettings(Settings):
             None, "accelerations of the wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=ANY
         ),
     )
-    ramp_duration: float = grouped(TELESCOPE, setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0))
+    ramp_duration: float = grouped(TELESCOPE, setting(0.0, "duration of the ramp; 0 for none", "s", 0.0, 86400.0))
     profile: str = grouped(
-        TELESCOPE, setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
+        TELESCOPE, setting("linear", "shape of the ramp: linear, trapezoidal, or a CSV file of angle and speeds")
     )
     parameters: str | None = setting(None, "parameter file of the telescope", absent="the reference")
 

@@ -173,7 +173,7 @@ MEASURED_SENSORS = tuple(sorted(SENSORS, key=lambda entry: entry.group != ACCELE
 
 @dataclass(frozen=True)
 class SensorMount:
-    """Where a further sensor is, and along which axes it measures.
+    """Place and axes of a further sensor.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 PLAIN_ABSENT: Mapping[type, Any] = MappingProxyType({str: "", float: 0.0, int: -1, tuple: ()})
-"""What stands for an absent value where there is no ``None``, by the type of the setting."""
+"""Representation of an absent value without ``None``, by the type of the setting."""
 
 KINDS = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "a text", tuple: "a list of numbers"}
@@ -36,7 +36,7 @@ ANY = -1
 """Length of a list of any length, 1 or more."""
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-"""How a class of settings is checked: a truth value is no number, a text is none either, and numbers are finite."""
+"""Checks of a class of settings: neither a truth value nor a text is a number, and numbers are finite."""
 
 
 def setting(
@@ -84,7 +84,7 @@ def grouped(group: str, field: Any) -> Any:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a field of a class of settings is: what :func:`setting` was told, its name, and its type.
+    """Field of a class of settings: arguments of :func:`setting`, its name, and its type.
 
     `kind` is ``bool``, ``int``, ``float``, ``str`` or ``tuple`` (of numbers); `optional` says whether it may be absent.
     """
@@ -108,8 +108,10 @@ class Setting:
         kinds = [kind for kind in get_args(field.annotation) if kind is not type(None)]
         optional = len(kinds) < len(get_args(field.annotation))
         annotation: Any = kinds[0] if optional else field.annotation
-        told: Any = field.json_schema_extra
-        return cls(name, get_origin(annotation) or annotation, optional, field.default, str(field.description), **told)
+        arguments: Any = field.json_schema_extra
+        return cls(
+            name, get_origin(annotation) or annotation, optional, field.default, str(field.description), **arguments
+        )
 
     @property
     def text(self) -> str:
@@ -130,7 +132,7 @@ class Setting:
         return list(value) if isinstance(value, tuple) else value
 
     def read(self, value: Any) -> Any:
-        """The value in the type of the setting where that is the same value; ``None`` where it stands for absent."""
+        """The value in the type of the setting where that is the same value; ``None`` if it means absent."""
         if isinstance(value, list):
             value = tuple(value)
         if isinstance(value, bool) or not isinstance(value, (str, int, float, tuple)):

@@ -4,7 +4,7 @@ python examples/paper/designs.py [FOLDER] [--starts 8] [--seed 0] [--time-limit 
 
 The nominal designs are made as the paper makes them: K_FSM from the Kalman filter, K_PMA behind it from random starts.
 So is the robust K_FSM; then it is tuned further together with K_PMA, on the goals of both: of the observers that have
-the same largest figure it becomes one behind which K_PMA keeps 40 mas. A design that is interrupted goes on, and one
+the same largest figure it becomes one with which K_PMA meets 40 mas. A design that is interrupted continues, and one
 whose file is there with the same telescope and options is not made again (FOLDER, default: examples/paper/designs).
 """
 

@@ -120,7 +120,9 @@ def read_content(file: Path) -> dict[str, Any]:
 def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> PointingBudget:
     unknown = set(content) - TOP
     if unknown:
-        raise PointingBudgetError(f"{file}: keys must be of {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
+        raise PointingBudgetError(
+            f"{file}: keys must be among {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}"
+        )
     unit, axes = content.get("unit"), tuple(content.get("axes", ("x", "y")))
     if unit not in ANGLES:
         raise PointingBudgetError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
@@ -182,11 +184,11 @@ def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
     if found.of_windows:
         instants = replace(found, of_windows=False).quantity
         raise PointingBudgetError(
-            f"{file}: requirement must be on {instants} in a budget, which is of every instant and has no rms of "
+            f"{file}: requirement must be on {instants} in a budget, which is for every instant, without rms of "
             f"windows, got {found.quantity!r}"
         )
     if axes != 2:
-        raise PointingBudgetError(f"{file}: axes must be two where there are requirements, got {axes}")
+        raise PointingBudgetError(f"{file}: axes must be two with requirements, got {axes}")
     return found
 
 
@@ -237,14 +239,14 @@ class _Reader:
         known, make = self.kinds[kind]
         unknown = set(table) - known - {"type", "transfer"}
         if unknown:
-            raise self.wrong(path, f"keys must be of {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
+            raise self.wrong(path, f"keys must be among {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
         yield from make(path, table, gains)
 
     def wrong(self, path: tuple[str, ...], what: str, got: object) -> PointingBudgetError:
         return PointingBudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
 
     def vector(self, path: tuple[str, ...], name: str, value: Any) -> FloatArray:
-        """A value for each axis; one number stands for all of them."""
+        """A value for each axis; a single number applies to all."""
         given = np.asarray(value, dtype=float)
         found: FloatArray = np.broadcast_to(given, (self.axes,)).copy() if given.ndim == 0 else given
         if found.shape != (self.axes,) or not np.isfinite(found).all():
@@ -277,7 +279,7 @@ class _Reader:
                 lines = read_text(self.file.parent / str(entry["file"])).splitlines()
                 table = np.loadtxt(lines, delimiter=",", ndmin=2)
                 if table.shape[1] != 2 or np.any(np.diff(table[:, 0]) <= 0) or np.any(table <= 0):
-                    raise self.wrong(path, "transfer file must have rising frequencies [Hz] and gains", table.shape)
+                    raise self.wrong(path, "transfer file must have increasing frequencies [Hz] and gains", table.shape)
                 total = total * np.exp(np.interp(np.log(np.maximum(hertz, 1e-300)), *np.log(table).T))
             else:
                 raise self.wrong(path, "transfer must be a number, numerator and denominator, or a file", entry)
@@ -351,7 +353,7 @@ class _Reader:
             or np.any(density <= 0)
         ):
             raise self.wrong(
-                path, "spectrum must have two or more rising frequencies [Hz] and positive densities", table
+                path, "spectrum must have two or more increasing frequencies [Hz] and positive densities", table
             )
         edges = np.union1d(np.geomspace(f[0], f[-1], 4001)[1:-1], f)
         middle, steps = np.sqrt(edges[1:] * edges[:-1]), np.diff(np.log(edges))

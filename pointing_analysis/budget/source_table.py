@@ -1,8 +1,8 @@
 """Sources of a budget as a table (CSV or a workbook), to read and to write.
 
-The columns are described in ``docs/pointing_analysis.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
-values of several axes stand apart by ``;``. Rows of the types ``requirement``, ``total`` and ``setting`` hold the rest
-of the file.
+The columns are described in ``docs/pointing_analysis.md``. A row corresponds to a table ``[sources.x]`` of a TOML file;
+values of several axes are separated by ``;``. Rows of the types ``requirement``, ``total`` and ``setting`` hold the
+rest of the file.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def read_sources(path: Path) -> dict[str, Any]:
     Raises
     ------
     PointingBudgetError
-        Unknown or missing columns, a cell that is no number, an unknown unit, a name that stands twice.
+        Unknown or missing columns, a cell that is not a number, an unknown unit, a repeated name.
     """
     heads, rows = read_rows(path)
     if unknown := [head for head in heads if head and head not in COLUMNS]:
-        raise PointingBudgetError(f"{path}: columns must be of {', '.join(COLUMNS)}, got {unknown[0]!r}")
+        raise PointingBudgetError(f"{path}: columns must be among {', '.join(COLUMNS)}, got {unknown[0]!r}")
     if missing := [head for head in ("source", "type", "unit") if head not in heads]:
         raise PointingBudgetError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
     content: dict[str, Any] = {"sources": {}, REQUIREMENT: []}
@@ -82,9 +82,9 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
     for part in above:
         group = group.setdefault(part, {})
         if "type" in group:
-            raise PointingBudgetError(f"{where}: source must not be below another source, got {name!r}")
+            raise PointingBudgetError(f"{where}: source must not be nested in another source, got {name!r}")
     if not last or last in group:
-        raise PointingBudgetError(f"{where}: source must be a name that stands once, got {name!r}")
+        raise PointingBudgetError(f"{where}: source must be unique, got {name!r}")
     group[last] = table
 
 
@@ -93,7 +93,7 @@ def _set(content: dict[str, Any], key: str, text: str, where: str) -> None:
     if key not in SETTINGS:
         raise PointingBudgetError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {key!r}")
     if key in content:
-        raise PointingBudgetError(f"{where}: setting must stand once, got {key!r}")
+        raise PointingBudgetError(f"{where}: setting must be given once, got {key!r}")
     if key == "axes":
         content[key] = [axis.strip() for axis in text.split(";")]
     elif key in WHOLE:
@@ -122,7 +122,7 @@ def _numbers(cell: str, where: str, key: str) -> float | list[float]:
         found = [float(part) for part in cell.split(";")]
     except ValueError:
         raise PointingBudgetError(
-            f"{where}: {key} must be a number, or one for each axis apart by ;, got {cell!r}"
+            f"{where}: {key} must be a number, or one per axis, separated by semicolons, got {cell!r}"
         ) from None
     return found[0] if len(found) == 1 else found
 
@@ -160,7 +160,9 @@ def _plain(what: str, value: Any, separator: str = "") -> str:
     text = str(value)
     if text != text.strip() or (separator and (not text or separator in text)):
         ends = f", not empty and without {separator!r}," if separator else ""
-        raise PointingBudgetError(f"{what} must be a text{ends} without blanks at its ends in a table, got {text!r}")
+        raise PointingBudgetError(
+            f"{what} must be a text{ends} without leading or trailing spaces in a table, got {text!r}"
+        )
     return text
 
 

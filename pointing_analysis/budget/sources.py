@@ -26,7 +26,7 @@ TIME, ENSEMBLE = "time", "ensemble"
 
 
 class PointingBudgetError(ValueError):
-    """A budget that cannot be read; the message says what it must be and what it is."""
+    """Invalid budget; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     Raises
     ------
     PointingBudgetError
-        A workbook that cannot be read, a head that stands twice; of the rows: a cell that no head is above of.
+        An unreadable workbook, a repeated heading; of the rows: a cell without a heading.
     StructuredTextError
         A CSV file that cannot be read.
     """
@@ -46,7 +46,7 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
         lines = list(csv.reader(io.StringIO(text), skipinitialspace=True))
     heads = [cell.strip() for cell in lines[0]] if lines else []
     if twice := [head for head in heads if head and heads.count(head) > 1]:
-        raise PointingBudgetError(f"{path}: columns must stand once, got {twice[0]!r} {heads.count(twice[0])} times")
+        raise PointingBudgetError(f"{path}: columns must be unique, got {twice[0]!r} {heads.count(twice[0])} times")
     return heads, _filled(path, heads, lines[1:])
 
 
@@ -56,9 +56,9 @@ def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tu
         for column, cell in enumerate((cell.strip() for cell in line), start=1):
             head = heads[column - 1] if column <= len(heads) else ""
             if cell and not head:
-                hint = "" if path.suffix.lower() == WORKBOOK else "; a text with commas stands in quotes"
+                hint = "" if path.suffix.lower() == WORKBOOK else "; quote a text with commas"
                 raise PointingBudgetError(
-                    f"{where}: cells must be in a column with a head, got {cell!r} in {column}{hint}"
+                    f"{where}: cells must be in a column with a heading, got {cell!r} in {column}{hint}"
                 )
             if cell:
                 cells[head] = cell

@@ -127,7 +127,7 @@ def evaluate(budget: PointingBudget) -> tuple[PointingBudgetVerdict, ...]:
 
 
 def _worst(requirement: Requirement) -> str:
-    """What takes its largest value: sources that vary over the ensemble, in time, or none."""
+    """Sources at their largest value: those that vary over the ensemble, in time, or none."""
     return {"temporal": ENSEMBLE, "ensemble": TIME, "mixed": ""}[requirement.interpretation]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 
 class Marked(str):
-    """Text of a cell with a mark: ``ok``, ``kept``, ``bad`` or ``open``; a colour, a sign where an output has them."""
+    """Text of a cell with a mark: ``ok``, ``within``, ``bad`` or ``open``: its colour or sign."""
 
     __slots__ = ("mark",)
     mark: str

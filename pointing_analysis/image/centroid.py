@@ -1,4 +1,4 @@
-r"""Where a star is in a frame: moments, maximum likelihood, and the bound of Cramer and Rao.
+r"""Centroid of a star in a frame: moments, maximum likelihood, and the Cramer-Rao bound.
 
 The likelihood is that of Poisson noise and read noise of variance :math:`r^2`, the latter taken as Poisson noise, too:
 :math:`d + r^2` has the mean and the variance :math:`\mu + r^2`. Its information about x, y and the flux is

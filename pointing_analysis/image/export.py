@@ -25,7 +25,7 @@ MOST_POINTS = 200_000_000
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """Summary of an exported file.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def chosen_paths(series: ErrorSeries, exposure: float | None, number: int | None
             paths = paths[number : number + 1]
     whole = paths[~missing(paths)]
     if not len(whole) or paths.shape[1] < 2:
-        raise ValueError("exposures must be complete, got none without a missing sample")
+        raise ValueError("exposures must be complete, got missing samples in each")
     return np.asarray(whole)
 
 
 def kernel(paths: FloatArray, step: float) -> FloatArray:
-    """Share of the time at each place, exposures laid on each other by their means: (k, k), k odd, sum 1.
+    """Share of the time at each place, exposures stacked at their means: (k, k), k odd, sum 1.
 
     The path is cut into pieces shorter than a part of the step; each is divided among the four places about it so that
     its centre of gravity stays where it is. The mean of the path is in the middle. Rows are along y.
@@ -77,7 +77,7 @@ def kernel(paths: FloatArray, step: float) -> FloatArray:
     """
     half = math.ceil(float(sizes(paths).max()) / step) + 1
     if 2 * half + 1 > LARGEST:
-        raise ValueError(f"step must give at most {LARGEST} places across the motion, got {2 * half + 1}")
+        raise ValueError(f"step must give at most {LARGEST} cells across the motion, got {2 * half + 1}")
     size = 2 * half + 1
     total = np.zeros(size * size)
     for x in centred(paths) / step:
@@ -104,15 +104,15 @@ def write_kernel(
     paths = chosen_paths(series, exposure, number)
     found = kernel(paths, step_mas * RAD_PER_MAS)
     header = {
-        "PIXELSCL": (step_mas * RAD_PER_MAS / RAD_PER_ARCSEC, "[arcsec] distance of the places"),
+        "PIXELSCL": (step_mas * RAD_PER_MAS / RAD_PER_ARCSEC, "[arcsec] grid spacing"),
         "EXPTIME": ((paths.shape[1] - 1) * series.dt, "[s] exposure"),
-        "NEXPOS": (len(paths), "exposures laid on each other by their means"),
+        "NEXPOS": (len(paths), "exposures stacked at their means"),
         "DELTAT": (series.dt, "[s] between samples, the path is linear between them"),
         "ORIGFILE": (name[-60:], "recording"),
     }
     write_picture(path, found, header)
     text = (
-        f"{len(paths)} exposures of {(paths.shape[1] - 1) * series.dt:g} s on {len(found)}^2 places of {step_mas:g} mas"
+        f"{len(paths)} exposures of {(paths.shape[1] - 1) * series.dt:g} s on {len(found)}^2 cells of {step_mas:g} mas"
     )
     return Exported(text, {"exposures": len(paths), "places": len(found), "step_mas": step_mas})
 

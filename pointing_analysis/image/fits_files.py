@@ -63,9 +63,9 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
             found = [(unit.name, dict(unit.header), np.array(unit.data)) for unit in pictures]
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"pupil must be a FITS file, got one that cannot be read: {first}") from None
+        raise ValueError(f"pupil must be a readable FITS file, got: {first}") from None
     if not found:
-        raise ValueError("pupil must be a FITS file with a picture, got one without")
+        raise ValueError("pupil must be a FITS file with an image, got none")
     _, header, data = found[0]
     scale = next((header[key] for key in SCALES if key in header), None)
     if not is_number(scale) or not 0.0 < scale < math.inf:

@@ -33,9 +33,9 @@ from pointing_analysis.units import RAD_PER_MAS
 
 METHODS = ("maximum_likelihood", "moments")
 OFFSET = 100
-"""Counts of a pixel without light: the read noise must not be cut off at zero. One count is one electron."""
+"""Bias of a pixel [counts]: the read noise must not be clipped at zero. One count is one electron."""
 NO_STAR = 99.0
-"""Magnitude that stands for no star."""
+"""Magnitude that means no star."""
 MOST_COUNTS = 60_000
 """Largest full well: with offset and noise it is below the 65535 of a pixel of 16 bit."""
 WINDOWS = 7, 63
@@ -144,7 +144,7 @@ def from_mapping(table: Mapping[str, Any], where: str) -> GuideCamera:
     """
     known = (*NUMBERS, "window", "second_offset_mas", "centroid")
     if odd := sorted(set(table) ^ set(known)):
-        raise OpticsError(f"{where}: keys of camera must be {', '.join(known)}, got another set: {', '.join(odd)}")
+        raise OpticsError(f"{where}: keys of camera must be {', '.join(known)}, got other keys: {', '.join(odd)}")
     values: dict[str, Any] = {}
     for key, (low, high, words) in NUMBERS.items():
         if not is_number(table[key]) or not low < table[key] < high:

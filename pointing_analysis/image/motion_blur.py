@@ -1,4 +1,4 @@
-r"""What motion during an exposure does to an image: its transfer function, exactly.
+r"""Transfer function of the motion during an exposure, exact.
 
 The path x(t) of the line of sight is piecewise linear between its samples. Over an exposure of N periods
 
@@ -77,7 +77,7 @@ def some_exposures(error: FloatArray, dt: float, exposure: float, most: int) -> 
     n = window_samples(exposure, dt)
     m = (len(error) - 1) // n
     if m < 1:
-        exposures(error, dt, exposure)  # says what is wrong
+        exposures(error, dt, exposure)  # raises the error
     index = np.unique(np.linspace(0, m - 1, min(most, m)).round().astype(np.int64))
     paths = np.asarray(error[n * index[:, None] + np.arange(n + 1), :2])
     release()
@@ -90,7 +90,7 @@ def exposure_parts(error: FloatArray, dt: float, exposure: float, count: int = P
     n = window_samples(exposure, dt)
     m = (len(error) - 1) // n
     if m < 1:
-        exposures(error, dt, exposure)  # says what is wrong
+        exposures(error, dt, exposure)  # raises the error
     for first in range(0, m, count):
         last = min(first + count, m)
         yield exposures(np.array(error[first * n : last * n + 1]), dt, exposure)

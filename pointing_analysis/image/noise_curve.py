@@ -32,7 +32,7 @@ COLUMNS = ("magnitude", "noise_mas", "bound_mas", "without_angles")
 
 
 def detector_of(camera: StarCamera) -> dict[str, Any]:
-    """What the noise of a camera depends on beside the magnitude; equal for cameras of equal noise.
+    """Parameters of the noise of a camera besides the magnitude; equal for cameras of equal noise.
 
     Examples
     --------
@@ -134,7 +134,7 @@ class NoiseCurve:
         """
         kept = sorted((p for p in points if p.without <= 1.0 - KEPT), key=lambda p: p.magnitude)
         if len(kept) < 2:
-            raise ValueError(f"magnitudes must have two stars that half of the frames see, got {len(kept)}")
+            raise ValueError(f"magnitudes must have two stars detected in half of the frames, got {len(kept)}")
         columns = (np.array([getattr(p, name) for p in kept]) for name in ("magnitude", "noise", "bound", "without"))
         return cls(detector_of(camera), *columns)
 
@@ -184,7 +184,7 @@ def _curve(entry: Mapping[str, Any]) -> NoiseCurve:
     """A curve of a file; KeyError, TypeError or ValueError: it is none."""
     columns = [entry[name] for name in COLUMNS]
     if not all(isinstance(column, list) and all(map(is_number, column)) for column in columns):
-        raise ValueError(f"something else than numbers in {', '.join(COLUMNS)}")
+        raise ValueError(f"values that are not numbers in {', '.join(COLUMNS)}")
     if len({len(column) for column in columns}) != 1 or len(columns[0]) < 2:
         raise ValueError("columns of different length, or fewer than two magnitudes")
     magnitude, noise, bound, without = (np.array(column, dtype=float) for column in columns)

@@ -43,11 +43,11 @@ PUPIL = "pupil.fits"
 LAYOUT = ("primary_focal_length", "mirror_distance", "back_focal_distance")
 """Keys of the same table in a telescope's file that make no difference to an image."""
 MAX_VANES = 64
-NONE_KNOWN = "no optics are known of this recording (--optics FILE gives them)"
+NONE_KNOWN = "no optics are known for this recording (give --optics FILE)"
 
 
 class OpticsError(ValueError):
-    """Optics that cannot be used; the message says what they must be and what they are."""
+    """Invalid optics; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True)
@@ -167,12 +167,14 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
         raise OpticsError(f"{where}: optics must be a table, got {type(table).__name__}")
     unknown = set(table) - {*NUMBERS, "pupil", *LAYOUT}
     if unknown:
-        raise OpticsError(f"{where}: keys of optics must be of {', '.join([*NUMBERS, 'pupil'])}, got {sorted(unknown)}")
+        raise OpticsError(
+            f"{where}: keys of optics must be among {', '.join([*NUMBERS, 'pupil'])}, got {sorted(unknown)}"
+        )
     pupil = table.get("pupil", "")
     if not isinstance(pupil, str):
         raise OpticsError(f"{where}: optics.pupil must be the name of a FITS file, got {pupil!r}")
     if pupil and not pupil_file:
-        raise OpticsError(f"{where}: optics.pupil must be a FITS file, got {pupil!r}, whose content is not there")
+        raise OpticsError(f"{where}: optics.pupil must be a FITS file, got {pupil!r} without its content")
     numbers = {key: _number(table, key, where) for key in NUMBERS if key in table}
     for key in (*NEEDED, *(() if pupil else ("aperture_diameter",))):
         if key not in numbers:

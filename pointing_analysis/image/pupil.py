@@ -98,7 +98,7 @@ class AnnularPupil:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Where a circle begins or ceases to overlap the other one."""
+        """Distances at which a circle begins or ceases to overlap the other one."""
         e = self.obscuration
         return tuple(sorted({e, (1 - e) / 2, (1 + e) / 2, 1.0} - {0.0})) if e else (0.5, 1.0)
 

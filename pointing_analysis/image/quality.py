@@ -167,7 +167,7 @@ def _peaks(optics: Optics, q: Quadrature, x: FloatArray, transfer: ComplexArray)
 
 
 def _still_peak(optics: Optics, q: Quadrature) -> FloatArray:
-    """Where the image without motion is largest, roughly: an aberrated aperture may have it off the axis."""
+    """Approximate peak of the image without motion: with aberrations it may be off the axis."""
     if optics.pupil.in_phase:
         return np.zeros((1, 2))
     line = optics.resolution * np.arange(-8.0, 8.25, 0.25)

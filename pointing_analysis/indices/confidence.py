@@ -119,7 +119,7 @@ def autocorrelation_time(values: ArrayLike) -> float:
     mean = sum(float(x[part].sum()) for part in parts(n)) / n
     x = by_parts(lambda rows: rows - mean, x)
     power = sum(float(x[part] @ x[part]) for part in parts(n))
-    # A constant: one value said n times. Rounding noise about it must not pass for information.
+    # A constant: one value n times. Rounding noise about it must not count as information.
     if power <= n * (1e-14 * largest) ** 2:
         return n / 2
     total = -0.5

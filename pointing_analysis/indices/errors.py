@@ -17,7 +17,7 @@ from pointing_analysis.read.unsent import unsent
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
-#: [s] left out of a run that does not say how it started; one that starts in its steady state says that nothing is
+#: [s] excluded of a run without a stated start; one that starts in its steady state states that nothing is
 #: to be left out. The answer of a washout of 0.1 rad/s to the bias of accelerometers lasts longer, some 60 s
 SETTLING = 5.0
 LARGEST = 1e60
@@ -25,7 +25,7 @@ LARGEST = 1e60
 CAMERA = "camera/los"
 OFF_PHASE = 0.5
 """Largest share of the intervals of a device's frames that are off their grid: they have stamps of its own clock, and
-frames that are off phase are counted and said (docs/connect_your_rig.md)."""
+frames that are off phase are counted and reported (docs/connect_your_rig.md)."""
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 
 
@@ -39,7 +39,7 @@ class ErrorSeries:
     dt : sampling period [s]
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
-    open_end : whether the recording was cut off and nothing says how many samples are missing at its end
+    open_end : whether the recording is truncated and the number of missing samples at its end is unknown
     never_sent : whether all that are missing were never sent (`pointing_analysis.read.unsent`), so that windows with
         one are left out of a verdict and do not count against it
     """
@@ -63,7 +63,7 @@ class ErrorSeries:
 
 
 def default_transient(duration: float) -> float:
-    """Start-up transient [s] dropped from a run of `duration` [s] that does not say how much is to be dropped.
+    """Start-up transient [s] dropped from a run of `duration` [s] that does not state it.
 
     `SETTLING`, from short runs their first half, and never less than `LEAST`.
 
@@ -92,7 +92,7 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
     rest = by_parts(np.array, values[first:, :2])
     missing = sum(int(np.isnan(rest[part]).any(axis=1).sum()) for part in parts(len(rest)))
     if missing == len(rest):
-        raise BagError(f"{path}: the line of sight must have finite samples, got only missing ones and NaN")
+        raise BagError(f"{path}: the line of sight must have finite samples, got none")
     for part in parts(len(rest)):
         if (odd := np.argwhere(np.abs(rest[part]) > LARGEST)).size:
             row, column = map(int, odd[0])

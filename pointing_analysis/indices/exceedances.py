@@ -107,7 +107,7 @@ class IndependentSamples:
         Parameters
         ----------
         limit : samples at or above it exceed it
-        lower : whether the limit is a lower one, which samples at or below it do not keep
+        lower : whether the limit is a lower one, which samples at or below it violate
         """
         x, sign = self.values, -1.0 if lower else 1.0
         n = len(x)

@@ -246,7 +246,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     ----------
     error : (n, 2), NaN where a sample is missing
     dt, window : sampling period and window length [s]
-    position : where t stands in its window of N samples: ``all`` (every sample of disjoint windows), or in a sliding
+    position : position of t in its window of N samples: ``all`` (every sample of disjoint windows), or in a sliding
         window ``centred`` (sample N // 2; in the middle where N is no whole number) or ``end`` (the last sample); see
         the notes of this module
 

@@ -1,4 +1,4 @@
-"""What moves during a run: array angle, wheel speeds, harmonics of the wheels, modes of the structure.
+"""Motion during a run: array angle, wheel speeds, harmonics of the wheels, modes of the structure.
 
 A bag of such a run names its ``motion``: ``knots`` of time [s], array angle [rad] and four wheel speeds [rad/s], linear
 between them; ``harmonics`` of the wheels; frequencies ``modes`` [rad/s] of the structure's lightly damped modes at the
@@ -18,7 +18,7 @@ from pointing_analysis.read.recording import Recording
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves during a run.
+    """Motion during a run.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ NAMESPACE = "/telescope"
 
 @dataclass(frozen=True)
 class McapStorage:
-    """How a bag's MCAP file stores the messages.
+    """Storage of the messages in a bag's MCAP file.
 
     Attributes
     ----------

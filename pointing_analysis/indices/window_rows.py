@@ -1,6 +1,6 @@
-"""Samples of windows that are no whole number of samples: each sample stands for its period.
+"""Samples of windows that are not a whole number of samples: each sample covers its period.
 
-Sample k stands for the time from k to k + 1 periods. A window takes of the samples at its edges the part of the period
+Sample k covers the time from k to k + 1 periods. A window takes of the samples at its edges the part of the period
 that lies in it, so that the weights add up to its length in periods; where that is a whole number they are all one.
 """
 

@@ -74,7 +74,7 @@ class _Topic:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def candidates(self) -> list[Candidate]:
-        """What could be the line of sight."""
+        """A possible line of sight."""
         logged = np.concatenate(self.logged)
         steps = np.diff(np.sort(logged))
         middle = float(np.median(steps)) if steps.size else 0.0
@@ -156,7 +156,7 @@ def candidates(path: Path) -> tuple[Candidate, ...]:
     Raises
     ------
     BagError
-        Not a bag, or none that could be read: the message says why of one topic.
+        Not a bag, or an unreadable one: the message has the reason for one topic.
     """
     topics, _ = _scan(path)
     found = tuple(c for name in sorted(topics) for c in topics[name].candidates())
@@ -231,19 +231,19 @@ def read_external(
     topic, problems = topics[chosen.topic], reading.problems()
     values, header, fitting = (np.concatenate(arrays) for arrays in zip(*topic.samples))
     for reason, count in topic.left_out.most_common(LISTED):
-        problems.append(f"{chosen.topic}: {count} messages left out: {reason}")
+        problems.append(f"{chosen.topic}: {count} messages excluded: {reason}")
     logged, published = np.concatenate(topic.logged), np.concatenate(topic.published)
     by_header = chosen.stamped and time != "log" and bool(header[fitting].any())
     if time == "header" and not by_header:
         raise BagError(f"{path}: time must be log for {chosen.topic}, whose messages have no stamp, got 'header'")
     if not by_header:
         reason = "" if time == "log" else ": the samples have no stamp"
-        problems.append(f"{chosen.topic}: times are those of recording, with its jitter{reason}")
+        problems.append(f"{chosen.topic}: time stamps are those of the recorder, with its jitter{reason}")
     stamps = header if by_header else logged
     if (zero := int((stamps[fitting] == 0).sum())) == 1 and _is_start(stamps[fitting]):
         stamps = stamps + ORIGIN  # the clock of the samples began at zero, as one of a simulation does
     elif zero:
-        problems.append(f"{chosen.topic}: {zero} messages without a stamp are left out")
+        problems.append(f"{chosen.topic}: {zero} messages without a stamp are excluded")
     about = {
         "line_of_sight": chosen.name,
         "message_type": chosen.schema,

@@ -26,7 +26,7 @@ def open_los(
 
     Parameters
     ----------
-    path : a file of one of `pointing_analysis.read.tables.formats.FORMATS`, told by its content
+    path : a file of one of `pointing_analysis.read.tables.formats.FORMATS`, detected by its content
     los : topic and field of a bag, names of two columns of a table; None for a bag of the testbed
     unit : rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; needed for all but a bag of the testbed and a file that
         says it

@@ -29,7 +29,7 @@ PART = 1 << 17
 RUN = 1 << 20
 """Values that are sorted at a time."""
 FOLDERS = ("/var/tmp",)
-"""Where the files are made if TMPDIR names no folder; /tmp may itself be memory."""
+"""Folder of the files if TMPDIR names none; /tmp may itself be in memory."""
 
 _malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
 _mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
@@ -43,7 +43,7 @@ def _file() -> IO[bytes]:
 
 
 def _no_space(error: OSError) -> OSError:
-    return OSError(error.errno, f"{error.strerror}: TMPDIR must name a folder with space for the samples of a long run")
+    return OSError(error.errno, f"{error.strerror}: TMPDIR must have space for the samples of a long run")
 
 
 def _map(file: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any], access: int) -> NDArray[Any]:
@@ -220,7 +220,7 @@ class GrowingArray:
             raise _no_space(error) from None
 
     def array(self) -> NDArray[Any]:
-        """What was appended; nothing more can be."""
+        """The appended values; no more can be appended."""
         if self._file is None:
             return self._memory[: self.size]
         with self._file as file:

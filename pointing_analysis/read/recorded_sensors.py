@@ -62,7 +62,7 @@ class RecordedSensor:
 
 
 def sensors_of(run: Recording) -> tuple[RecordedSensor, ...]:
-    """Sensors that a recording describes and has; none where it says nothing or what cannot be read."""
+    """Sensors that a recording describes and has; none without a readable description."""
     entries = run.parameters.get(METADATA)
     try:
         found = [RecordedSensor.from_mapping(entry) for entry in (entries if isinstance(entries, list) else [])]

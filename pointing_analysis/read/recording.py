@@ -1,4 +1,4 @@
-"""What the analysis needs of a recording, wherever the samples come from: a bag of the testbed, any bag, a table."""
+"""Interface of a recording for the analysis: a bag of the testbed, any bag, a table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Recording(Protocol):
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """What the recorder wrote about the run."""
+        """Metadata of the run by the recorder."""
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -32,11 +32,11 @@ class Recording(Protocol):
 
     @property
     def losses(self) -> tuple[TopicLoss, ...]:
-        """What is known to be lost, by topic."""
+        """Known losses, by topic."""
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Where the recording contradicts its own digests: nothing of it is judged then."""
+        """Contradictions of the recording's own digests: with any, nothing is judged."""
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ class Recording(Protocol):
 
     @property
     def kind(self) -> str:
-        """What the recording is, in a word: ``bag``, ``CSV``, ``arrays`` ..."""
+        """Type of the recording: ``bag``, ``CSV``, ``arrays`` ..."""
 
     def shown(self, name: str) -> str:
         """Name of a topic for messages; that of the columns where it comes from a table."""

@@ -1,7 +1,7 @@
 """Open a recorded run: ``Run.open(path)`` gives its topics as numpy arrays.
 
 Reads rosbag2 folders and single files in MCAP, written by this testbed or by ``ros2 bag record``: chunk compression
-zstd, lz4 or none, file-wise and message-wise zstd, split recordings, and recordings that were cut off.
+zstd, lz4 or none, file-wise and message-wise zstd, split and truncated recordings.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Run:
     Attributes
     ----------
     path : the bag
-    namespace : what stands before the topic names, e.g. ``/telescope``
+    namespace : prefix of the topic names, e.g. ``/telescope``
     parameters : what the recorder wrote about the run (mode, loop, scenario, seed, ...), values decoded from JSON
 
     Examples
@@ -189,7 +189,7 @@ class Run:
                 raise BagError(f"{self.path}: namespace must be one of {sorted(found)}, got {chosen!r}")
             return chosen
         if not found:
-            some = ", ".join(sorted(names)[:5]) or "no topics at all"
+            some = ", ".join(sorted(names)[:5]) or "no topics"
             raise BagError(f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}")
         if len(found) > 1:
             raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")
@@ -218,7 +218,7 @@ class Run:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Where the bag says, with right checksums, what its own digests refute, one sentence each."""
+        """Records with a valid checksum that contradict the bag's digests, one sentence each."""
         return self._read.contradictions
 
     @property
@@ -293,7 +293,7 @@ class Run:
         return f"{loop}" if loop else self.path.name
 
     kind = "bag"
-    """What the recording is."""
+    """Type of the recording."""
 
     def shown(self, name: str) -> str:
         """Name of a topic for messages."""

@@ -1,4 +1,4 @@
-"""How a recorded run ended, by its plan or before, and which part of its ticks was missed."""
+"""End of a recorded run, as planned or early, and its missed ticks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ OUTSIDE = "unsent_outside"
 """Statistic of the plant: ticks before the first and after the last one of which it has sent samples."""
 
 BY_NODES = ("realtime", "lockstep")
-"""Modes in which the plant reports its ticks while the run goes on."""
+"""Modes in which the plant reports its ticks during the run."""
 
 
 @dataclass(frozen=True)
 class RunEnd:
-    """How a run ended, in ticks; None where a number is not known.
+    """End of a run, in ticks; None if a number is not known.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class RunEnd:
 
     @property
     def text(self) -> str:
-        """What is said of a run that did not end by its plan, or whose messages do not show that it did; else empty."""
+        """Sentence about a run that did not end as planned, or whose messages do not show it; else empty."""
         if self.unreported:
-            return "the plant has reported no tick: how the run ended is not known"
+            return "the plant has reported no tick: the end of the run is not known"
         unplanned = self.planned is not None and self.done is not None and self.done < self.planned
-        early = f"the run ended before its plan: after {self.done} of {self.planned} ticks" if unplanned else ""
+        early = f"the run ended early: after {self.done} of {self.planned} ticks" if unplanned else ""
         if self.covered is None or self.sent is None or self.covered >= self.sent:
             return early
         if early:
@@ -61,7 +61,7 @@ class RunEnd:
 
 
 def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd:
-    """How a run ended.
+    """End of a run.
 
     The plant counts its ticks: of a run that was killed, too, its last report has what was done and what was to be.
 
@@ -76,7 +76,7 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
     >>> run_end(known, covered=10000).by_plan
     True
     >>> run_end({**known, "statistics": {"plant": {"ticks": "3214"}}}).text
-    'the run ended before its plan: after 3214 of 10000 ticks'
+    'the run ended early: after 3214 of 10000 ticks'
     >>> run_end(known, covered=7500).text
     "the run's record says that it ended by its plan, after 10000 ticks, but the messages cover 7500 of them"
     """

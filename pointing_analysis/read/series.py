@@ -24,7 +24,7 @@ LOS = "truth/los"
 SAMPLING = "sampling_of_the_samples"
 """Parameter of a recording of others: its rate, where that is from, and the jitter of its times."""
 ORIGIN = NANO
-"""Stamp of the first sample [ns] where the time has no epoch; the stamp 0 stands for "not stamped"."""
+"""Stamp of the first sample [ns] where the time has no epoch; the stamp 0 means "not stamped"."""
 LONGEST = 1e9
 """Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
 LARGEST_ANGLE = 1e9
@@ -94,7 +94,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the samples of a line of sight come from.
+    """Source of the samples of a line of sight.
 
     Attributes
     ----------
@@ -172,12 +172,12 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     found = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
     typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
     if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
-        raise ValueError(f"rate must be that of the samples, about {typical:.6g} Hz, got {rate:g} Hz")
+        raise ValueError(f"rate must match the samples, about {typical:.6g} Hz, got {rate:g} Hz")
     own = time_grid((stamps - stamps.min()) / NANO)
     if own is not None and abs(own.period * rate - 1.0) * np.ptp(own.place) > OUT_OF_STEP:
         raise ValueError(
-            f"rate must be that of the samples, {1 / own.period:.9g} Hz by their times, got {rate:.9g} Hz: "
-            "without one it is taken from the times"
+            f"rate must match the samples, {1 / own.period:.9g} Hz by their times, got {rate:.9g} Hz: "
+            "without one it is taken from the time stamps"
         )
     place = np.rint((stamps - stamps[0]) * (rate / NANO)).astype(np.int64)
     first = np.zeros(stamps.size, bool)
@@ -190,7 +190,7 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     moved = int((np.abs(stamps - stamps[0] - place * (NANO / rate)) * rate > OFF_GRID * NANO).sum())
     notes = [f"{moved} stamps moved to the grid of {rate:g} Hz by more than 2 % of the period"] if moved else []
     if not first.all():
-        notes.append(f"{int((~first).sum())} samples left out: another one is on the same tick of {rate:g} Hz")
+        notes.append(f"{int((~first).sum())} samples excluded: another one is on the same tick of {rate:g} Hz")
     return int(stamps[0]) + on_whole_ns(place, 1 / rate), first, tuple(notes)
 
 
@@ -299,7 +299,7 @@ def _check_wrap(values: FloatArray, label: str) -> None:
     if rows.size:
         raise ValueError(
             f"{label} must be the error of the line of sight, actual minus target, without a wrap, got a step of a "
-            f"full turn behind sample {int(rows[0]) + 1}: write angles from -180 to 180 deg"
+            f"full turn after sample {int(rows[0]) + 1}: write angles from -180 to 180 deg"
         )
 
 

@@ -143,7 +143,7 @@ def regular(stamps: IntArray) -> tuple[IntArray, TimeGrid | None]:
     ----------
     stamps : (n,) [ns]
     """
-    real = np.flatnonzero(stamps)  # the stamp 0 stands for "not stamped"
+    real = np.flatnonzero(stamps)  # the stamp 0 means "not stamped"
     first = int(stamps[real[0]]) if real.size else 0
     grid = time_grid((stamps[real] - first) / NANO) if real.size else None
     if grid is None or not grid.fits:

@@ -27,14 +27,14 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Integrity:
-    """What a look at the stamps of one topic found.
+    """Properties of the stamps of one topic.
 
     Attributes
     ----------
     messages : messages in the bag
     unstamped : messages with the stamp zero, left out: the plant sends them while it waits for the run to begin
     duplicates : messages whose stamp was there already
-    conflicts : duplicates that say something else than the first: two publishers on one topic
+    conflicts : duplicates that differ from the first: two publishers on one topic
     out_of_order : messages recorded after one with a later stamp
     missing : samples missing between the first and the last stamp
     gaps : (start, samples missing) of each gap, start in seconds after the topic's first stamp
@@ -73,7 +73,7 @@ class Topic:
     integrity : gaps, duplicates and the like
     lost_before, lost_after : samples that were recorded, or were to be, before the first stamp and after the last one,
         and are not in the bag
-    open_end : whether the recording was cut off and nothing says how much is missing at its end
+    open_end : whether the recording is truncated and the missing part at its end is unknown
     """
 
     name: str
@@ -121,7 +121,7 @@ def _steps(stamp: IntArray) -> Iterator[tuple[int, IntArray]]:
 
 
 def _period_ns(stamp: IntArray) -> int:
-    """Most frequent interval, jitter below 1 % of the median set aside; 0 with fewer than two stamps."""
+    """Most frequent interval, ignoring jitter below 1 % of the median; 0 with fewer than two stamps."""
     if stamp.size < 2:
         return 0
     counts: Counter[int] = Counter()
@@ -166,7 +166,7 @@ class _OtherRate:
 
 
 def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
-    """How many messages say something else than the first one of the same stamp."""
+    """Number of messages that differ from the first one of the same stamp."""
     again = np.flatnonzero(~kept)
     if not again.size:
         return 0

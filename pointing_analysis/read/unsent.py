@@ -24,7 +24,7 @@ OF_EVERY_TICK = ("truth/los", "isolator/accel")
 
 
 def unsent(run: Recording, name: str) -> int:
-    """Samples of a topic that are missing since nothing was sent in their periods; zero where nothing is said of it.
+    """Samples of a topic that are missing since nothing was sent in their periods; zero if not stated.
 
     Parameters
     ----------

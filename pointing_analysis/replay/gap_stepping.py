@@ -1,4 +1,4 @@
-"""How observers and controllers step over ticks whose samples are missing; nodes and replay do it alike."""
+"""Stepping of observers and controllers over ticks with missing samples, the same in nodes and replay."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray, IntArray
 
 FILLS = LINE, HOLD = ("line", "hold")
-"""What stands for the samples of a gap: the straight line from the sample before it to the one after, or the former."""
+"""Replacement for the samples of a gap: linear interpolation, or the sample before it held."""
 
 GAP_LIMITS = {LINE: 8, HOLD: 50}
 """Longest gap, in ticks, that is stepped over; a longer one is left out.

@@ -1,10 +1,10 @@
 """Replay: drive an observer and a controller with the sensors of a bag, and compare with what the bag recorded.
 
-Through the recorded controllers, the replay gives the recorded estimates and commands again, bit by bit: the proof
+Through the recorded controllers, the replay reproduces the recorded estimates and commands bit for bit: the proof
 that the bag holds all that the loop saw. Through others it gives what they would have estimated and commanded on the
 same sensors (open loop: the plant does not answer to the new commands).
 
-This module imports no controller: `EstimatorCore` and `ControllerCore` say what one must have.
+This module imports no controller: `EstimatorCore` and `ControllerCore` are its interfaces.
 """
 
 from __future__ import annotations
@@ -181,8 +181,7 @@ def sensors(run: Run, layout: LoopLayout = REFERENCE_LAYOUT) -> Sensors:
     Raises
     ------
     BagError
-        A sensor topic is missing, has another number of values, or values that are not finite (those that are held
-        aside).
+        A sensor topic is missing, has another number of values, or values that are not finite, except held ones.
     """
     stamp, period, incomplete = _complete_ticks(run, layout)
     measurement = empty((len(stamp), layout.size))
@@ -241,7 +240,7 @@ def replay(
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
     Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
-    step as the node did, on samples as the bag's setting ``lost_samples`` says (``hold`` in a bag without it).
+    step as the node did, on samples by the bag's setting ``lost_samples`` (``hold`` in a bag without it).
 
     Parameters
     ----------
@@ -329,7 +328,7 @@ class Difference:
 
     @property
     def identical(self) -> bool:
-        """Same ticks, same bits."""
+        """Same ticks, bit-identical values."""
         return self.compared > 0 and self.different == 0 and self.missing == 0
 
 
@@ -348,13 +347,13 @@ class Comparison:
 
     @property
     def identical(self) -> bool:
-        """Whether the replay gave the recording again, bit by bit."""
+        """Whether the replay is bit-identical to the recording."""
         return bool(self.differences) and all(d.identical for d in self.differences)
 
     def __str__(self) -> str:
         if self.identical:
             ticks = min(d.compared for d in self.differences)
-            return f"replay identical to the recording, bit by bit, on {ticks} ticks: the bag is complete"
+            return f"replay bit-identical to the recording on {ticks} ticks: the bag is complete"
         parts = []
         for d in self.differences:
             if d.identical:

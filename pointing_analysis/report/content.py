@@ -1,4 +1,4 @@
-"""What a report says, whatever it is written as: verdict, figures, tables, notes.
+"""Content of a report in any format: verdict, figures, tables, notes.
 
 The page, the PDF and the files of tables are made from the same :class:`ReportContent`.
 """
@@ -66,7 +66,7 @@ class ReportPart:
 
 @dataclass(frozen=True)
 class ReportSection:
-    """Parts under a heading; `key` is its anchor, `note` stands above them."""
+    """Parts under a heading; `key` is its anchor, `note` precedes them."""
 
     key: str
     title: str
@@ -143,7 +143,7 @@ def content_of(
     ----------
     views, summaries : of the runs
     drawn : pictures in reading order
-    model : what a model says of the runs
+    model : results of a model of the runs
     remarks : for each run sentences beside its verdict, or none at all
     untimed : labels of bags without times of their messages
     """
@@ -200,10 +200,10 @@ def _requirements(rows: Sequence[RequirementRow], several: bool, unknown: bool, 
         none = f"{UNKNOWN[0].upper()}{UNKNOWN[1:]}." if unknown else "No requirement applies to this run."
         return ReportSection("requirements", "Requirements", (ReportPart(lines=(none,)),))
     note = (
-        "The value is the limit that the run just keeps with the required probability; its bound holds at the stated "
-        "confidence without assuming a distribution. A bound that is proven is one of the loop, for every telescope of "
-        "the family, with the tone that acts and noise. Correlated samples count as the smaller number of independent "
-        "ones shown; for the RPE no more than one per exposure counts."
+        "The value is the quantile at the required probability; its bound holds at the stated confidence without "
+        "assuming a distribution. A proven bound is one of the loop, for every telescope of the family, with its tone "
+        "and noise. Correlated samples count as the smaller number of independent ones shown; for the RPE at most one "
+        "per exposure counts."
     )
     table = _of_runs(requirement_table(rows, several), names, several)
     stated = ReportPart("Requirements as stated", definition_table(rows))
@@ -217,7 +217,7 @@ def _file(name: str, k: int, several: bool) -> str:
 def _lines(views: Sequence[RunView], several: bool) -> ReportSection:
     parts = []
     for k, view in enumerate(views):
-        title = f"{view.label}: what each line adds to the RPE"
+        title = f"{view.label}: contribution of each line to the RPE"
         table = line_table(view, _file("lines", k, several)) if view.tones else None
         parts.append(ReportPart(title, table, tuple(_about_lines(view)), k, not several))
     return ReportSection("lines", "Disturbance lines", tuple(parts))
@@ -231,7 +231,7 @@ def _about_lines(view: RunView) -> Iterator[str]:
         )
     elif not view.tones:
         who = "The bag" if view.run.kind == "bag" else "The data"
-        yield f"{who} names no lines that can be told apart in this run, and none stands out of the noise."
+        yield f"{who} names no lines that this run can resolve, and none is above the noise."
     if len(view.tones) > LINES_SHOWN:
         yield f"The {LINES_SHOWN} largest of {len(view.tones)} lines."
     if any(line.found for line in view.tones):
@@ -244,13 +244,17 @@ def _about_lines(view: RunView) -> Iterator[str]:
 
 def _sources(names: Sequence[str], model: ModelResults, several: bool) -> ReportSection:
     note = (
-        "All that acts, each part alone in the loop as implemented. Their lines of sight add up to that of the run. "
-        "Share: covariance of a part with the whole in windows of the relative error, over the variance of the whole; "
-        "the shares add up to 100 %."
+        "Each source of disturbance alone in the loop as implemented. Their lines of sight add up to that of the run. "
+        "Share: covariance of a source with the total in windows of the relative error over the variance of the "
+        "total; the shares add up to 100 %."
     )
     parts = tuple(
         ReportPart(
-            f"{name}: what each source does", source_table(shares, _file("sources", k, several)), (), k, not several
+            f"{name}: contribution of each source",
+            source_table(shares, _file("sources", k, several)),
+            (),
+            k,
+            not several,
         )
         for k, (name, shares) in enumerate(zip(names, model.sources))
         if shares
@@ -262,9 +266,9 @@ def _predictions(names: Sequence[str], model: ModelResults, several: bool) -> Re
     note = (
         "Amplitude of the line of sight at each tone of the disturbance, norm of both axes. The prediction is the loop "
         "as implemented (sampled plant, one tick of delay, camera held between frames, commands limited), run from the "
-        "same start. That of a rig is the mean of settled loops with the delays that the run has measured. It knows "
-        "nothing else of the record but the tones. Ratio: measured over predicted, ± two standard deviations by noise; "
-        "“in noise”: neither amplitude stands out of it."
+        "same start. That of a rig is the mean of settled loops with the delays that the run has measured. It uses "
+        "only the tones of the record. Ratio: measured over predicted, ± two standard deviations by noise; "
+        "“in noise”: neither amplitude is above it."
     )
     parts = []
     for k, (name, found) in enumerate(zip(names, model.predictions)):
@@ -317,9 +321,9 @@ def _provenance(names: Sequence[str], runs: Sequence[Recording]) -> Iterator[Rep
 def _terms(exposure: str) -> TextTable:
     rows = (
         ("APE", "absolute performance error: the error at each instant"),
-        ("RPE", f"relative performance error: the error less its mean over an exposure ({exposure}), over all instants "
-         "of disjoint exposures"),
-        ("AKE, RKE", "absolute and relative knowledge error: the same for the estimate less the truth"),
+        ("RPE", f"relative performance error: the error minus its mean over an exposure ({exposure}), over all "
+         "instants of disjoint exposures"),
+        ("AKE, RKE", "absolute and relative knowledge error: the same for the estimate minus the truth"),
         ("temporal", "interpretation of a requirement unless stated: over the time of each run"),
         ("both axes", "indices are formed on both axes before the norm is taken"),
     )  # fmt: skip
@@ -327,7 +331,7 @@ def _terms(exposure: str) -> TextTable:
 
 
 def _origin(runs: Sequence[Recording]) -> str:
-    """Where the line of sight is from."""
+    """Source of the line of sight."""
     if all(isinstance(run, Run) for run in runs):
         return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
     found = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)

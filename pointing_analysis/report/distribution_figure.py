@@ -1,6 +1,6 @@
 """Distributions of the judged indices: for each index the share of its samples above each value, with its own limits.
 
-The samples are those by which a requirement is judged, and a limit stands in the picture of its own index only, with
+The samples are those by which a requirement is judged, and a limit is shown in the picture of its own index only, with
 the share that its requirement allows to be above it.
 """
 
@@ -30,7 +30,7 @@ LEFT = 0.99
 """Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
 
 ALWAYS = ("|APE|", "|RPE({window})|")
-"""Quantities that are shown whatever is required, the second one where the runs have its windows."""
+"""Quantities that are always shown, the second one if the runs have its windows."""
 
 ABSOLUTE = ("APE", "MPE")
 """Indices that are shown in arcsec, others in mas."""

@@ -55,7 +55,7 @@ STYLE: dict[str, Any] = {
     "path.simplify_threshold": 0.3,
 }
 NO_PDF_METADATA = {"CreationDate": None, "Creator": None, "Producer": None}
-"""What differs from run to run is left out."""
+"""Without entries that differ between runs."""
 
 
 @dataclass(frozen=True)
@@ -285,13 +285,13 @@ def trajectory(views: Sequence[RunView], requirements: Sequence[Requirement]) ->
                 one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         legend_above(figure, max(axes, key=lambda a: len(a.get_lines())))
 
-    alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
+    alt = "Path of the line of sight in the plane of both axes, with its smallest enclosing circle about zero"
     rows = -(-len(views) // 2)
     return picture("trajectory", "Trajectory and its circle", alt, 4.8 if len(views) == 1 else 0.3 + 2.9 * rows, draw)
 
 
 def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, FloatArray]]) -> Picture | None:
-    """LOS rms at each disturbance line, run by run, with what the model says where it was given."""
+    """LOS rms at each disturbance line, run by run, with those of a given model."""
     shown = [v for v in views if v.tones]
     if len(views) < 2 or not shown:
         return None
@@ -331,7 +331,7 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
         axis.set_ylabel("LOS rms at the line [mas]")
         legend_above(figure, axis)
 
-    alt = "Line-of-sight rms at each disturbance line, run by run: how much of each line every stage lets through"
+    alt = "Line-of-sight rms at each disturbance line, run by run: transmission of each line by every stage"
     return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
 
 

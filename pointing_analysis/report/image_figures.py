@@ -44,7 +44,7 @@ STEP = 5.0
 
 @dataclass(frozen=True)
 class ImageView:
-    """What the pictures of one run need.
+    """Data for the pictures of one run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where a line of the spectrum is known from, and what is likely to make it: a wheel, or the scenario of the run."""
+"""Origin of a line of the spectrum, and its likely cause: a wheel, or the scenario of the run."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ ORDERS = 6
 
 
 def origin(line: SpectralLine) -> str:
-    """Where a line is known from: the recording names it, or it was found in the spectrum."""
+    """Origin of a line: named in the recording, or found in the spectrum."""
     return "recording" if line.found is None else f"spectrum, {line.found.level:.0f} dB above the noise"
 
 
 def likely_source(view: RunView, line: SpectralLine) -> str:
-    """What is likely to make a line, in a few words; empty where nothing of the recording fits.
+    """Likely cause of a line; empty if nothing in the recording fits.
 
     A line within the resolution of the run, one over its length, at a multiple of the speed of a wheel is that wheel's;
     others that the recording names are of its scenario.

@@ -1,6 +1,6 @@
 """Pictures of a run whose tones move: waterfall, Campbell diagram, relative error over time.
 
-The bag of such a run says what moves (:mod:`pointing_analysis.indices.motion`).
+The bag of such a run has the motion (:mod:`pointing_analysis.indices.motion`).
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def waterfall(view: RunView, motion: Motion, k: int) -> Picture:
 def campbell(view: RunView, motion: Motion, k: int) -> Picture:
     """Spectrum over the speed of the wheel that changes most, rays of its harmonics, modes of the structure.
 
-    Modes are marked at the speeds that were recorded: a ramp may go on after the end of the record.
+    Modes are marked at the speeds that were recorded: a ramp may continue after the end of the record.
     """
     omega, time, values = _spectra(view)
     speed = np.interp(time, motion.time, motion.speed[:, motion.wheel])

@@ -1,4 +1,4 @@
-"""Where a report goes: a page or a PDF, and a folder of its figures and tables. Needs none of what draws them."""
+"""Outputs of a report: a page or a PDF, and a folder of its figures and tables. Imports no plotting library."""
 
 from __future__ import annotations
 

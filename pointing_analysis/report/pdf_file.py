@@ -79,7 +79,7 @@ def _picture(picture: Picture) -> dict[str, str]:
 
 
 def _columns(pictures: Sequence[Picture]) -> list[list[dict[str, str]]]:
-    """Two columns of pictures: each one stands in the column that is shorter so far."""
+    """Two columns of pictures: each one goes to the shorter column."""
     columns: list[list[dict[str, str]]] = [[], []]
     heights = [0.0, 0.0]
     for picture in pictures:

@@ -1,4 +1,4 @@
-"""Where the runs of a report are from: digest, settings and attachments of their recordings."""
+"""Provenance of the runs of a report: digest, settings and attachments of their recordings."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def view(
     try:
         spectrum = spectra.psd(series.values, series.dt)
     except ValueError:
-        spectrum = None  # too short or too many gaps: the page says so in place of the curve
+        spectrum = None  # too short or too many gaps: the page has a note instead of the curve
     named = spectra.lines(series.values, series.dt, tones_of(run), window)
     more = spectra.found_lines(found, named, series.duration, window, series.dt)
     tones = sorted((*named, *more), key=lambda line: -line.rpe)
@@ -116,13 +116,13 @@ def latency_us(run: Recording) -> FloatArray:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the pictures of a page are made of.
+    """Data of the pictures of a page.
 
     Parameters
     ----------
     views : of all runs
     requirements : of all runs
-    model : what a model says of them
+    model : results of a model of them
     """
 
     views: Sequence[RunView]
@@ -204,7 +204,7 @@ def report_content(
     runs : one or several opened bags, for instance the four loop stages
     transient : seconds to drop at the start of each
     requirements : by default of each run those that it holds
-    model : what a model of the telescope says of the runs, beside what was measured; by default nothing
+    model : results of a model of the telescope, to compare with the measured ones; default: none
     remarks : for each run sentences to print beside its verdict; by default none at all
     summaries : for each run what `summarise` made of it with the same arguments; by default made here
 

@@ -37,4 +37,4 @@ def source_table(shares: Sequence[SourceShare], name: str = "sources") -> TextTa
     """Sources of disturbance and their errors, each alone in the loop."""
     cells = [(s.name, s.kind, s.place, digits(s.ape), digits(s.rpe), percent(s.share)) for s in shares]
     heads = (*texts("source", "kind", "place"), *numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"))
-    return TextTable.of(heads, cells, "What acts, each alone in the loop; shares add up", name=name)
+    return TextTable.of(heads, cells, "Sources, each alone in the loop; shares add up", name=name)

@@ -1,4 +1,4 @@
-"""What acted in a run and on which telescope, by its recording: figures of two runs are compared under the same."""
+"""Disturbances and telescope of a run, from its recording: figures of two runs are compared for equal ones."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ NOTHING = "no disturbance"
 
 @dataclass(frozen=True)
 class Conditions:
-    """What acted in a run, and the telescope.
+    """Disturbances of a run, and the telescope.
 
     Attributes
     ----------
     names : tuple of str
-        Of what acted, or that nothing did; empty where the recording does not say it.
+        Of the disturbances, or their absence; empty if the recording does not state them.
     acting : tuple of str
         The same with tone, kind and place.
     member : str
@@ -48,7 +48,7 @@ class Conditions:
 
 
 UNKNOWN_CONDITIONS = Conditions()
-"""Of a recording that does not say them."""
+"""Of a recording that does not state them."""
 
 
 def conditions_of(run: Recording) -> Conditions:
@@ -68,7 +68,7 @@ def conditions_of(run: Recording) -> Conditions:
 def differences(runs: Sequence[Recording]) -> tuple[str, ...]:
     """For each run a sentence on what acted otherwise than in the first one; empty where nothing did, or is not known.
 
-    Figures of such runs do not compare their controllers. What acted stands beside it (:attr:`Conditions.lines`).
+    Figures of such runs do not compare their controllers. The disturbances are listed in :attr:`Conditions.lines`.
     """
     found = [conditions_of(run) for run in runs]
     return tuple(_difference(found[0], one, runs[0].path.name) for one in found)
@@ -80,5 +80,5 @@ def _difference(first: Conditions, other: Conditions, name: str) -> str:
         "member": (first.member, other.member),
         "telescope": (first.telescope, other.telescope),
     }
-    told = [what for what, (a, b) in pairs.items() if a and b and a != b]
-    return f"{' and '.join(told)} other than in {name}: no comparison of controllers" if told else ""
+    differences = [what for what, (a, b) in pairs.items() if a and b and a != b]
+    return f"{' and '.join(differences)} differ from {name}: no comparison of controllers" if differences else ""

@@ -1,7 +1,7 @@
 """Bounds that are proven for the loop of a run, as its recording has them, beside what was measured.
 
 A run of ten seconds shows no percentile at a stated confidence. Where a proof holds for the loop and for the tone that
-acts, its bound stands in the table. The recording states it; whether it is so, is compared where certificates are
+acts, its bound is in the table. The recording states it; it is checked where certificates are
 (`ProvenBound.checked`).
 """
 
@@ -22,16 +22,16 @@ METADATA = "proof_bounds"
 """Key of a bag: bounds with noise, JSON, see :func:`proven_bound`."""
 
 ABSOLUTE, SLOW, FAST, BOTH = "APE", "slow", "fast", "both"
-"""What a bound is of: the absolute error; the relative error of slow, of fast, of tones of both kinds."""
+"""Quantity of a bound: the absolute error; the relative error of slow, fast, or both kinds of tones."""
 
-AS_STATED = "as the bag states, not checked here"
+AS_STATED = "stated in the bag, not checked"
 """Said of what a bag states of proofs, unless it was compared with the certificates at hand."""
 
 NO_PROOF = "no proof for this loop"
-OTHER_DISTURBANCE = "no proof for what acts"
+OTHER_DISTURBANCE = "no proof for this disturbance"
 OTHER_QUANTITY = "no proof of this quantity"
 NOISE = "proof_noise"
-"""Key of a bag whose loop has a proof with noise, whatever acts."""
+"""Key of a bag whose loop has a proof with noise, for any disturbance."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ProvenBound:
     condition : str
         What happened in the run that the proof does not cover; empty where it holds for the run.
     checked : bool
-        Whether the certificates at hand say the same of this loop. A bag can state any number.
+        Whether the local certificates confirm it for this loop. A bag can state any number.
     """
 
     value: float
@@ -65,7 +65,7 @@ class ProvenBound:
         >>> ProvenBound(3.99851e-7, 0.997, "16 missed ticks", checked=True).text(1e-9, "nrad")
         '399.9 nrad, proven (99.7 %) without the 16 missed ticks'
         >>> ProvenBound(3.99851e-7, 0.997).text(1e-9, "nrad")
-        '399.9 nrad (99.7 %), as the bag states, not checked here'
+        '399.9 nrad (99.7 %), stated in the bag, not checked'
         """
         proven, whose = (", proven", "") if self.checked else ("", f", {AS_STATED}")
         tail = f" without the {self.condition}" if self.condition else ""
@@ -99,7 +99,7 @@ def proven_bound(run: Recording, requirement: Requirement) -> ProvenBound | None
 
 
 def without_bound(run: Recording) -> str:
-    """What is said of a requirement of which no bound is proven; empty for a recording that names no loop."""
+    """Remark on a requirement without a proven bound; empty for a recording that names no loop."""
     if "loop" not in run.parameters:
         return ""
     if run.parameters.get(METADATA):

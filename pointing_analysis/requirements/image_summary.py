@@ -1,4 +1,4 @@
-"""Figures of the star's image of a run: what the tables say where its optics are known."""
+"""Figures of the star's image of a run with known optics, for the tables."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ _TEXT = re.compile(
 
 
 class RequirementError(ValueError):
-    """A requirement that cannot be read; the message says what it must be and what it is."""
+    """Invalid requirement; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Requirement:
 
     @property
     def exact_text(self) -> str:
-        """Text that `parse` reads as the same limit and times to the last bit."""
+        """Text that `parse` reads as bit-identical limit and times."""
         value, wanted = self.limit / self.scale, self.limit
         near = (float(f"{value:g}"), value, math.nextafter(value, 0.0), math.nextafter(value, math.inf))
         shown = next((f"{x:g}" if x == near[0] else repr(x) for x in near if x * self.scale == wanted), "")
@@ -276,7 +276,7 @@ EXAMPLE = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
 
 
 def _canonical(name: str) -> str:
-    """Index as `INDICES` writes it, whatever its letters' case."""
+    """Index as in `INDICES`, regardless of case."""
     return {known.upper(): known for known in INDICES}.get(name.upper(), name.upper())
 
 
@@ -289,7 +289,7 @@ def _check_relation(m: re.Match[str], index: str, text: str) -> None:
     if index not in IMAGE_INDICES:
         return
     if m["sign"] or m["axis"]:
-        raise RequirementError(f"{index} must stand without |...|, rms and axis, got {text!r}")
+        raise RequirementError(f"{index} must be given without |...|, rms and axis, got {text!r}")
     if image.angle != bool(m["unit"]):
         want = f"in one of {', '.join(ANGLES)}" if image.angle else "without a unit"
         raise RequirementError(f"{index} must have a limit {want}, got {m['unit'] or 'none'} in {text!r}")
@@ -379,7 +379,7 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
             raise RequirementError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
         unknown = set(entry) - {"text", "name", "loop"}
         if unknown:
-            raise RequirementError(f"{where}: keys must be of text, name, loop, got {sorted(unknown)}")
+            raise RequirementError(f"{where}: keys must be among text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
         loops = [loops] if isinstance(loops, str) else loops
         if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
@@ -389,7 +389,7 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
 
 
 def entries(requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
-    """Entries of a list from which `from_entries` makes the same requirements, limits to the last bit.
+    """Entries of a list from which `from_entries` makes the same requirements, with bit-identical limits.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Rows of the table of requirements: what the screen, the page, Markdown and JSON say of a verdict.
+"""Rows of the table of requirements: common content of screen, page, Markdown and JSON about a verdict.
 
-Each output is made of the same rows, so that none of them can say what another does not.
+All outputs are made from the same rows.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from pointing_analysis.requirements.guarantee import ProvenBound
 from pointing_analysis.requirements.verdict import Status, Verdict
 from pointing_analysis.units import ANGLES
 
-KEEPS = "within limit"
-"""Shown for a run that keeps a limit and is too short to demonstrate it."""
+WITHIN = "within limit"
+"""Shown for a run that is within a limit and too short to demonstrate it."""
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
 ALL_RUNS = "all runs"
 
 
 def css_class(status: str) -> str:
-    """Class of a status, its colour and its sign: ok, kept (within the limit, not demonstrated), bad or open."""
-    return {"compliant": "ok", KEEPS: "kept", "not compliant": "bad"}.get(status, "open")
+    """Class of a status, its colour and its sign: ok, within (the limit, not demonstrated), bad or open."""
+    return {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}.get(status, "open")
 
 
 def shown_status(v: Verdict) -> str:
-    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
-    return KEEPS if v.status == "not enough data" and v.keeps else v.status
+    """Status; `WITHIN` for too short a run that exceeds its limit no more often than allowed."""
+    return WITHIN if v.status == "not enough data" and v.within_limit else v.status
 
 
-WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", KEEPS, "compliant")
-"""What is shown of a verdict, the worst first."""
+WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", WITHIN, "compliant")
+"""Shown statuses of a verdict, the worst first."""
 
 
 def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
@@ -55,12 +55,12 @@ def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
 
 @dataclass(frozen=True)
 class Beside:
-    """What else is known of a requirement in a run.
+    """Further results of a requirement in a run.
 
     Attributes
     ----------
     proven : bound that is proven for the loop and the tones that act, or stated to be; None where none is
-    unproven : what is said where the run is too short for a bound and none is proven
+    unproven : remark if the run is too short for a bound and none is proven
     disturbed : why the verdict is not of the loop alone; empty where it is
     """
 
@@ -88,7 +88,7 @@ class RequirementRow:
     confidence : between 0 and 1
     status : of the verdict
     index : of the requirement: those on one index are a group
-    shown : status, or that the run keeps the limit where it is too short to demonstrate it
+    shown : status, or `WITHIN` where the run is within the limit and too short to demonstrate it
     statement : verdict in words
     exceeding : share of the samples above the limit, or below a lower one
     samples, effective : samples, and independent ones that they weigh as much as
@@ -154,7 +154,7 @@ class RequirementRow:
 
     @property
     def label(self) -> str:
-        """Judged quantity behind the name of the requirement, where that says more than its index."""
+        """Judged quantity after the name of the requirement, if it has more than the index."""
         return self.quantity if self.name in ("", self.index) else f"{self.name}: {self.quantity}"
 
     @property
@@ -169,12 +169,12 @@ class RequirementRow:
 
     @property
     def limit_text(self) -> str:
-        """Limit with its unit; a lower one says so."""
+        """Limit with its unit; a lower one is marked."""
         return with_unit(f"{'above ' if self.lower else ''}{self.limit:g}", self.unit)
 
     @property
     def bound_text(self) -> str:
-        """Bound of the quantile with its unit and its confidence; of a lower limit the lower one, which says so.
+        """Bound of the quantile with its unit and its confidence; of a lower limit the lower one, which is marked.
 
         Where the record shows none, the bound that is proven for the loop, or that there is none.
         """
@@ -204,7 +204,7 @@ class RequirementRow:
 
     @property
     def margin_text(self) -> str:
-        """Distance to the limit, also in % of it, positive where it is kept; empty where it was not judged."""
+        """Distance to the limit, also in % of it, positive where it is met; empty where it was not judged."""
         if math.isnan(self.value):
             return ""
         sign = "+" if self._margin >= 0 else "−"
@@ -212,7 +212,7 @@ class RequirementRow:
 
     @property
     def relative_margin(self) -> float:
-        """Distance to the limit over the limit, positive where it is kept; NaN where it was not judged."""
+        """Distance to the limit over the limit, positive where it is met; NaN where it was not judged."""
         return self._margin / self.limit
 
     @property
@@ -247,7 +247,7 @@ class RequirementRow:
         }
 
     def _proven_dict(self) -> dict[str, Any]:
-        """Proven bound for JSON, rounded up; one that the bag states and nobody checked has another name."""
+        """Proven bound for JSON, rounded up; one that the bag states without a check has another name."""
         proven = self.beside.proven
         if proven is None:
             return {}

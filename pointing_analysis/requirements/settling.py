@@ -1,10 +1,10 @@
-"""How long the start-up of a run lasts that does not begin in its steady state, measured in its own record.
+"""Length of the start-up of a run that does not begin in its steady state, measured in its record.
 
 For each requirement the level of its index (the square of its samples, in `BLOCKS` blocks) is fitted by a constant and
 one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
 left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
-half of the record, or a tone still changes, the requirement is not judged unless a falling level keeps its limit
+half of the record, or a tone still changes, the requirement is not judged unless a falling level is within its limit
 anyway: a longer run, or a start in the steady state, decides.
 """
 
@@ -69,19 +69,19 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         series = make(run, None)
         seconds = series.start + start_up(series, requirement, named_tones(run))
     except ValueError:
-        return Settled(judge(requirement, [run], None))  # which says why
+        return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
     if seconds > 0.5 * whole:
         usual = judge(requirement, [run], None)
-        if math.isfinite(seconds) and (usual.status == "compliant" or usual.keeps):
-            return Settled(usual)  # what falls keeps the limit with its start-up as well
+        if math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
+            return Settled(usual)  # a falling level is within the limit with its start-up, too
         known = f"about {seconds:.0f} s" if math.isfinite(seconds) else "more than it"
         why = f"not settled: its start-up takes {known} of {whole:g} s (a longer run, or --transient SECONDS)"
         return Settled(not_judged(requirement, why))
     if seconds <= series.start:
         return Settled(judge(requirement, [run], None))
     left = math.ceil(seconds)
-    remark = f"{requirement.quantity}: the first {left} s are start-up, measured, and left out"
+    remark = f"{requirement.quantity}: the first {left} s are measured start-up and excluded"
     return Settled(judge(requirement, [run], float(left)), remark)
 
 

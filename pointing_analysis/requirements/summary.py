@@ -53,7 +53,7 @@ from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_
 
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
-UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
+UNKNOWN = "no requirements are known for this recording: metrics have no limit (give --requirements FILE)"
 CAMERAS = frozenset({"camera/los"})
 """Topics whose samples may be lost in a recording that does not describe its sensors."""
 
@@ -159,11 +159,11 @@ class Summary:
     contradictions : where the bag contradicts its own digests, one sentence each; in `problems` as well
     rpe_windows_p997 : 99.7 % quantile of the rms in disjoint windows, both axes [mas]
     requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
-    open_end : whether the recording was cut off and nothing says how many samples are missing at its end
+    open_end : whether the recording is truncated and the number of missing samples at its end is unknown
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     sensors : as the recording describes them
-    found : lines that nobody has named, those of the budget where there is one
+    found : lines that the recording does not name, those of the budget if there is one
     star : exposures of a star, a window each; None where no optics are known
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
@@ -236,7 +236,7 @@ class Summary:
         return tuple(figure for figure in found if not math.isnan(figure.value))
 
     def lost_text(self, lost: int | None = None) -> str:
-        """Number of lost samples in words: of a recording that was cut off, only a part of them is known.
+        """Number of lost samples in words: for a truncated recording only a part of them is known.
 
         Parameters
         ----------
@@ -323,7 +323,7 @@ def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Req
 
 
 def beside_of(run: Recording, requirement: Requirement) -> Beside:
-    """What a recording says of a requirement beside its samples: a proven bound, ticks that were missed."""
+    """Statements of a recording about a requirement besides its samples: a proven bound, missed ticks."""
     proven = proven_bound(run, requirement)
     unproven = {"unproven": text} if (text := without_bound(run)) else {}
     return Beside(proven, disturbed=_disturbed(run), **unproven)
@@ -360,10 +360,12 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         missing = state.missing - min(state.missing, unsent(run, name))
         lost[name] = missing + ends + (state.nan if name not in cameras else 0)
         if topic.open_end:
-            problems.append(f"{shown}: the recording was cut off, how many samples are missing at its end is not known")
+            problems.append(
+                f"{shown}: the recording is truncated: the number of missing samples at its end is not known"
+            )
         for count, what in (
             (missing, f"samples missing in {lost_gaps(run, name, missing)} gaps"),
-            (ends, "samples missing before the first one and after the last one"),
+            (ends, "samples missing before the first and after the last one"),
             (state.duplicates, "stamps twice"),
             (state.conflicts, "stamps with two different values (two publishers?)"),
             (state.out_of_order, f"{messages} out of order"),
@@ -395,7 +397,7 @@ def _plant_statistics(run: Recording) -> dict[str, Any]:
 
 
 def _failure(run: Recording) -> str:
-    """What the recorded statistics say of a run that failed; empty for one that did not."""
+    """Failure of a run from the recorded statistics; empty without one."""
     return str(_plant_statistics(run).get("failure", ""))
 
 
@@ -522,7 +524,7 @@ def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> l
     found = []
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         found.append(
-            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is excluded, not "
             f"{SETTLING:g} s (--transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":
@@ -545,7 +547,7 @@ def scenario_of(run: Recording) -> str:
     """Names of all that acted in a run; of its plant where that is another one than the telescope."""
     if names := conditions_of(run).names:
         return ", ".join(names)
-    sources = run.parameters.get("disturbances")  # of bags from before they said what acts
+    sources = run.parameters.get("disturbances")  # missing in older bags
     if isinstance(sources, list) and sources:
         return ", ".join(str(source.get("name")) for source in sources if isinstance(source, dict))
     given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))

@@ -40,13 +40,13 @@ __all__ = [
 ]
 
 ROUNDING = 1e-9
-"""What a count of samples that was computed may be off by rounding."""
+"""Rounding tolerance of a computed count of samples."""
 Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How runs stand against one requirement.
+    """Verdict of runs on one requirement.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Verdict:
     seconds : length of data that was used [s]
     seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
     note : why it was not judged, or how many samples are missing
-    missing : samples of the index that are missing in the judged span; `decide` says how they count
+    missing : samples of the index that are missing in the judged span; see `decide`
     """
 
     requirement: Requirement
@@ -74,10 +74,10 @@ class Verdict:
     missing: float = 0.0
 
     @property
-    def keeps(self) -> bool:
+    def within_limit(self) -> bool:
         """Whether the samples exceed the limit no more often than the requirement allows, proven or not.
 
-        Missing samples count as such that exceed it.
+        Missing samples count as exceeding it.
         """
         if math.isinf(self.missing):
             return False
@@ -86,17 +86,17 @@ class Verdict:
 
     @property
     def statement(self) -> str:
-        """The verdict in words: of too short a run whether it keeps its limit, and what length would demonstrate it."""
+        """The verdict in words: of too short a run whether it is within limit, and the length to demonstrate it."""
         if self.status != "not enough data":
             return self.status
-        if self.missing and not self.keeps:
+        if self.missing and not self.within_limit:
             what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
             return f"not enough data: {what} missing"
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
-            return f"{'at' if self.keeps else beyond} limit; not demonstrated by a run of any length"
+            return f"{'at' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
         needs = f"at {100 * self.requirement.confidence:g} % confidence: needs {math.ceil(self.seconds_needed)} s"
-        return f"{'within' if self.keeps else beyond} limit; not yet demonstrated {needs}"
+        return f"{'within' if self.within_limit else beyond} limit; not yet demonstrated {needs}"
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class IndexSamples:
     values : those that are there [rad]
     effective : independent samples that their exceedances of a requirement's limit weigh as much as
     seconds : length of the data [s]
-    missing : samples missing; infinite where the recording was cut off and nothing says how many
+    missing : samples missing; infinite if the recording is truncated and their number is unknown
     """
 
     values: FloatArray
@@ -122,7 +122,7 @@ class IndexSamples:
 
 
 def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
-    """Samples of the judged index of one run, whoever judges it: a recording, or a member of a campaign.
+    """Samples of the judged index of one run: a recording, or a member of a campaign.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
 
 
 def not_judged(requirement: Requirement, why: str) -> Verdict:
-    """A verdict that says why there is none."""
+    """A verdict with the reason why there is none."""
     nothing = confidence.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
     return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
 
@@ -307,7 +307,7 @@ def status_of(requirement: Requirement, worst: float, best: float, effective: fl
 
 
 def beyond_limit(values: FloatArray, requirement: Requirement) -> BoolArray:
-    """Which samples do not keep the limit."""
+    """Which samples exceed the limit."""
     return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
 
 
@@ -319,7 +319,7 @@ def _missing_note(missing: float, total: float) -> str:
     if not missing:
         return ""
     if math.isinf(missing):
-        return "the recording was cut off, how much is missing is not known"
+        return "the recording is truncated: the missing part is not known"
     return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
 
 
@@ -347,7 +347,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         worst_of = [_worst(one.values, requirement) for one in collected]
         known = [w for one, w in zip(collected, worst_of) if not one.missing or beyond_limit(np.array(w), requirement)]
         if not known:
-            return not_judged(requirement, "every run has missing samples: the worst instant of none is known")
+            return not_judged(requirement, "every run has missing samples: no worst instant is known")
         worst = np.array(known)
         return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
     if requirement.interpretation == "mixed":

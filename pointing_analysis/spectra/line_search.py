@@ -1,4 +1,4 @@
-r"""Lines and noise told apart: sinusoids in a record whose frequencies nobody has named.
+r"""Separation of lines and noise: sinusoids of unknown frequencies in a record.
 
 A line is a sinusoid that keeps its frequency, amplitude and phase through the whole record. At each frequency the power
 of the fitted sinusoid is compared with that of the noise beside it, both axes together: with the Fourier transforms
@@ -174,7 +174,7 @@ class _Background:
 
     @cached_property
     def tiny(self) -> float:
-        """What is added to a power before its logarithm is taken."""
+        """Offset added to a power before its logarithm."""
         return 1e-30 * float(self.power[:, :2].max(initial=0.0)) + 1e-300
 
     @property
@@ -258,7 +258,7 @@ class _Background:
 
 
 def _places_beside(k: IntArray, near: int, far: int, first: int, last: int) -> list[tuple[IntArray, IntArray]]:
-    """Where the neighbours of some frequencies begin and end on each side, within a range and from its first one."""
+    """First and last neighbours of some frequencies on each side, within a range and from its first one."""
     edges = ((k - far, k - near + 1), (k + near, k + far + 1))
     return [(np.clip(low, first, last) - first, np.clip(high, first, last) - first) for low, high in edges]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 CLEAR = 3.0
-"""A tone is told from the noise if its amplitude is at least this many times that of the noise."""
+"""A tone is resolved if its amplitude is at least this many times that of the noise."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class ToneComparison:
     omega : float
         rad/s.
     merged : int
-        How many tones this one stands for: the run is too short to tell them apart.
+        Number of tones merged in this one: the run is too short to resolve them.
     predicted, measured : float
         Amplitude [rad], norm of both axes: of the model, in the record.
     noise : float
@@ -37,7 +37,7 @@ class ToneComparison:
 
     @property
     def in_noise(self) -> bool:
-        """Whether neither the predicted nor the measured tone can be told from the noise."""
+        """Whether neither the predicted nor the measured tone is above the noise."""
         return max(self.predicted, self.measured) < CLEAR * self.noise
 
     @property

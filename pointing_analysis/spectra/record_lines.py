@@ -30,7 +30,7 @@ NAMED = 2.0
 def unnamed_lines(
     error: FloatArray, dt: float, named: FloatArray, taper: bool = False
 ) -> tuple[tuple[FoundLine, ...], FloatArray]:
-    """Lines that nobody has named, the lowest frequency first, and the record without them and the named tones.
+    """Lines of unknown frequencies, the lowest first, and the record without them and the named tones.
 
     Of a record that is searched in parts each line has its root mean square over the parts, and the bounds likewise.
 

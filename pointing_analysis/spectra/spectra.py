@@ -119,8 +119,8 @@ class SpectralLine:
     amplitude : (2,) amplitude per axis, unit of the error
     rms : radial rms of the line
     rpe : radial RPE rms the line causes in windows of the stated length
-    merged : how many of the given tones this line stands for (the run is too short to tell them apart)
-    found : where nobody has named it: the line as it was found, with bounds
+    merged : number of given tones merged in this line (the run is too short to resolve them)
+    found : for an unknown frequency: the line as found, with bounds
     """
 
     omega: float
@@ -233,7 +233,7 @@ def lines(
     omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
         left out
     window : RPE window [s]
-    taper : fit with Hann weights: a drift, too, then stays out of the tones, which are told apart less sharply; by
+    taper : fit with Hann weights: a drift, too, then stays out of the tones, at a lower resolution; by
         default only where the parts of the other fit exceed the record (`exceeds`)
 
     Returns

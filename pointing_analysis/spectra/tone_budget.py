@@ -34,7 +34,7 @@ BAND_EDGE = 85.0
 PART = 0.997
 """Part of the windows that keeps the total."""
 PARTS = ("noise", "slow", "fast", "total")
-UNTOLD = "tones cannot be told from the rest, with which they would exceed the whole (a drift or a pulse?)"
+UNRESOLVED = "tones cannot be distinguished from the rest: their sum would exceed the total (a drift or a pulse?)"
 
 
 def _short(value: float) -> str:
@@ -56,10 +56,10 @@ class ToneBudget:
 
     Attributes
     ----------
-    noise : rms of what the tones leave, norm of both axes; NaN, as are the tones, where they cannot be told apart
+    noise : rms of what the tones leave, norm of both axes; NaN, as are the tones, if they cannot be resolved
     slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
     total : 99.7 % quantile of the rms in each window, both axes
-    allowances : the same parts as they are allowed; empty where nothing is said
+    allowances : allowed values of the same parts; empty if not stated
     noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
     found : lines among the tones that the recording does not name
     """
@@ -76,7 +76,7 @@ class ToneBudget:
         texts = []
         if math.isnan(self.slow) and math.isnan(self.fast):
             limit = f" of {self.allowances['total']:.3g}" if "total" in self.allowances else ""
-            return f"budget of the RPE [mas]: {UNTOLD}; total (99.7 %) {_short(self.total)}{limit}"
+            return f"budget of the RPE [mas]: {UNRESOLVED}; total (99.7 %) {_short(self.total)}{limit}"
         for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", "total (99.7 %) {}")):
             value, allowed = getattr(self, part), self.allowances.get(part)
             texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))

@@ -152,7 +152,7 @@ def moment(case: Case, process: subprocess.Popen[str], rng: random.Random) -> No
 def signal_to_node(rng: random.Random, folder: Path) -> Case:
     node, number = rng.choice(NODES), rng.choice(ENDS)
     named = rf"\w*{node}\w* ended unexpectedly \(signal {number.value}\)"  # both laws are in one process
-    before = rf"recorder: a plant must run|was told to end before|{node}: |the run was over before|did not get to"
+    before = rf"recorder: a plant must run|was ended before|{node}: |the run ended before|did not reach"
     allowed = {OK: "", ExitCode.RESTARTED: named, FAILED: f"{named}|{before}"}
     case = Case(f"{number.name} to a node", f"{number.name} to {node}", folder, allowed)
     case.mode = rng.choice(("realtime", "realtime", "lockstep"))
@@ -341,7 +341,7 @@ def unreadable(case: Case) -> list[str]:
             continue
         try:
             run = Run.open(bag)
-            if any("cut off" in problem for problem in run.problems):
+            if any("truncated" in problem for problem in run.problems):
                 repair_bag(bag, case.folder / f"repaired-{bag.name}")
                 run = Run.open(case.folder / f"repaired-{bag.name}")
             if run["truth/los"].integrity.conflicts:
@@ -356,9 +356,9 @@ def unreadable(case: Case) -> list[str]:
 
 def wrong_end(case: Case, code: int, out: str) -> str:
     """What is wrong with the exit code or the message; empty for nothing."""
-    if "Traceback" in out or "mistake of this program" in out:
+    if "Traceback" in out or "(a bug: please report it)" in out:
         return "traceback"
-    refused = "that no other run has" in out or "without another run" in out
+    refused = "in use by another run" in out or "without another run" in out
     if code == MISTAKE and refused and [other for other, _ in case.outputs] == [OK]:
         code, case.outputs = OK, [(code, out)]  # the second program was there first: it is the one that runs
         if "domain" in case.kind:

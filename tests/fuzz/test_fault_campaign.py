@@ -67,4 +67,4 @@ def test_a_node_that_was_killed_and_is_not_told_of_is_found_by_its_commands(tmp_
     assert not wrong_end(case, 0, ""), "nothing was killed"
     case.crashed = "controller"
     assert ("commands in a row are missing" in wrong_end(case, 0, "")) == (missing > PAUSE_TICKS)
-    assert not wrong_end(case, 0, "controller was started again before the run began")
+    assert not wrong_end(case, 0, "controller was restarted before the run began")

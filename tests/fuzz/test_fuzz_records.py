@@ -116,6 +116,6 @@ def test_topics_of_lost_channels_are_those_of_metadata_yaml(bags: Bags) -> None:
     bag, new = changed(bags, [], trusted=True), bags.folder / "new"
     (bag / "bag_0.mcap").write_bytes(put_together(left, True))
     shutil.rmtree(new, ignore_errors=True)
-    with pytest.raises(BagError, match=f"got none of the {len(bags.content)} that were recorded"):
+    with pytest.raises(BagError, match=f"got none of the {len(bags.content)} recorded"):
         repair_bag(bag, new)
     assert not new.exists()

@@ -118,7 +118,7 @@ def test_a_chunk_that_stands_twice(recorded: Recorded, number: int, trusted: boo
     found.insert(chunks[-1] + 1, found[chunks[number]])
     check(recorded, put_together(found, trusted))
     assert figures(recorded.folder / "new") == figures(recorded.folder / "bag")
-    assert any("stands twice" in problem for problem in Run.open(recorded.folder / "new").problems)
+    assert any("is in the file twice" in problem for problem in Run.open(recorded.folder / "new").problems)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])

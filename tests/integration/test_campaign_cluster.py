@@ -203,7 +203,7 @@ def test_lost_workers_and_a_lost_scheduler_end_the_campaign_and_resume_completes
     worker = processes.worker("first")
     processes.wait(1)
     folder = ResultFolder(tmp_path / "c")
-    message = r"no worker is left since 1 s, the rows so far are kept; go on with --resume"
+    message = r"no worker for 1 s, the rows so far are stored; resume with --resume"
     with cluster(processes.address, 0) as client, pytest.raises(RuntimeError, match=message):
         run_campaign(asked(), folder, client, folder.open(asked(), False), lambda _: worker.kill())
     assert len(folder.parts()) == 1
@@ -211,7 +211,7 @@ def test_lost_workers_and_a_lost_scheduler_end_the_campaign_and_resume_completes
     monkeypatch.setattr("los_testbed.campaign.execution.PATIENCE", 1e9)
     processes.worker("second")
     processes.wait(1)
-    message = r"the scheduler was lost, the rows so far are kept; go on with --resume"
+    message = r"connection to the scheduler lost, the rows so far are stored; resume with --resume"
     with pytest.raises(RuntimeError, match=message), cluster(processes.address, 0) as client:
         run_campaign(asked(), folder, client, folder.open(asked(), True), lambda _: processes.scheduler.kill())
     assert len(folder.parts()) == 2
@@ -232,7 +232,7 @@ def test_rows_that_a_lost_worker_had_are_computed_again_and_not_waited_for_witho
     processes.wait(1)
     (_, members), *_ = asked().chunks()
     content = portable(BASE, identity(BASE))
-    message = r"no worker is left since 1 s, the rows so far are kept; go on with --resume"
+    message = r"no worker for 1 s, the rows so far are stored; resume with --resume"
     with cluster(processes.address, 0) as client:
         future = client.submit(evaluate_chunk, content, members, "time", pure=False)
         while not future.done():
@@ -341,7 +341,7 @@ def test_unreachable_scheduler_is_one_line_before_members_are_searched_for(
     ("answer", "reason"),
     [
         (b"", "no answer within 1 s"),
-        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers is not Dask"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "the server is not Dask"),
         (bytes(64), "unpack_from requires a buffer"),
     ],
 )
@@ -387,7 +387,7 @@ def test_worker_with_other_parameters_is_refused(one_worker: Any) -> None:
 def test_worker_that_joins_later_is_compared_too(one_worker: Any, tmp_path: Path) -> None:
     other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "version": "9"})
     folder = ResultFolder(tmp_path / "c")
-    message = r"a worker has another installation: version must be 9 as here, got \S+; the rows so far are kept"
+    message = r"a worker has another installation: version must be 9 as here, got \S+; the rows so far are stored"
     with pytest.raises(RuntimeError, match=message):
         run_campaign(other, folder, one_worker, folder.open(other, False))
     assert folder.parts() == []

@@ -129,7 +129,7 @@ def test_certificate_of_another_authority_is_refused_in_one_line(
     monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 2.0)
     other = Authority(tmp_path / "other")
     message = f"scheduler must be the address of a running Dask scheduler, got {address}: "
-    unknown = "it must know the authority of --tls-cert"
+    unknown = "it must trust the CA of --tls-cert"
     for authority, shown, reason in ((own, other, unknown), (other, own, "certificate verify failed")):
         certificate, key = shown.sign("me")
         files = [f"--tls-ca-file={authority.file}", f"--tls-cert={certificate}", f"--tls-key={key}"]

@@ -115,7 +115,7 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
     broken, words = strong["not_met"], "under the sources of the telescope: rms RPE(20 ms), 95 %"
     assert len(broken) == 2 and all(words in line and "without fine control)" in line for line in broken)
     assert codes["300.0"] == 7
-    assert "the tuning does not see cryocooler: fsm, nominal, RPE " in told["300.0"].err
+    assert "the tuning does not consider cryocooler: fsm, nominal, RPE " in told["300.0"].err
     assert strong["mission"]["seen_by_the_tuning"] is False
     rpe = {row["stage"]: row for row in strong["mission"]["relative_error"]}
     assert np.isfinite([rpe["fsm"]["rpe_rms_mas"], rpe["fsm"]["without_fine_control"]]).all()

@@ -365,8 +365,8 @@ def test_devices_without_use_are_named(base: RunConfig) -> None:
 @pytest.mark.parametrize(
     ("setting", "name", "message"),
     [
-        ("k_fsm", "Unknown", "sensors must be different names of on_m1, at_root, got ('on_m2',)"),
-        ("k_fsm", "Greedy", "an observer must command no actuator, that is for k_pma, got shaker"),
+        ("k_fsm", "Unknown", "sensors must be distinct names among on_m1, at_root, got ('on_m2',)"),
+        ("k_fsm", "Greedy", "an observer must command no actuator (k_pma does), got shaker"),
     ],
 )
 def test_other_devices_are_refused(
@@ -391,7 +391,7 @@ def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
 
 def test_a_device_has_no_name_of_the_loop(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text('[[sensor]]\nname = "accel_M1"\nplace = "M1"\n')
-    with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must be none of accel_Ip, .*, got 'accel_M1'"):
+    with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must not be one of accel_Ip, .*, got 'accel_M1'"):
         load_telescope(tmp_path / "own.toml")
 
 

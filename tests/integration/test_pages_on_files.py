@@ -45,6 +45,6 @@ def test_the_commands_of_a_page_run(
         assert main([*words, *more]) == 0, line
         shown = "".join(capsys.readouterr())
         if words[0] == "run":
-            assert ("What acts, each alone" in shown) == ("--disturbance" in words)
+            assert ("Sources, each alone" in shown) == ("--disturbance" in words)
         else:
             assert "512 Hz from the times" in shown

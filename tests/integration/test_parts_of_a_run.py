@@ -188,7 +188,7 @@ def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
     capsys.readouterr()
     assert app.main(["report", "a", "b", "--output", "page.html"]) in (0, 1)
     said = " ".join(capsys.readouterr().out.split())
-    words = "disturbance and member other than in a: no comparison of controllers"
+    words = "disturbance and member differ from a: no comparison of controllers"
     page = Path("page.html").read_text()
     assert words in said and words[1:] in page and acts in page and "unit_norm" in page
 

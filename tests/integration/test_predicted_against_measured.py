@@ -194,7 +194,7 @@ def test_a_rig_is_predicted_with_its_delays(late, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("delays", "name", "words"),
     [
-        ("", None, "does not say the delays"),
+        ("", None, "does not hold the delays"),
         ("2:0.9 7:0.1", None, "10% of the commands came more than 5 ticks"),
         ("5:1.0", None, "not stable"),
         ("2:1.0", "0123456789ab", "another telescope or disturbance"),
@@ -212,7 +212,7 @@ def test_a_rig_that_is_not_predicted_has_the_reason_in_its_report(late, tmp_path
         ({"files": {"k_pma.json": b"{}"}}, ["k_pma.json"]),
         ({"files": {"run.yaml": b"durtion: 3.0"}}, ["durtion"]),
         ({"files": {"run.yaml": b"- 1"}}, []),
-        ({"plant_parameters_hash": "123456789012"}, ["figures", "no longer"]),
+        ({"plant_parameters_hash": "123456789012"}, ["telescope", "changed"]),
     ],
     ids=["controller gone", "no controller", "unknown name", "no table", "another telescope"],
 )

@@ -62,7 +62,7 @@ def test_a_proof_is_the_same_file_whatever_the_workers(tmp_path: Path) -> None:
             assert len(before) >= 2
             results = list(prove_on(client, parts(folder)))
             assert before.items() <= kept(folder).items() and len(kept(folder)) == len(BANDS)
-            with pytest.raises(RuntimeError, match="parts that are proven are kept"):
+            with pytest.raises(RuntimeError, match="proven parts are stored"):
                 list(prove_on(client, [replace(parts(tmp_path / "none")[0], model=None)]))  # type: ignore[arg-type]
         assert written(folder, results) == expected
         summary = json.loads(bytes(np.load(folder / "2.npz")["header"]).decode())

@@ -105,7 +105,7 @@ def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_js
 
 def test_a_node_that_a_stranger_shuts_down_ends_a_run_in_lockstep_with_its_name(tmp_path):
     """The plant would wait for its answer for ever."""
-    with pytest.raises(RunError, match="controller was shut down by a request of its life cycle") as ended:
+    with pytest.raises(RunError, match="controller was shut down by a life-cycle request") as ended:
         attacked(tmp_path, Case("controller/change_state", begin=100, rate=20.0, request="shutdown"), duration=LONG)
     assert ended.value.code == 1
     assert str(tmp_path / "bag") in str(ended.value)
@@ -117,7 +117,7 @@ def test_in_real_time_the_run_goes_on_without_it_and_says_so(tmp_path):
     case = Case("estimator/change_state", begin=100, rate=20.0, request="shutdown")
     results = attacked(tmp_path, case, mode="realtime", duration=3.0)
     (line,) = [text for text in results.warnings if "shut down" in text]
-    assert line.startswith("estimator was shut down by a request of its life cycle (from a node of unknown name)")
+    assert line.startswith("estimator was shut down by a life-cycle request (from an unknown node)")
     assert not results.failures and int(results.statistics["plant"]["ticks"]) == 3000
 
 

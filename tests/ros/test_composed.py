@@ -107,7 +107,7 @@ def test_a_node_that_is_shut_down_leaves_the_other_one(tmp_path, name):
 
     results = when_running(config, shut_down, at=500, after=1500)
     assert not results.failures
-    assert [w for w in results.warnings if w.startswith(f"{name} was shut down by a request of its life cycle")]
+    assert [w for w in results.warnings if w.startswith(f"{name} was shut down by a life-cycle request")]
     run = Run.open(results.bag)
     end = run["truth/los"].stamp[-1]
     assert run["fsm/command"].stamp[-1] < end - 500_000_000
@@ -140,7 +140,7 @@ def test_a_script_is_told_of_a_machine_that_is_too_slow(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     given = {"duration": 0.3, "domain": private_domain(), "k_pma": "slow_law:Slow", "exercise": 0.5}
-    with pytest.raises(RunError, match="the run, which did not begin") as raised:
+    with pytest.raises(RunError, match="the run, which did not start") as raised:
         api.run("bag", mode="realtime", **given)
     assert raised.value.code == ExitCode.MISSED_TICKS and not (tmp_path / "bag").exists()
 

@@ -171,7 +171,7 @@ def test_without_a_run_the_control_says_so(tmp_path):
     config = config_for(tmp_path)
     user = UserNode(config.domain, timeout=0.3)
     try:
-        with pytest.raises(NoAnswerError, match="a run must be going on, got no service /telescope/controller/"):
+        with pytest.raises(NoAnswerError, match="a run must be active, got no service /telescope/controller/"):
             user.remote.change("stage", "fsm")
     finally:
         user.close()

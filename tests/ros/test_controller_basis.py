@@ -58,7 +58,7 @@ def test_a_telescope_with_less_authority_is_run_with_its_own(tmp_path: Path) -> 
         config_for(tmp_path), parameters=user, k_fsm="", k_pma="", mode="lockstep", duration=1.2, loop="fsm"
     )
     results = Runner(config).run()
-    (warning,) = [line for line in results.warnings if "was made for" in line]
+    (warning,) = [line for line in results.warnings if "was designed for" in line]
     assert "fsm_authority 0.0053" in warning and "fsm_authority 1e-05" in warning
     assert results.bag is not None
     run = Run.open(results.bag)

@@ -94,7 +94,7 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
     done, said, bag = fly(tmp_path, 20, "--fault=frozen", "--fault-at=0.8")
     assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
     line = done.stderr.splitlines()[-1]
-    assert f"device {DRIVER}: " in line and "frozen for 200 samples; mirror and forces were brought to zero" in line
+    assert f"device {DRIVER}: " in line and "frozen for 200 samples; mirror and forces were set to zero" in line
     assert [event for event in said if event["event"] == "closed"][-1]["applied"] == 0.0
     run = Run.open(bag)
     assert not run.problems and len(run["fsm/command"]) > 100
@@ -145,7 +145,7 @@ def test_a_frame_of_the_far_future_costs_itself_and_a_run_ends_well(tmp_path):
     done = finished(command_of(tmp_path, "short_rig:Rig", 2), tmp_path)
     assert done.returncode == ExitCode.FINISHED, done.stdout + done.stderr
     said = " ".join((done.stdout + done.stderr).split())
-    assert "camera_los: 1 samples with a time of acquisition later than now, or negative, were not used" in said
+    assert "camera_los: 1 samples with an acquisition time in the future, or negative, were not used" in said
     run = Run.open(tmp_path / "bag")
     plant = run.parameters["statistics"]["plant"]
     assert plant["device_impossible_time_camera_los"] == "1" and plant["device_state"] == "finalized"
@@ -157,7 +157,7 @@ def test_a_rig_that_is_not_made_safe_at_the_end_is_told_by_line_bag_and_exit_cod
     done = finished(command_of(tmp_path, "short_rig:Stuck", 1), tmp_path)
     assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
     line = done.stderr.splitlines()[-1]
-    assert "mirror and forces could NOT be brought to zero: safe failed: OSError: the driver of the mirror" in line
+    assert "mirror and forces could NOT be set to zero: safe failed: OSError: the driver of the mirror" in line
     plant = Run.open(tmp_path / "bag").parameters["statistics"]["plant"]
     assert plant["device_state"] == "error" and plant["device_fault"].startswith("safe failed: OSError")
     assert plant["ticks"] == "1000"

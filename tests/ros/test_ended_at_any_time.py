@@ -123,7 +123,7 @@ def check_bag(folder: Path, bag: Path) -> None:
     run = opened(bag)
     if run is None:
         return
-    if any("cut off" in problem for problem in run.problems):
+    if any("truncated" in problem for problem in run.problems):
         repair_bag(bag, folder / "repaired")
         run = Run.open(folder / "repaired")
     topic = run["truth/los"]
@@ -168,7 +168,7 @@ def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Pat
         time.sleep(0.2)
     found = check_of_bag(tmp_path / "bag")
     (row,) = [row for row in found.rows if row.state == "early"]
-    assert found.code == 0 and re.fullmatch(r"the run ended before its plan: after \d+ of 600000 ticks", row.found)
+    assert found.code == 0 and re.fullmatch(r"the run ended early: after \d+ of 600000 ticks", row.found)
     assert found.title == f"whole; {row.found}"
     assert row.found in summarise(Run.open(tmp_path / "bag")).problems
 
@@ -180,7 +180,7 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     while not (found := nodes_of(folder / "bag", "nodes.recorder")):
         if process.poll() is not None:  # a machine so slow that no plant was there in time: no recorder to end
             told = process.communicate()[1]
-            assert process.returncode == 1 and "did not get to" in told, told
+            assert process.returncode == 1 and "did not reach" in told, told
             return
         time.sleep(0.01)
     time.sleep(wait)
@@ -190,7 +190,7 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     told = f"{name} after {wait:.2f} s: code {process.returncode}\n{out}\n{err}"
     assert process.returncode in (0, 1, 3) and "Traceback" not in err, told
     if process.returncode == 1:
-        words = ("los-testbed: recorder", "los-testbed: plant did not get to")  # the latter on a slow machine
+        words = ("los-testbed: recorder", "los-testbed: plant did not reach")  # the latter on a slow machine
         assert err.startswith(words) and err.count("\n") == 1, told
     if process.returncode == 3:
         number = {"SIGKILL": signal.SIGKILL, "SIGHUP": signal.SIGHUP}[name].value
@@ -199,7 +199,7 @@ def recorder_trial(folder: Path, name: str, seed: int) -> None:
     for bag in sorted(folder.glob("bag*")):
         shutil.rmtree(folder / "repaired", ignore_errors=True)
         check_bag(folder, bag)
-        if opened(bag) is not None and any("cut off" in problem for problem in Run.open(bag).problems):
+        if opened(bag) is not None and any("truncated" in problem for problem in Run.open(bag).problems):
             assert f"los-testbed bag repair {bag}" in (out + err).replace("\n", ""), told
 
 

@@ -42,7 +42,7 @@ def test_a_follower_that_is_told_to_end_by_a_stranger_is_replaced(tmp_path, name
     # long enough for the new node to find the recorder, too
     results = run_with_fault(tmp_path, 400, until_replaced(name), after=2500)
     told = [line for line in results.failures if not line.startswith("recorder")]  # starved, it may be replaced as well
-    assert told == [f"{name} ended unexpectedly (signal 15); it was started again"]
+    assert told == [f"{name} ended unexpectedly (signal 15); it was restarted"]
     run = Run.open(results.bag)
     assert run["fsm/command"].stamp[-1] > run["truth/los"].stamp[-1] - 500_000_000, "commands came back"
 
@@ -59,7 +59,7 @@ def test_a_recorder_that_is_told_to_end_by_a_stranger_records_the_rest_of_the_ru
 @pytest.mark.slow
 def test_a_plant_that_is_told_to_end_by_a_stranger_begins_again(tmp_path):
     results = run_with_fault(tmp_path, 800, end_once("plant"), 3.0)
-    assert results.failures[0] == "plant ended unexpectedly (signal 15); it was started again"
+    assert results.failures[0] == "plant ended unexpectedly (signal 15); it was restarted"
     assert results.earlier == [tmp_path / "bag"]
     assert not Run.open(results.bag).problems
 
@@ -84,7 +84,7 @@ def test_a_recorder_that_is_killed_when_the_run_is_over_is_named_with_what_it_ha
         runner.run()
     text = str(told.value)
     assert text.startswith("recorder ended unexpectedly (signal 9)"), text
-    assert text.endswith(f"{tmp_path / 'bag'} (if it is not complete: los-testbed bag repair {tmp_path / 'bag'})"), text
+    assert text.endswith(f"{tmp_path / 'bag'} (if incomplete: los-testbed bag repair {tmp_path / 'bag'})"), text
     assert "KeyboardInterrupt" not in text and "there is no bag" not in text
     assert told.value.code == 1
 

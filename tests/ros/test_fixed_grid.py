@@ -72,5 +72,5 @@ def test_windows_with_a_lost_period_are_left_out_of_the_verdict_and_said(stopped
     series = performance_error(run, 0.0)
     assert series.never_sent == (unsent(run, "truth/los") == run["truth/los"].integrity.missing)
     found = summarise_runs([run.path], None, transient=0.0)
-    assert any("periods were lost: the plant went on" in text for text in found.remarks[0])
+    assert any("periods were lost: the plant held its command" in text for text in found.remarks[0])
     assert found.summaries[0].windows_skipped >= 2 * STOP_S / 0.02 - 4

@@ -122,7 +122,7 @@ def test_a_run_to_a_place_that_another_run_has_is_refused_before_anything_is_sta
     config = config_for(tmp_path)
     with output_lock(config.bag):
         runner = Runner(config, commands={"plant": PLANT})
-        with pytest.raises(ValueError, match="--output must be a new name that no other run has"):
+        with pytest.raises(ValueError, match="--output must not be in use by another run"):
             runner.run()
         assert not runner.processes
     with output_lock(config.bag):

@@ -91,7 +91,7 @@ def test_a_run_tells_that_a_node_hung(tmp_path):
     runner = Runner(config_for(tmp_path, duration=9.0), progress, {"plant": PLANT})
     results = runner.run()
     (line,) = [text for text in results.warnings if text.startswith("estimator: ")]
-    assert "reports came later than 3 s" in line
+    assert "reports missed their deadline of 3 s" in line
     assert int(results.statistics["recorder"]["late_reports_estimator"]) >= 1
     assert int(results.statistics["recorder"]["liveliness_lost_estimator"]) >= 1
     assert "late_reports_estimator" in Run.open(results.bag).parameters["statistics"]["recorder"]

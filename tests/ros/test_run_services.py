@@ -129,7 +129,7 @@ def test_after_a_reset_the_run_has_the_same_bits_as_one_that_nobody_touched(serv
 
 def test_the_bag_from_before_the_reset_is_whole_and_names_the_changes(served, plain):
     (earlier,) = served[1].earlier
-    assert served[1].warnings[-1] == f"what came before the reset is in {earlier}"
+    assert served[1].warnings[-1] == f"the part before the reset is in {earlier}"
     run = Run.open(earlier)
     statistics = run.parameters["statistics"]["plant"]
     ticks = int(statistics["ticks"])

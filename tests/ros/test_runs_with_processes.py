@@ -183,14 +183,14 @@ tell("done", bag=None, statistics={})
 )
 def test_a_node_that_is_told_to_end_before_the_run_begins_ends_it_at_once(tmp_path, node):
     commands = {"plant": PLANT, node: [sys.executable, "-c", FAKE.replace("PATIENT", "False")]}
-    with pytest.raises(RunError, match=rf"^{node} was told to end before the run began$") as error:
+    with pytest.raises(RunError, match=rf"^{node} was ended before the run began$") as error:
         Runner(config_for(tmp_path), commands=commands).run()
     assert error.value.code == 1
 
 
 def test_a_node_that_the_kernel_ended_for_computing_without_a_pause_is_told_of(tmp_path):
     killed = "import os, signal; os.kill(os.getpid(), signal.SIGXCPU)"
-    words = r"^estimator ended unexpectedly \(signal 24: it computed for 1 s without a pause at real-time priority\)"
+    words = r"^estimator ended unexpectedly \(signal 24: it computed for 1 s without yielding at real-time priority\)"
     with pytest.raises(RunError, match=words):
         Runner(config_for(tmp_path), commands={"plant": PLANT, "estimator": [sys.executable, "-c", killed]}).run()
 
@@ -224,7 +224,7 @@ def test_a_node_that_dies_before_the_run_begins_is_started_again(tmp_path, node,
     results = Runner(config_for(tmp_path, mode=mode, duration=0.6), commands=commands).run()
     assert not results.failures
     (warning,) = [text for text in results.warnings if text.startswith(node)]
-    assert warning == f"{node} ended unexpectedly (signal 9); it was started again before the run began"
+    assert warning == f"{node} ended unexpectedly (signal 9); it was restarted before the run began"
     assert results.bag == tmp_path / "bag"
     stamps = Run.open(results.bag)["truth/los"].stamp
     assert len(stamps) == 600 if mode == "lockstep" else len(stamps) > 300
@@ -232,7 +232,7 @@ def test_a_node_that_dies_before_the_run_begins_is_started_again(tmp_path, node,
 
 def test_a_run_that_nobody_interrupted_and_that_has_no_bag_has_failed(tmp_path):
     commands = {"plant": PLANT, "recorder": [sys.executable, "-c", FAKE.replace("PATIENT", "True")]}
-    with pytest.raises(RunError, match=r"^recorder: it got no message; there is no bag$") as error:
+    with pytest.raises(RunError, match=r"^recorder: no message received; there is no bag$") as error:
         Runner(config_for(tmp_path, duration=0.3, wait_for_recorder=False), commands=commands).run()
     assert error.value.code == 1
 

@@ -156,7 +156,7 @@ def test_a_law_that_waits_for_ever_ends_the_run(tmp_path: Path, module: str) -> 
     """Python answers no request meanwhile, and no signal ends it: after a while it is killed."""
     config = config_for(tmp_path, mode="lockstep", duration=60.0, hang_timeout=6.0, k_pma=f"{module}:Waiting")
     results = Runner(config, lambda ticks: None).run()
-    assert results.failures == ["estimator_controller has not answered for 6 s: the run was ended (--hang-timeout)"]
+    assert results.failures == ["estimator_controller has not responded for 6 s: the run was ended (--hang-timeout)"]
     assert len(Run.open(results.bag)["truth/los"]) >= 300
 
 

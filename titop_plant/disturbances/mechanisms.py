@@ -134,7 +134,7 @@ def _broadband(wheel: WheelOnBoard, duration: float, dt: float, rng: np.random.G
 def _drive(
     telescope: Telescope, index: int, profile: MotionProfile, dt: float, rng: np.random.Generator
 ) -> tuple[FloatArray, Signal]:
-    """Where the torques of a stepper act, and the torques."""
+    """Places of the torques of a stepper, and the torques."""
     array, ports = telescope.motors[index], source_ports(telescope)
     columns, drive = port_slices(ports), [one.name for one in telescope.driven_arrays].index(array.name)
     matrix = np.zeros((total_size(ports), 6))

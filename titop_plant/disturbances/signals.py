@@ -1,6 +1,6 @@
-"""What a source exerts over time: forces and torques (6) at the instants inside of each tick that are asked for.
+"""Wrench of a source over time: forces and torques (6) at the requested instants inside each tick.
 
-A source is a function of time and of its seed alone: `Signal.tick` gives the same bits in any order of calls, so that a
+A source is a function of time and of its seed alone: `Signal.tick` is bit-identical in any order of calls, so that a
 run in one process, in lockstep and in real time has the same values.
 """
 

@@ -44,7 +44,7 @@ SAME_RATE = 1e-3
 
 @dataclass(frozen=True)
 class RunConditions:
-    """What of a run its sources depend on: wheel speeds [rad/s], length [s], seed, names of the wheels."""
+    """Parameters of a run for its sources: wheel speeds [rad/s], length [s], seed, names of the wheels."""
 
     speeds: tuple[float, ...]
     duration: float
@@ -111,7 +111,7 @@ class DisturbanceTable:
         return table.columns[name]
 
     def ignored(self) -> tuple[str, ...]:
-        """What of the files that were read has no effect on the source, one sentence each."""
+        """Entries of the files without effect on the source, one sentence each."""
         rows = [text for table in self._tables for text in table.left_out]
         names = [name for table in self._tables for name in table.columns if name not in self._used]
         return (*rows, *([f"columns not used: {', '.join(names)}"] if names else []))
@@ -241,7 +241,7 @@ def _harmonics(entry: DisturbanceTable, units: WrenchUnits = FORCE) -> list[tupl
     elif isinstance(tables, list) and tables and all(isinstance(one, dict) and "order" in one for one in tables):
         unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})
         if unknown:
-            raise entry.error(f"keys of a harmonic must be of order, force, torque, got {', '.join(unknown)}")
+            raise entry.error(f"keys of a harmonic must be among order, force, torque, got {', '.join(unknown)}")
         rows = [(one["order"], np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
     else:
         raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
@@ -280,11 +280,11 @@ def _wheel(entry: DisturbanceTable, run: RunConditions) -> Made:
 
 
 def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, ComplexArray]], *more: Any) -> Made:
-    """Tones below the tick rate; what is above is left out, and said."""
+    """Tones below the tick rate; higher ones are excluded and reported."""
     kept = [row for row in rows if row[1] < 2 * np.pi / DT]
     if not kept:
         raise ValueError("disturbance must have a tone below 1000 Hz, got none")
-    remarks = (f"{len(rows) - len(kept)} tones above 1000 Hz left out",) if len(kept) < len(rows) else ()
+    remarks = (f"{len(rows) - len(kept)} tones above 1000 Hz excluded",) if len(kept) < len(rows) else ()
     return make(kept, DT, *more), remarks
 
 
@@ -338,7 +338,7 @@ def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
         )
     remarks = []
     if frequency[-1] > PASSES:
-        remarks.append(f"density above {PASSES:g} Hz left out")
+        remarks.append(f"density above {PASSES:g} Hz excluded")
     if run.duration > NOISE_SECONDS:
         remarks.append(f"noise repeats after {NOISE_SECONDS:g} s")
     signal = noise_of_density(frequency, density, run.duration, DT, _rng(entry, run))

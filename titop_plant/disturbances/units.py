@@ -75,14 +75,14 @@ DENSITY = WrenchUnits(
 _RPM = (30 / math.pi) ** 2
 PER_SPEED_SQUARED = WrenchUnits(
     _units(
-        "N s^2/rad^2 or N/rpm^2 (squared = false takes N)",
+        "N s^2/rad^2 or N/rpm^2 (squared = false for N)",
         (1.0, "ns2 ns2/rad2"),
         (1e-3, "mns2 mns2/rad2"),
         (_RPM, "n/rpm2"),
         (1e-3 * _RPM, "mn/rpm2"),
     ),
     _units(
-        "Nm s^2/rad^2 or Nm/rpm^2 (squared = false takes Nm)",
+        "Nm s^2/rad^2 or Nm/rpm^2 (squared = false for Nm)",
         (1.0, "nms2 nms2/rad2"),
         (1e-3, "mnms2 mnms2/rad2"),
         (_RPM, "nm/rpm2"),

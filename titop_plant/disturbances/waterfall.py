@@ -56,7 +56,7 @@ def lines_at(
     first, second = ((frequency[k], amplitude[i, k]) for i, k in zip((left, right), at))
     rows = _matched(first, second, share, float(bins), speeds[left : right + 1])
     if not rows:
-        raise ValueError(f"waterfall must have lines {ABOVE:g} times above what is around them, got none")
+        raise ValueError(f"waterfall must have lines {ABOVE:g} times above their surroundings, got none")
     orders, levels = zip(*sorted(rows, key=lambda row: row[0]))
     return speed * np.array(orders), np.array(levels)
 

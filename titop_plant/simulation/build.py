@@ -150,7 +150,7 @@ class PlantFamily:
         del settings["tau"]
         settings["theta"] = config.array_angle
         settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.telescope)
-        if config.frequencies is None:  # nor were there these
+        if config.frequencies is None:  # nor did these exist
             del settings["frequencies"]
         if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
             del settings["profile"]

@@ -1,4 +1,4 @@
-"""Whether ticks are computed by compiled code: the same bits either way, so that only the time decides."""
+"""Choice of compiled code for ticks: results are bit-identical, so that only the time decides."""
 
 from __future__ import annotations
 

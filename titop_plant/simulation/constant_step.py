@@ -1,8 +1,8 @@
-"""How the state of a telescope with constant parameters goes on: one matrix for all ticks.
+"""State propagation of a telescope with constant parameters: one matrix for all ticks.
 
 The arithmetic of a tick, its coordinates and its order are those of :mod:`titop_plant.simulation.plant_step`.
 :meth:`ConstantStep.advance` computes them with numpy or with the compiled code of
-:mod:`titop_plant.simulation.kernel`. **Both have the same bits.**
+:mod:`titop_plant.simulation.kernel`. **Both are bit-identical.**
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ConstantStep:
     """
 
     motion = None
-    """What moves, for reports: nothing."""
+    """Motion for reports: none."""
 
     def __init__(self, numbers: PlantStep, start: FloatArray, tones: FloatArray, dt: float = DT) -> None:
         self.numbers, self.start, self.tones, self.dt = numbers, start, tones, dt

@@ -13,7 +13,7 @@ In each tick, in this order:
 5. Every measurement is rounded to its quantisation step.
 
 **The truth is that of the telescope: no sensor changes it.** With infinite rates and stroke, no filter and no
-quantisation the plant is the linear one to the last bit.
+quantisation the plant is bit-identical to the linear one.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class LimitedDevices:
         return np.array(self._mass[0])
 
     def before(self, command: FloatArray) -> FloatArray:
-        """What the actuators do of `command` (8 + actuators,) in this tick; the next call overwrites it."""
+        """Output of the actuators for `command` (8 + actuators,) in this tick; the next call overwrites it."""
         v, stroke = self._command, self.limits.stroke
         np.clip(command, -self._authority, self._authority, out=v)
         if self._last is not None:  # the first command is that of the start

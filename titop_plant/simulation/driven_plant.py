@@ -93,7 +93,7 @@ class DisturbanceInput:
         self.acts = True
 
     def change(self, name: str, value: float) -> None:
-        """Change ``disturbance``, see `Plant.change`: its time goes on; other names have no effect."""
+        """Change ``disturbance``, see `Plant.change`: its time continues; other names have no effect."""
         if name == "disturbance":
             self.acts = bool(value)
 
@@ -134,7 +134,7 @@ class ActuatorInput:
 
 
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
-    """What a disturbance held for one tick adds to next state, measurement and truth.
+    """Contribution of a disturbance held for one tick to next state, measurement and truth.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
 
 
 def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Actuator], dt: float) -> FloatArray:
-    """What a unit force of each of these further actuators, held for one tick, adds: columns as `held_disturbance`.
+    """Contribution of a unit force of each further actuator, held for one tick: columns as `held_disturbance`.
 
     Parameters
     ----------

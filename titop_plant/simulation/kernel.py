@@ -68,7 +68,7 @@ def _coordinates(
     driving: FloatArray,
     later: FloatArray,
 ) -> None:
-    """Put the next coordinates in the place of the present ones in `values`, by the numbers of a `StepArrays`.
+    """Replace the coordinates in `values` by the next ones, with the numbers of a `StepArrays`.
 
     `driving` are the values behind the coordinates; `later` (n,) is overwritten.
     """

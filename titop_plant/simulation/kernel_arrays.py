@@ -38,7 +38,7 @@ class StepArrays(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Where a plant with varying parameters is at some consecutive ticks; empty for constant parameters.
+    """Parameters of a time-varying plant at some consecutive ticks; empty for constant parameters.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Course(NamedTuple):
 
 
 class SensorArrays(NamedTuple):
-    """What the sensors add to the true values at some consecutive ticks.
+    """Sensor errors added to the true values at some consecutive ticks.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 A tick has these steps, in this order; all but the second and third are there where the plant has such a part:
 
 1. The device limits change the command to what the actuators do (:mod:`titop_plant.simulation.device_limits`).
-2. The state goes on by one tick (:mod:`titop_plant.simulation.constant_step`,
+2. The state advances by one tick (:mod:`titop_plant.simulation.constant_step`,
    :mod:`titop_plant.simulation.ramped_step`), under the command and the tones of the disturbance.
 3. The sensors add noise and bias (:mod:`titop_plant.simulation.sensor_samples`).
 4. Each held input adds what it does over the tick: a disturbance given in time, or further actuators
@@ -14,7 +14,7 @@ A tick has these steps, in this order; all but the second and third are there wh
 
 :meth:`Plant.step` computes the second step with numpy, or, after :meth:`Plant.compile`, with the compiled code of
 :mod:`titop_plant.simulation.kernel`, which also runs whole loops (:mod:`los_testbed.run.loop.compiled_loop`). **All of
-them have the same bits.**
+them are bit-identical.**
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class HeldInput(Protocol):
     """An input beside the commands, held over each tick: see :mod:`titop_plant.simulation.driven_plant`."""
 
     held: FloatArray
-    """What a unit value adds to the next state (n), measurement (22), truth (2) and further sensors: (n + 24 + s, m)"""
+    """Effect of a unit value on the next state (n), measurement (22), truth (2) and further sensors: (n + 24 + s, m)"""
     name: str
     """Added to the name of the plant's values; empty: nothing is added."""
     lines: FloatArray
@@ -66,7 +66,7 @@ class HeldInput(Protocol):
 
 
 class ImageStage(Protocol):
-    """A camera that takes images in the place of the camera's measurement."""
+    """A camera that takes images instead of the camera's measurement."""
 
     def after(self, measurement: FloatArray, truth: FloatArray) -> None:
         """Replace the camera's angles of a tick in `measurement` (22,) [rad]; `truth` (2,) is left alone."""
@@ -166,7 +166,7 @@ class Plant:
         self._restart()
 
     def _response(self, given: HeldInput) -> FloatArray:
-        """What a unit value of an input adds, with the coordinates in the place of the states."""
+        """Contribution of a unit value of an input, with the coordinates instead of the states."""
         n, rows = self._order, self._order + self._sums.size
         if len(given.held) != rows:
             raise ValueError(f"held of an input must have {rows} rows, got {len(given.held)}")
@@ -185,7 +185,7 @@ class Plant:
 
     @property
     def motion(self) -> Mapping[str, Any] | None:
-        """What moves, for reports, see `RampedStep.motion`; None for constant parameters."""
+        """Motion for reports, see `RampedStep.motion`; None for constant parameters."""
         return self.dynamics.motion
 
     @property
@@ -194,7 +194,7 @@ class Plant:
         return np.zeros(0) if self.further_sensors is None else self.further_sensors.values
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
+        """Return to tick 0: same seed, bit-identical outputs."""
         self._restart()
         for part in self._parts:
             part.reset()
@@ -209,7 +209,7 @@ class Plant:
         self.tick = 0
 
     def compile(self) -> None:
-        """Step with compiled code from now on, if there is any: the same bits in less time."""
+        """Step with compiled code from now on, if there is any: bit-identical and faster."""
         self.dynamics.compiled = kernel() is not None
         before, kept = self.values.copy(), self._kept.copy()
         # numba reads or makes the code at the first call, which must not be a tick of a run
@@ -238,8 +238,8 @@ class Plant:
         Parameters
         ----------
         name : {"noise", "disturbance", "camera_dropout"}
-            Noise of sensors and images (the bias stays); disturbances, whose phases go on; probability that a frame of
-            the camera is lost.
+            Noise of sensors and images (the bias stays); disturbances, whose phases continue; probability that a frame
+            of the camera is lost.
         value : float
             0 or 1; for the drop-out a probability.
 
@@ -257,7 +257,7 @@ class Plant:
             part.change(name, value)
 
     def _switch(self, on: bool) -> None:
-        """Switch the tones: what they have moved goes on freely, and their phases go on."""
+        """Switch the tones: the excited motion continues freely, and their phases advance."""
         moved = self.values[: self._order]
         if self._disturbed and not on:
             moved += self._steady

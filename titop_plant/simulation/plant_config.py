@@ -1,4 +1,4 @@
-"""What one plant is built from, and the values of the uncertain parameters over its time."""
+"""Configuration of one plant, and the values of the uncertain parameters over time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from titop_plant.telescope.telescope import Telescope
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class PlantConfig(PhysicalSettings):
-    """What one plant is built from: the physical settings of a run, and what follows from its loop.
+    """Configuration of one plant: the physical settings of a run, and those that follow from its loop.
 
     Raises
     ------

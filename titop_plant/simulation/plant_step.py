@@ -16,7 +16,7 @@ a pole has no steady motion; then all tones drive the modes, ``q+ = ... + Im(G p
 Order of operations, which gives the bits: the rows of ``C basis``, D and tones times ``(q, v, p)``, and those of the
 block times its coordinates and inputs, are added up from left to right
 (:mod:`lftkit.systems.sampled.ordered_product`). A coordinate of a pair is ``((own q_i + cross q_j) + B_i0 v_0) + B_i1
-v_1 ...`` with its partner j; that of a real pole has 0.0 in the place of the second product. A phasor is turned by
+v_1 ...`` with its partner j; that of a real pole has 0.0 instead of the second product. A phasor is turned by
 ``re c - im s`` and ``re s + im c``. No product is fused with a sum.
 """
 
@@ -139,7 +139,7 @@ def held_step(plant: ModalPlant, dt: float = DT) -> FloatArray:
 
 
 def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexArray, ComplexArray]:
-    """What unit phasors add to the next coordinates (n, K), and to measurement and truth (24, K).
+    """Contribution of unit phasors to the next coordinates (n, K), and to measurement and truth (24, K).
 
     Parameters
     ----------

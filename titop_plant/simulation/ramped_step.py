@@ -1,4 +1,4 @@
-"""How the state of a telescope goes on while wheel speeds and array angle vary.
+"""State propagation of a telescope with varying wheel speeds and array angle.
 
 The one-tick matrices of :mod:`titop_plant.simulation.plant_step` are prepared at nodes of the profile and
 interpolated linearly between them, at the middle of each tick. They are entire functions of parameters and of tone
@@ -138,7 +138,7 @@ class RampedStep:
 
     @cached_property
     def motion(self) -> dict[str, list[Any]]:
-        """What moves, for reports: knots (time, theta, four speeds), harmonics, modes at the start and over time.
+        """Motion for reports: knots (time, theta, four speeds), harmonics, modes at the start and over time.
 
         A row of ``modes_over_time`` is a time [s] and the frequencies [rad/s] of the lightly damped modes there.
         """

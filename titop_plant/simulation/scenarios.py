@@ -27,7 +27,7 @@ from titop_plant.telescope.telescope import Telescope
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a scenario makes its tones from.
+    """Data from which a scenario makes its tones.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class SensorSamples:
         self.reset()
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
+        """Return to tick 0: same seed, bit-identical noise."""
         noise, camera = np.random.SeedSequence(self.model.seed).spawn(2)
         self._noise, self._camera = np.random.default_rng(noise), np.random.default_rng(camera)
         self.noisy = True
@@ -95,7 +95,7 @@ class SensorSamples:
             out[CAMERA] = np.nan
 
     def ahead(self, ticks: IntArray) -> SensorArrays:
-        """What is added to the true values at these consecutive ticks, the next ones, while there is noise."""
+        """Noise added to the true values at the next consecutive ticks."""
         rows, done = len(ticks), 0
         noise, absent = np.empty((rows, MEASUREMENTS)), np.zeros((rows, MEASUREMENTS), bool)
         while done < rows:

@@ -1,4 +1,4 @@
-"""What the sources of disturbance add to the state of the telescope and to its measurements within a tick.
+"""Contribution of the disturbance sources to the state of the telescope and its measurements within a tick.
 
 The polynomial through their values at the instants of a tick (:mod:`titop_plant.disturbances.sources`) is integrated
 exactly (matrix exponential). A tone is right to 1e-9 at 100 Hz and to 1e-6 at 500 Hz, however fast the structure is.
@@ -24,7 +24,7 @@ from titop_plant.telescope.control_plant import with_sensors
 def source_matrix(
     family: PlantFamily, config: PlantConfig, sources: Sequence[PlacedSource], dt: float = DT
 ) -> FloatArray:
-    """What the values of the sources within a tick add to next state (n), measurement and truth (24).
+    """Contribution of the values of the sources within a tick to next state (n), measurement and truth (24).
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
         text = read_text(path)
         table = parse(text, "file", "TOML", tomllib.loads)
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: file must be TOML, got no text in UTF-8") from None
+        raise ValueError(f"{path}: file must be TOML, got text that is not UTF-8") from None
     except StructuredTextError as error:
         raise ValueError(f"{path}: {error}") from None
     reader = _Reader(str(path), text, table)

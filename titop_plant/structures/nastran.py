@@ -266,8 +266,8 @@ def _mass_matrix(model: Any, results: Any, point: FloatArray, path: str) -> Floa
     least = linalg.eigvalsh(found[3:, 3:])
     if found[0, 0] > 0 and least[0] <= 1e-9 * least[-1]:
         raise ValueError(
-            f"{path}: mass must have inertia about every axis, got none about one: bars have none about their own, so "
-            "that a straight boom needs PARAM,GRDPNT,0 in the run, an inertia in a CONM2, or mass_matrix"
+            f"{path}: mass must have inertia about every axis, got none about one: bars have none about their axis; "
+            "a straight boom needs PARAM,GRDPNT,0 in the run, an inertia in a CONM2, or mass_matrix"
         )
     return found
 

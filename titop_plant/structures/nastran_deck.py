@@ -115,7 +115,7 @@ def _inside(name: str, path: Path, folder: Path, above: tuple[Path, ...]) -> Pat
     if not file.is_relative_to(folder):
         raise ValueError(f"{path}: INCLUDE must name a file in the folder of the deck, got {name[:80]!r}")
     if file in (*above, path.resolve()):
-        raise ValueError(f"{path}: INCLUDE must not come back to a file, got {name[:80]!r}")
+        raise ValueError(f"{path}: INCLUDE must not be recursive, got {name[:80]!r}")
     return file
 
 

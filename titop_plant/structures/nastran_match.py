@@ -30,8 +30,7 @@ def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
     rows = {int(grid) for grid in np.asarray(table.node_gridtype)[:, 0]}
     if others := sorted(rows - known):
         raise ValueError(
-            f"{path}: results must be of the model of the deck, got {len(others)} grid points that it has not: "
-            f"{others[:5]}"
+            f"{path}: results must be of the model of the deck, got {len(others)} unknown grid points: {others[:5]}"
         )
     stated = getattr(getattr(results, "op2_results", None), "gpdt", None)
     if stated is None:

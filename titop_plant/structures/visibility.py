@@ -1,4 +1,4 @@
-"""How well the ports of a body see its modes."""
+"""Observability of the modes of a body at its ports."""
 
 from __future__ import annotations
 

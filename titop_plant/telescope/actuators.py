@@ -18,7 +18,7 @@ from titop_plant.telescope.sections import OscillatorTable
 
 @dataclass(frozen=True)
 class ActuatorMount:
-    """Where a further actuator is, and its mechanics: those of a proof-mass actuator.
+    """Place and mechanics of a further actuator: those of a proof-mass actuator.
 
     Parameters
     ----------

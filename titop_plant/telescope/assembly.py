@@ -291,7 +291,7 @@ def _through(wires: list[Connection], gains: Mapping[str, System]) -> list[Conne
 
 
 def _drives(telescope: Telescope) -> dict[str, System]:
-    """What parts the torques of the array drives and joins their angles; none where no array is driven."""
+    """Distribution of the drive torques to the arrays and coupling of their angles; none without a driven array."""
     names = [array.name for array in telescope.driven_arrays]
     if not names:
         return {}
@@ -319,7 +319,7 @@ def _array(telescope: Telescope, array: MountedBody, outside: tuple[Port, ...]) 
 
 
 def _motors(telescope: Telescope, outside: tuple[Port, ...]) -> dict[str, System]:
-    """What parts the torques of the motors."""
+    """Distribution of the motor torques."""
     torques = [Port(array.name, 1, "Nm") for array in telescope.motors]
     whole = [port for port in outside if port.name == MOTOR_TORQUE]
     return {"motor_split": static_gain(np.eye(len(torques)), whole, torques)} if whole else {}

@@ -42,7 +42,7 @@ from titop_plant.telescope.telescope import Telescope
 PORTS = {"body": BODY_POINTS, "payload": ("M1", "M2", "I_f", "DET")}
 """Points of each frame; a parameter file may add points to the body."""
 SUPPORTS = 4
-"""Nodes of the frame that the bracket of an added point stands on."""
+"""Nodes of the frame that carry the bracket of an added point."""
 PARENTS = {"body": "G", "payload": "I_p"}
 
 

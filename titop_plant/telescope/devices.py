@@ -1,7 +1,7 @@
 """Further sensors and actuators of a parameter file: tables ``[[sensor]]`` and ``[[actuator]]``.
 
 The stored controllers measure with the sensors of :mod:`titop_plant.sensors` and act with mirror and proof-mass
-actuators. What stands here is beside them: a further sensor is recorded, and read by a controller of the user that
+actuators. This module has those besides them: a further sensor is recorded, and read by a controller of the user that
 names it; a further actuator loads the structure with its mass, its spring and its damper, and is driven by a source of
 disturbance or by such a controller. The reference telescope has none of them.
 

@@ -21,7 +21,7 @@ at 5.3 rad/s and a noisy accelerometer, do nothing for the line of sight; above 
 :func:`titop_plant.telescope.weights.band_weight` divide a requirement at this frequency.
 
 The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
-tones, K_PMA for the fast tones that are left. Below the line the sum keeps the limit.
+tones, K_PMA for the fast tones that are left. Below the line the sum is within the limit.
 
 The absolute error has the same rule for the part of its instants, with two shares: noise, and the tone that keeps the
 limit beside it. The paper asks its limit of tones alone, and a telescope whose tone takes all of it is above the limit
@@ -55,7 +55,7 @@ TOTAL_NOISE = 0.265
 """Share of the noise (rms) with both controllers; the rest is for tones."""
 
 TONE = 0.464
-"""Share of the amplitude of a slow tone that keeps the limit beside this noise, :func:`largest_tone` to four digits:
+"""Share of the amplitude of a slow tone that is within the limit beside this noise, :func:`largest_tone` to 4 digits:
 every bag holds the budget, and the search would take most of the time that a recorder needs to start."""
 
 APE_NOISE = 0.138
@@ -255,9 +255,9 @@ class ErrorBudget:
     total_noise : float
         Noise with both controllers.
     tone : float
-        Amplitude of a tone that keeps the limit beside `total_noise`.
+        Largest amplitude of a tone within the limit beside `total_noise`.
     ape_noise, ape_tone : float
-        Absolute error by noise (rms of both axes), and by the tone that keeps its limit beside it.
+        Absolute error by noise (rms of both axes), and by the tone that is within its limit beside it.
     """
 
     limit: float

@@ -1,6 +1,6 @@
 """The guide camera in the model of the loop: low-pass and noise from exposure and star, where they are not given.
 
-``sensors.camera`` of a parameter file says what the camera is:
+``sensors.camera`` of a parameter file selects the camera:
 
 ============  ====================================================================================================
 vector        low-pass ``camera_filter`` and noise ``camera_noise`` as given: the paper's camera
@@ -15,7 +15,7 @@ The angles of a frame are the mean of the line of sight over the exposure T and 
 
 The low-pass agrees in all terms up to s^2. The noise is that of a measured curve over the magnitude
 (:mod:`pointing_analysis.image.noise_curve`): the file that ``noise_curve`` names; else ``camera_noise.json``, where it
-has one of this detector, and for other detectors the bound of Cramer and Rao (``docs/image_quality.md``).
+has one of this detector, and for other detectors the Cramer-Rao bound (``docs/image_quality.md``).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 VECTOR, MAGNITUDE, IMAGE = CAMERAS = ("vector", "magnitude", "image")
 TABLE, KIND = "camera", "camera"
-"""Name of the table; key of the table ``sensors`` that says what the camera is."""
+"""Name of the table; key of the table ``sensors`` that selects the camera."""
 NOISE_CURVE = "noise_curve"
 """Key of the table for the file of measured noise."""
 STORED_CURVES = Path(__file__).with_name("camera_noise.json")
@@ -111,7 +111,7 @@ def star_noise(camera: StarCamera, file: str, where: str) -> float:
     ----------
     camera : StarCamera
     file : str
-        Of the measured noise; empty: the stored one, and the bound of Cramer and Rao where it does not have this
+        Of the measured noise; empty: the stored one, and the Cramer-Rao bound where it does not have this
         detector or magnitude.
     where : str
         Name of the parameter file, for the messages.
@@ -145,7 +145,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
     tables : mapping
         Merged with the reference.
     own : mapping
-        What the file itself says.
+        Content of the file.
     file : ParameterFile
 
     Raises
@@ -167,7 +167,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
         return tables
     for key in FOLLOWING:
         if key in own.get("sensors", {}):
-            raise file.error(f"sensors.{key}", f"must be left out where sensors.{KIND} is {kind}, got a value")
+            raise file.error(f"sensors.{key}", f"must be absent where sensors.{KIND} is {kind}, got a value")
     table = tables[TABLE]
     low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))
     noise = star_noise(camera, table[NOISE_CURVE], file.path)

@@ -1,4 +1,4 @@
-"""What is mounted on the spacecraft: solar arrays, reaction wheels and flexible appendages of a parameter file.
+"""Layout of the spacecraft: solar arrays, reaction wheels and flexible appendages of a parameter file.
 
 Any number of each may be there. A file gives solar arrays and wheels in one of two forms:
 

@@ -42,7 +42,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
         its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
         motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
-        ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`,
+        ``[[reaction_wheel]]`` and ``[[appendage]]`` define the layout, see :mod:`titop_plant.telescope.layout`,
         ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`,
         ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`.
         Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.

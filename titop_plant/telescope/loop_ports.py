@@ -49,11 +49,11 @@ class ControllerWithPorts(Protocol):
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """What it measures."""
+        """Measured quantity."""
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """What it commands."""
+        """Commanded quantity."""
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,8 @@ class LoopPorts:
         driven = {row.name: row for row in self.further_actuators}
         for what, names, rows in (("sensors", sensors, [*known]), ("actuators", actuators, [*driven])):
             if isinstance(names, str) or len(set(names)) < len(names) or set(names) - set(rows):
-                listed = ", ".join(rows) or "none, which is what the telescope's file has"
-                raise ValueError(f"{what} must be different names of {listed}, got {names!r}")
+                listed = ", ".join(rows) or "none, as in the telescope's file"
+                raise ValueError(f"{what} must be distinct names among {listed}, got {names!r}")
         chosen, commanded = (known[name] for name in sensors), (driven[name] for name in actuators)
         first = self.reference
         return LoopPorts((*first.sensors, *chosen), (*first.actuators, *commanded))

@@ -182,5 +182,5 @@ def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> MotionProfile:
             raise ValueError(f"{path}, line {number}: must hold {len(known)} finite numbers, got {','.join(line)!r}")
     values = np.array(rows).reshape(-1, len(known))
     if len(values) < 2 or values[0, 0] != 0.0 or not (np.diff(values[:, 0]) > 0.0).all():
-        raise ValueError(f"{path}: time must rise from 0 over two lines or more, got {len(values)} lines")
+        raise ValueError(f"{path}: time must increase from 0 over two lines or more, got {len(values)} lines")
     return MotionProfile(values[:, 0], values[:, 1], values[:, 2:])

@@ -1,6 +1,6 @@
 r"""Pointing requirements of a telescope: read from its parameter file, and the limits that a design takes from them.
 
-The list ``[[requirement]]`` of the file says what a line of sight must keep, in the form of
+The list ``[[requirement]]`` of the file has the requirements on a line of sight, in the form of
 :mod:`pointing_analysis.requirements.requirement`. Runs are judged by it, and the limits of the synthesis weights
 (``telescope.weights``) are made of it:
 
@@ -92,7 +92,7 @@ def with_limits(
             raise file.error(f"{key}.text", f"must be a requirement: {error}") from None
         for loop in found[-1].loops:
             if loop not in STAGES:
-                raise file.error(f"{key}.loop", f"must be of {', '.join(STAGES)}, got {loop!r}")
+                raise file.error(f"{key}.loop", f"must be among {', '.join(STAGES)}, got {loop!r}")
     for name in names:
         if names.count(name) > 1:
             raise file.error("requirement", f"must have each name once, got {name!r} twice")

@@ -19,7 +19,7 @@ LOOP_FREQUENCIES = (1e-2, 3000.0)
 """Frequencies [rad/s] at which figures of the loop are looked for; the edge of the bands is among them."""
 
 FIRST_BAND_EDGE = 85.0
-"""Edge between slow and fast tones [rad/s] of telescopes whose stored tables do not say it."""
+"""Edge between slow and fast tones [rad/s] of telescopes whose stored tables do not state it."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class WeightTable:
 
 @dataclass(frozen=True)
 class ImageOptics:
-    """What an image is made with: in no plant and no design, so not in the telescope's hash.
+    """Parameters of images: in no plant and no design, so not in the telescope's hash.
 
     Lengths in m, ``pixel_mas`` and ``weight_mas`` on the sky [mas], ``obscuration`` as a share of the diameter;
     ``pupil`` is a FITS file in place of the aperture.
@@ -249,7 +249,7 @@ class CameraTable:
 
 
 def frozen(value: Any) -> Any:
-    """A value of a file with tuples in the place of its lists."""
+    """A value of a file with tuples instead of lists."""
     return tuple(frozen(item) for item in value) if isinstance(value, list) else value
 
 

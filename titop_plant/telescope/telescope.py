@@ -55,7 +55,7 @@ from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_pa
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
 FIRST_PROBABILITY = 0.997
-"""Part of the windows, and of the instants, that kept their limit in designs whose names do not say it."""
+"""Fraction of the windows, and of the instants, within the limit, for designs that do not state it."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 
@@ -85,7 +85,7 @@ class Telescope:
         object.__setattr__(self, "_tables", copy.deepcopy(dict(tables)))
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a telescope cannot be changed, see Telescope.changed, got a value for {name}")
+        raise AttributeError(f"a telescope is immutable, use Telescope.changed, got a value for {name}")
 
     def __reduce__(self) -> tuple[type[Telescope], tuple[dict[str, Any]]]:
         return Telescope, (self._tables,)
@@ -151,7 +151,7 @@ class Telescope:
 
     @cached_property
     def image_optics(self) -> ImageOptics:
-        """What images are made with, of the table ``optics``."""
+        """Parameters of images, from the table ``optics``."""
         return made(ImageOptics, self._tables["optics"])
 
     @cached_property
@@ -176,7 +176,7 @@ class Telescope:
 
     @cached_property
     def sadm(self) -> DriveTable:
-        """Drives of the solar arrays, where their own tables say nothing else."""
+        """Drives of the solar arrays without their own tables."""
         return made(DriveTable, self._tables["sadm"])
 
     @cached_property
@@ -306,7 +306,7 @@ class Telescope:
 
     @property
     def camera_kind(self) -> str:
-        """What the camera is, see :mod:`titop_plant.telescope.guide_camera`."""
+        """Type of the camera, see :mod:`titop_plant.telescope.guide_camera`."""
         return str(self._tables["sensors"].get("camera", guide_camera.VECTOR))
 
     @property
@@ -383,12 +383,12 @@ class Telescope:
 
     @property
     def instant_probability(self) -> float:
-        """Part of the instants that must keep the limit of the absolute error."""
+        """Part of the instants at which the absolute error must be within the limit."""
         return requirements.instant_probability(self.requirements)
 
     @property
     def design_basis(self) -> DesignBasis:
-        """What of this telescope a controller is made for, or must have been made for."""
+        """Design basis of controllers for this telescope."""
         return DesignBasis(
             parameters_hash=self.parameters_hash,
             los_sensitivity=float(self.fsm.los_sensitivity),

@@ -66,7 +66,7 @@ def _frequencies_of(body: MountedBody, owners: str) -> dict[str, RealParameter]:
 
 
 def _words(owners: Sequence[MountedBody], bodies: Sequence[MountedBody]) -> str:
-    """What a parameter belongs to, in words."""
+    """Owner of a parameter, in words."""
     if len(owners) == len(bodies) == 2 and all(body.axis is not None for body in owners):
         return "both arrays"
     return ", ".join(body.name for body in owners)

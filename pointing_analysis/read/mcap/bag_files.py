@@ -16,7 +16,7 @@ from pointing_analysis.read.mcap.records import SQLITE, BagError
 _FILE = re.compile(r"\.mcap(\.zst|\.zstd)?$")
 LISTED = 200
 """Characters of names in a message."""
-NAME_ORDER = "files taken in name order"
+NAME_ORDER = "files read in name order"
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class BagFiles:
     Attributes
     ----------
     files : MCAP files in the order of recording
-    counts : messages of each topic by metadata.yaml, where it says them
+    counts : messages of each topic by metadata.yaml, if stated
     problems : what is wrong with metadata.yaml
-    message_count : all messages by metadata.yaml; None where it does not say it
+    message_count : all messages by metadata.yaml; None if not stated
     """
 
     files: tuple[Path, ...]
@@ -80,7 +80,7 @@ def bag_files(path: Path) -> BagFiles:
     if not files:
         files = on_disk
         if links := sorted(f.name for f in of_name if f.is_symlink()):
-            problems.append(f"links in the folder of the bag are left out: {', '.join(links)[:LISTED]}")
+            problems.append(f"links in the bag folder are ignored: {', '.join(links)[:LISTED]}")
     if any(".db3" in f.name for f in files or path.iterdir()):
         raise BagError(f"{path}: the bag must be MCAP, got {SQLITE}")
     compression = info.get("compression_format") or "zstd"
@@ -106,7 +106,7 @@ def _description(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Content of metadata.yaml, and what is wrong with it."""
     file = path / "metadata.yaml"
     if not file.is_file():
-        return {}, [f"no metadata.yaml (the recorder was stopped hard): {NAME_ORDER}"]
+        return {}, [f"no metadata.yaml (the recorder was killed): {NAME_ORDER}"]
     try:
         content = load_yaml(read_text(file), "metadata.yaml")
     except StructuredTextError as error:
@@ -128,10 +128,10 @@ def _named(path: Path, info: Mapping[str, Any], problems: list[str]) -> list[Pat
         problems.append("metadata.yaml names a file more than once: it is read once")
     possible = [name for name in unique if len(name.encode(errors="replace")) <= MAX_NAME and name.isprintable()]
     if len(possible) < len(unique):
-        problems.append("metadata.yaml names files with names that no file can have: they are left out")
+        problems.append("metadata.yaml has invalid file names: they are ignored")
     inside = [name for name in possible if Path(name).name == name and not (path / name).is_symlink()]
     if len(inside) < len(possible):
-        problems.append("metadata.yaml names files outside the folder of the bag: they are left out")
+        problems.append("metadata.yaml names files outside the bag folder: they are ignored")
     return [path / name for name in inside if not (path / name).is_dir()]
 
 

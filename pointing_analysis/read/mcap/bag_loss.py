@@ -1,4 +1,4 @@
-"""What a bag lacks: which messages of which topic, where, and how it is known.
+"""Missing messages of a bag: topic, position and evidence.
 
 A bag of this testbed numbers the messages of each topic from 1, so that a gap in the numbers is a count; how many there
 were at the end is known from the manifests of the chunks, from the summary, or from metadata.yaml. Other bags tell
@@ -30,7 +30,7 @@ LAST = "last"
 ENDS = "ends"
 """Entry in the record of a repair of a bag without such numbers: by topic, what it lost before and after the others."""
 MAX_PIECES = 10_000
-"""Gaps that are told one by one."""
+"""Largest number of gaps listed individually."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TopicLoss:
-    """What one topic lacks.
+    """Missing messages of one topic.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
 
 
 def _ends_before_repair(infos: Sequence[FileInfo], topic: str) -> tuple[int, int]:
-    """How many of those that the repaired bag lacks came before and after the others, as far as it was known."""
+    """Missing messages of the repaired bag before and after the others, as far as known."""
     found = _of_repair(infos, ENDS).get(topic, (0, 0))
     if not isinstance(found, (list, tuple)) or len(found) != 2 or not all(map(_is_count, found)):
         return 0, 0
@@ -170,16 +170,16 @@ def _last_of(infos: Sequence[FileInfo], topic: str) -> int | None:
         for number, channel in info.channels.items()
         if channel.topic == topic and number in info.expected
     ]
-    told: Any = _of_repair(infos, LAST).get(topic)
-    if _is_time(told):
-        found.append(int(told))
+    stated: Any = _of_repair(infos, LAST).get(topic)
+    if _is_time(stated):
+        found.append(int(stated))
     return max(found, default=None)
 
 
 def repair_entries(
     infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int], origin: int
 ) -> dict[str, str]:
-    """What the record of a repair says to those who read the new bag: losses, repeated numbers, contradictions."""
+    """Record of a repair for readers of the new bag: losses, repeated numbers, contradictions."""
     found: dict[str, object] = {
         ORIGIN: origin,
         LAST: {loss.topic: last for loss in losses if (last := _last_of(infos, loss.topic)) is not None},
@@ -194,14 +194,14 @@ def repair_entries(
 
 
 def contradictions(infos: Sequence[FileInfo]) -> tuple[str, ...]:
-    """What is refuted by digests in the files, or was in those that were repaired."""
+    """Contradictions of digests in the files, or in the bags before their repair."""
     found = value_of(merged(infos, REPAIR_NAME)[0].get(CONTRADICTIONS, "[]"))
     before = [text for text in found if isinstance(text, str)] if isinstance(found, list) else []
     return tuple(dict.fromkeys([*(text for info in infos for text in info.contradictions), *before]))
 
 
 class LossLedger:
-    """Counts what is read of a bag, to say afterwards what is missing."""
+    """Counts the messages read of a bag, to find the missing ones."""
 
     def __init__(self) -> None:
         self._topics: dict[str, _Numbers] = {}
@@ -227,12 +227,12 @@ class LossLedger:
         A repair knew of earlier ones than those it could copy.
         """
         origins = [e.first for info in infos for e in info.expected.values()]
-        told = value_of(merged(infos, REPAIR_NAME)[0].get(ORIGIN, "null"))
-        origins += [told] if _is_time(told) else []
+        stated = value_of(merged(infos, REPAIR_NAME)[0].get(ORIGIN, "null"))
+        origins += [stated] if _is_time(stated) else []
         return min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
 
     def losses(self, infos: Sequence[FileInfo], counts: Mapping[str, int]) -> tuple[TopicLoss, ...]:
-        """What is missing, topic by topic; topics that lack nothing are left out.
+        """Missing messages by topic; complete topics are omitted.
 
         Parameters
         ----------
@@ -263,7 +263,7 @@ class LossLedger:
         return found
 
     def inner_losses(self, infos: Sequence[FileInfo]) -> tuple[TopicLoss, ...]:
-        """What is missing between the messages that were read, of a part of a bag."""
+        """Missing messages between those read, for a part of a bag."""
         found = []
         for loss in self.losses(infos, {}):
             spans = tuple(s for s in loss.spans if np.isfinite([s.start, s.stop]).all())[

@@ -57,15 +57,13 @@ def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[s
     problems = []
     for number, table in enumerate(records, 1):
         if hashed and not has_right_hash(table):
-            problems.append(f"metadata record {name} {number} of {len(records)} does not agree with its hash: left out")
+            problems.append(f"metadata record {name} {number} of {len(records)} does not match its hash: ignored")
             continue
         found.update({key: value for key, value in table.items() if key != HASH})
     if problems and not found:
-        problems.append(f"nothing is known of the run: no metadata record {name} agrees with its hash")
+        problems.append(f"the run is unknown: no metadata record {name} matches its hash")
     if name == METADATA_NAME and not records and any(info.library.startswith(OWN_LIBRARY) for info in infos):
-        problems.append(
-            f"nothing is known of the run: the file was recorded with a metadata record {name} and has none"
-        )
+        problems.append(f"the run is unknown: the file was recorded with a metadata record {name} and has none")
     return found, problems
 
 

@@ -1,6 +1,6 @@
 """One pass over the files of a bag: the one way in which every bag is read, of the testbed or of another program.
 
-It gives the messages that a checksum proves right, or that nothing proves wrong, and says afterwards what is lost.
+It yields the messages that a checksum confirms, or that nothing refutes, and then reports the losses.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class BagPass:
 
     Attributes
     ----------
-    infos : what each file says beside messages, as far as the pass has come
+    infos : records of each file besides messages, up to the position of the pass
     origin : log time of the first block [ns]; None before it
     """
 
@@ -104,7 +104,7 @@ class BagPass:
         return not all(info.finished for info in self.infos) or repaired.get("finished") == "false"
 
     def losses(self) -> tuple[TopicLoss, ...]:
-        """What the bag lacks; of a part of it, what lies inside; nothing where no messages were asked for."""
+        """Losses of the bag, or inside a part of it; empty without requested messages."""
         if self._heads_only:
             return ()
         if self._window == WHOLE:
@@ -113,7 +113,7 @@ class BagPass:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Where the files say, with right checksums, what their own digests refute."""
+        """Records with a valid checksum that contradict the digests of the files."""
         return contradictions(self.infos)
 
     def problems(self) -> list[str]:
@@ -122,7 +122,7 @@ class BagPass:
         found = [*self._bag.problems, *(problem for info in self.infos for problem in info.problems)]
         found += [str(loss) for loss in losses]
         if losses or any(info.damage or not info.finished for info in self.infos):
-            found.append(f"`los-testbed bag repair {self._path}` makes a new bag of all that can be read")
+            found.append(f"`los-testbed bag repair {self._path}` makes a new bag of all readable data")
         found += merged(self.infos, METADATA_NAME)[1]
         repaired, _ = merged(self.infos, REPAIR_NAME)
         if repaired:

@@ -1,7 +1,7 @@
 """Hash chain of a file: every manifest, metadata record and attachment is bound to all of them before it.
 
 The digest of the chain behind a record is the BLAKE2b digest of the digest before it, the type of the record and its
-content. A manifest holds number and digest in its last row of runs, which stands for no record, so that readers of
+content. A manifest holds number and digest in its last row of runs, which belongs to no record, so that readers of
 older versions read it as before; they count as zeros in the content. The last record of a whole file, `SEAL`, holds the
 digest at the end. Chunks are bound by the digests in their manifests; indexes and the summary are not bound.
 
@@ -54,7 +54,7 @@ class Chain:
     sealed : whether the record with the digest at the end was there
     unchecked : places where damage left open whether the chain was right
     broken : what contradicted it
-    open : whether damage leaves open what stands before the next manifest
+    open : whether damage leaves the chain before the next manifest unknown
     """
 
     digest: bytes = NOTHING
@@ -78,13 +78,13 @@ class Chain:
         expected, number = next_digest(self.digest, op, link.content), self.manifests + 1
         if not link.number:
             self.digest, self.manifests = expected, number
-            return self._break("a manifest has no place in the chain of the others") if self.linked else ""
+            return self._break("a manifest is not in the chain of the others") if self.linked else ""
         right = expected == link.digest and number == link.number
         self.linked, self.digest, self.manifests = True, link.digest, link.number
         if right:
             self.open = False
             return ""
-        return self._break(f"manifest {link.number} does not continue the chain of what stands before it")
+        return self._break(f"manifest {link.number} does not continue the chain before it")
 
     def seal(self) -> dict[str, str]:
         """Content of the record at the end."""
@@ -95,16 +95,16 @@ class Chain:
         self.sealed = True
         same = dict(table) == self.seal()
         self.open &= not same
-        return "" if same else self._break("the end of the chain is not what stands before it")
+        return "" if same else self._break("the end of the chain does not match the chain before it")
 
     def check_end(self) -> str:
-        """At the end of a file that was not cut off."""
+        """End of a complete file."""
         missing = self.linked and not self.sealed
         return self._break("the record with the end of the chain is missing") if missing else ""
 
     def check_after(self) -> str:
         """At a record that the chain binds, or a chunk."""
-        return self._break("a record stands behind the end of the chain") if self.sealed else ""
+        return self._break("a record follows the end of the chain") if self.sealed else ""
 
     def _break(self, what: str) -> str:
         if self.open:

@@ -34,7 +34,7 @@ def is_refuted(found: Unpacked, manifest: Manifest, indexed: list[bytes]) -> boo
 
 
 class ChunkCopies:
-    """What a pass over a file has given of each content of a chunk."""
+    """Messages that a pass over a file has yielded of each content of a chunk."""
 
     def __init__(self) -> None:
         self._given: dict[bytes, tuple[Manifest | None, BoolArray | None]] = {}

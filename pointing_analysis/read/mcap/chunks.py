@@ -1,7 +1,7 @@
 """Chunks of an MCAP file: unpacked within a limit, verified, and searched for their messages.
 
 A chunk is used if its checksum agrees. If not, its manifest (`chunk_manifest`) tells which of its records are whole;
-without one the chunk is left out, because nothing says which of its values are right.
+without one the chunk is excluded, because its valid values cannot be identified.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Unpacked:
     content : bytes
     whole : (n,) which records of the manifest are whole; None where all of the content is
     reason : what is wrong with the chunk; empty if nothing is lost
-    proved : whether the content has the size and, where there is one, the checksum that the chunk or its manifest says
+    proved : whether the content has the size and, if there is one, the checksum stated in the chunk or its manifest
     """
 
     content: bytes
@@ -98,14 +98,14 @@ def take_apart(body: bytes, cut: bool) -> Packed | None:
         return Packed(name, body[at:], size, checksum)
     if kind not in KINDS and agrees:
         data = body[at + 8 :]
-        if checksum and len(data) == size and zlib.crc32(data) == checksum:  # not compressed, whatever its name is
+        if checksum and len(data) == size and zlib.crc32(data) == checksum:  # not compressed, despite its name
             return Packed("", data, size, checksum)
         raise BagError(f"chunk compression must be zstd, lz4 or none, got {kind!r}")
     return None
 
 
 def unpack_zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
-    """What can be unpacked, and whether that is all; never more than `limit` + 1 bytes."""
+    """The unpacked part, and whether it is complete; at most `limit` + 1 bytes."""
     try:
         size = zstandard.frame_content_size(data)
         if 0 <= size <= limit:
@@ -194,14 +194,14 @@ def _other_head(packed: Packed, manifest: Manifest | None, limit: int) -> tuple[
 
 
 def index_offsets(indexed: list[bytes]) -> IntArray:
-    """Offsets of the messages as the index records of a chunk say them, sorted."""
+    """Offsets of the messages from the index records of a chunk, sorted."""
     parts = [np.frombuffer(body[6:], INDEX_ENTRY)["offset"] for body in indexed if len(body) % 16 == 6]
     offsets = np.concatenate([*parts, np.empty(0, "<u8")]).astype(np.int64)
     return np.sort(offsets)
 
 
 def index_times(indexed: list[bytes]) -> dict[int, IntArray]:
-    """Log times [ns] of the messages of each channel, as the index records of a chunk say them."""
+    """Log times [ns] of the messages of each channel, from the index records of a chunk."""
     found = {}
     for body in indexed:
         if len(body) % 16 == 6 and len(body) > 6:
@@ -217,7 +217,7 @@ def _heads(data: bytes, offsets: IntArray) -> NDArray[np.void]:
 
 
 def whole_records(info: FileInfo, found: Unpacked, manifest: Manifest, where: str, offset: int) -> Block | None:
-    """Messages of a chunk where its manifest says they are, of a damaged one those among its whole records.
+    """Messages of a chunk at the offsets of its manifest; of a damaged one those among its complete records.
 
     Schemas and channels are read on the way. The index records of the chunk are not used: nothing binds them.
     """
@@ -273,7 +273,7 @@ def block_of(
 def followed_by_records(block: Block) -> Block:
     """The messages behind which another record begins.
 
-    Where power was lost the tail of what was written is zeros or junk: a message that ends in it has a right head.
+    After a loss of power the tail of the file is zeros or junk: a message that ends in it has a valid header.
     """
     ends = block.offsets + RECORD.size + block.heads["length"].astype(np.int64)
     inside = ends + RECORD.size <= len(block.data)
@@ -294,7 +294,7 @@ def _scan(info: FileInfo, data: bytes, part: tuple[int, int], place: tuple[str, 
         if op == OP_MESSAGE and length >= HEAD - RECORD.size:
             offsets.append(at)
         elif not op or not most:
-            info.note(*place, "a chunk holds what is no record: the rest of it is left out")
+            info.note(*place, "a chunk holds invalid records: the rest of it is excluded")
             break
         else:
             most -= 1

@@ -1,7 +1,7 @@
-"""Where the records of an MCAP file begin and end, also where a length or an opcode is damaged.
+"""Framing of the records of an MCAP file, also with a damaged length or opcode.
 
 A record's content tells its length a second time: strings, tables and data inside it have length fields whose sum it
-must be. A head is believed if this sum agrees, or if a record follows where it says. Otherwise the sum alone is tried,
+must be. A header is accepted if this sum agrees, or if a record follows at its end. Otherwise the sum alone is tried,
 under the type that the head names and under the others; then the file is searched for the next place where a head and
 the content behind it agree. A whole summary at the end of the file (its checksum decides) tells the places of most
 records beforehand.
@@ -100,7 +100,7 @@ class Framing:
 
     def __init__(self, stream: BinaryIO, stop: int, anchors: Mapping[int, tuple[int, int]]) -> None:
         self.stream, self.stop, self.anchors = stream, stop, anchors
-        # Where records were taken out, put in or moved, the places behind them are no longer right.
+        # After records were removed, inserted or moved, later offsets are invalid.
         confirmed = [at for at, (op, length) in anchors.items() if self._confirmed(at, op, length)]
         self._places = np.array(sorted(confirmed), dtype=np.int64)
         self.chunked = any(op == OP_CHUNK for op, _ in anchors.values())
@@ -126,12 +126,12 @@ class Framing:
             at = frame.end
 
     def _confirmed(self, at: int, op: int, length: int) -> bool:
-        """Whether the head or the content of a record agrees with what the summary says of it."""
+        """Whether the header or the content of a record agrees with the summary."""
         return self.peek(at, RECORD.size) == RECORD.pack(op, length) or self._agrees(op, at, length, self.stop)
 
     def _differs(self, at: int) -> str:
         head = self.peek(at, RECORD.size)
-        return "" if head == RECORD.pack(*self.anchors[at]) else "its head is damaged"
+        return "" if head == RECORD.pack(*self.anchors[at]) else "its header is damaged"
 
     def _measure(self, op: int, at: int, stop: int) -> int | None:
         """Length of the content of a record at `at` by its inner lengths; None if they lead beyond `stop`."""
@@ -153,7 +153,7 @@ class Framing:
         return op in PARTS and at + RECORD.size + length <= stop and self._measure(op, at, stop) == length
 
     def _starts(self, at: int, stop: int) -> bool:
-        """Whether a record or the end stands here."""
+        """Whether a record or the end is at this offset."""
         if at == stop:
             return True
         head = self.peek(at, RECORD.size)
@@ -192,10 +192,10 @@ class Framing:
         found = self._search(at + 1, stop)
         if found is not None:
             known = op in PARTS and found - at >= RECORD.size
-            return Frame(op if known else 0, at, found - at - RECORD.size, defect="its head is damaged")
+            return Frame(op if known else 0, at, found - at - RECORD.size, defect="its header is damaged")
         rest = max(stop - at - RECORD.size, 0)
         if stop < self.stop:
-            return Frame(op if op in PARTS else 0, at, rest, defect="its head is damaged")
+            return Frame(op if op in PARTS else 0, at, rest, defect="its header is damaged")
         return Frame(op, at, rest, False, "cut" if length > rest else OF_CONTENT)
 
     def _search(self, at: int, stop: int) -> int | None:
@@ -219,7 +219,7 @@ class Framing:
         return None
 
     def _two_messages(self, at: int, stop: int) -> bool:
-        """Whether a message stands here and a record behind it."""
+        """Whether a message is at this offset and a record after it."""
         length = RECORD.unpack(self.peek(at, RECORD.size))[1]
         end = at + RECORD.size + int(length)
         return end < stop and self._starts(end, stop)

@@ -44,7 +44,7 @@ MAX_LENGTH, MAX_WORK = 100_000, 2_000_000_000
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a chunk must hold.
+    """Required content of a chunk.
 
     Attributes
     ----------

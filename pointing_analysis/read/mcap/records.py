@@ -1,9 +1,9 @@
 """Records of an MCAP file: their layout, and what is read from those that are no messages.
 
 The file format is simple (https://mcap.dev/spec): a magic number, then records ``opcode (1 byte), length (8 bytes),
-content``. Messages sit in compressed chunks, each followed by message-index records that say where in the chunk
-each channel's messages begin. `mcap_framing` finds the records, `mcap_chunks` unpacks and verifies chunks, `mcap_walk`
-puts them together.
+content``. Messages are in compressed chunks, each followed by message-index records that say where in the
+chunk each channel's messages begin. `mcap_framing` finds the records, `mcap_chunks` unpacks and verifies chunks,
+`mcap_walk` puts them together.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ allocated."""
 _CONVERT = "to convert it: pip install rosbags; rosbags-convert --src BAG --dst NEW --dst-storage mcap"
 SQLITE = f"sqlite3; {_CONVERT}"
 OTHER_FORMATS = {b"SQLite f": SQLITE, b"#ROSBAG ": f"a bag of ROS 1; {_CONVERT}"}
-"""What other files are, by their first eight bytes."""
+"""Formats of other files, by their first eight bytes."""
 MAX_NOTES = 10_000
-"""Damaged places of a file that are told one by one."""
+"""Largest number of damaged places listed individually."""
 
 
 class BagError(ValueError):
-    """The file is not a bag, or not one that can be read; the message says what it must be and what it is."""
+    """The file is not a readable bag; the message has the requirement and the value."""
 
 
 class ShortRunError(BagError):
@@ -53,7 +53,7 @@ class ShortRunError(BagError):
 
 
 class RefutedBagError(BagError):
-    """What is left of the bag is not enough, because its own digests refute the rest."""
+    """The valid part of the bag is not sufficient, as its own digests refute the rest."""
 
     code = 5  # exit code of the command line
 
@@ -117,7 +117,7 @@ class Expected:
 
 @dataclass
 class FileInfo:
-    """What a file says about itself beside messages; grows while the file is read.
+    """Records of a file besides messages; it grows while the file is read.
 
     Attributes
     ----------
@@ -127,13 +127,13 @@ class FileInfo:
     attachments : by name
     problems : defects, one sentence each
     damage : offset [byte] and description of each damaged place; those that lost nothing as well
-    contradictions : where the file says, with right checksums, what its own digests refute; in `problems` as well
-    lost_chunks : chunks that could not be read and say in their index what they held
+    contradictions : records with a valid checksum that contradict the file's digests; in `problems` as well
+    lost_chunks : unreadable chunks whose index lists their content
     expected : by channel, what the manifests of the chunks say
     chain : of manifests, metadata records and attachments
     digests : chunks whose content was compared with the digest in their manifest, and agrees
     chunks : chunks that were unpacked
-    unproved : messages that are used where the file was cut off, and that no checksum proves
+    unproved : used messages without a checksum where the file is truncated
     unchecked : messages for which the file has no checksum but perhaps that of all its data
     data_checksum : whether the checksum of all data agrees; None without one
     statistics : messages of each channel as the summary counts them; None without a whole summary
@@ -180,7 +180,7 @@ class FileInfo:
         if (self.damage and self.damage[-1] == (offset, what)) or len(self.damage) > MAX_NOTES:
             return
         if len(self.damage) == MAX_NOTES:
-            what = f"more than {MAX_NOTES} places are damaged; those from here on are not listed"
+            what = f"more than {MAX_NOTES} places are damaged; further ones are not listed"
         self.damage.append((offset, what))
         self.problems.append(f"{where}, byte {offset}: {what}")
 
@@ -333,4 +333,4 @@ def read_side_record(info: FileInfo, op: int, body: bytes, where: str, offset: i
     try:
         SIDE_RECORDS[op](info, body)
     except (struct.error, UnicodeDecodeError):
-        info.note(where, offset, f"{with_article(op)} is damaged and left out")
+        info.note(where, offset, f"{with_article(op)} is damaged and excluded")

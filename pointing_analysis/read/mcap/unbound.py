@@ -1,4 +1,4 @@
-"""What of a file no manifest binds: records outside of the chunks, and the summary.
+"""Parts of a file that no manifest covers: records outside the chunks, and the summary.
 
 A file without manifests may have all of its messages outside of chunks. In one with manifests whoever altered it has
 put them there: none of them is used, and the file contradicts itself. Which of both it is, is known at its end. The
@@ -20,7 +20,7 @@ PIECE = 4 << 20
 
 @dataclass
 class Unbound:
-    """What of one file nothing binds.
+    """Parts of one file that no manifest covers.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class Unbound:
         if not self.bound:
             return
         if self._pieces:
-            what = f"{self._messages} messages stand outside of the chunks, where no manifest names them: left out"
+            what = f"{self._messages} messages are outside the chunks and in no manifest: excluded"
             yield self._pieces[0][0], what
         if self._types and info.chain.linked:
-            yield self._types[0], "a type or channel stands outside of the chunks, where no manifest names it"
+            yield self._types[0], "a type or channel is outside the chunks and in no manifest"
         complete = info.digests == info.chunks == info.chain.manifests  # every chunk was read, and is right
         if info.chain.linked and complete and self.summary is not None:
             for number, channel in self.named.items():
                 if (found := info.channels.get(number)) is channel or found != channel:  # the same: no chunk has it
-                    yield self.summary.at, f"the summary names channel {number}, which is another or none in the chunks"
+                    yield self.summary.at, f"the summary names channel {number}, which the chunks do not have"
                     break
             if self.summary.chunks and sorted(self.summary.chunks) != self._chunks:
-                yield self.summary.at, "the summary does not name each chunk once, where it stands"
+                yield self.summary.at, "the summary does not list each chunk once at its position"

@@ -1,6 +1,6 @@
 """One pass over an MCAP file: the one way in which reader, analysis, report, replay and repair get its messages.
 
-Whole files, files that were cut off, and damaged ones: `mcap_framing` finds the records, `mcap_chunks` decides by
+Complete, truncated and damaged files: `mcap_framing` finds the records, `mcap_chunks` decides by
 checksums what of a chunk is right, and every defect is noted in `FileInfo`.
 """
 
@@ -96,7 +96,7 @@ class _Walk:
                 break
             if frame.op == OP_DATA_END or (frame.op == OP_FOOTER and frame.whole):
                 if self._data_after(frame):
-                    self.info.note(self.where, frame.at, "the end of the data stands in front of data")
+                    self.info.note(self.where, frame.at, "the end-of-data record precedes data")
                     continue
                 self.info.finished = True
                 self._check_data(frame)
@@ -113,7 +113,7 @@ class _Walk:
         else:
             cut = True
         if cut:
-            self.info.problems.append(f"{self.where}: the file has no end of its data: the recording was cut off")
+            self.info.problems.append(f"{self.where}: the file has no end-of-data record: the recording is truncated")
         yield from self._flush_chunk()
         yield from self._outside_chunks()
 
@@ -165,7 +165,7 @@ class _Walk:
             self.info.chain.add(op, body)
 
     def _after_end(self, frame: Frame) -> None:
-        """Note what stands behind the end of the chain, and damage that leaves the chain open."""
+        """Report records after the end of the chain, and damage that leaves the chain open."""
         if frame.op in (OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT):
             self._refuted(frame, self.info.chain.check_after())
         if frame.op != OP_CHUNK and (frame.defect or frame.length > self.info.max_chunk):
@@ -190,7 +190,7 @@ class _Walk:
     def _cut_off(self, frame: Frame) -> Iterator[Block]:
         """The last record of a file that ends inside it."""
         what = f"{self.where}: the file ends inside {with_article(frame.op)}"
-        self.info.problems.append(f"{what}: the recording was cut off")
+        self.info.problems.append(f"{what}: the recording is truncated")
         if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
             self.chunk = (frame, self._body(frame))
             yield from self._flush_chunk()
@@ -219,7 +219,7 @@ class _Walk:
         except BagError as error:
             raise BagError(f"{self.where}, byte {frame.at}: {error}") from None
         if packed is None:
-            self._lost(frame, "the head of a chunk is damaged; it is left out")
+            self._lost(frame, "the header of a chunk is damaged; it is excluded")
             return None
         found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut)
         self.left -= len(found.content)
@@ -232,11 +232,11 @@ class _Walk:
             own = self._manifest_of(found, manifest)
             self.info.digests += own is not None and own is manifest
             if own is None and manifest is not None and is_refuted(found, manifest, indexed):
-                what = "a chunk is not what the digest in its manifest says: what agrees with its manifest is used"
+                what = "a chunk does not match the digest in its manifest: only matching parts are used"
                 self.info.contradict(self.where, frame.at, what)
                 found = Unpacked(*salvage(found.content, manifest))
             elif own is None and self._named() and not self.info.chain.open:
-                what = "no manifest names the content of this chunk: it is left out"
+                what = "no manifest lists the content of this chunk: it is excluded"
                 self.info.contradict(self.where, frame.at, what)
                 return None
             manifest = own or manifest
@@ -244,7 +244,7 @@ class _Walk:
         if found.content:
             found, manifest, again = self.copies.new_part(found, manifest)
         if again:
-            self.info.note(self.where, frame.at, "a chunk stands twice in the file: its messages count once")
+            self.info.note(self.where, frame.at, "a chunk is in the file twice: its messages count once")
         elif found.reason and not cut:
             self._lost(frame, found.reason)
         if found.content and manifest is not None and (found.whole is not None or manifest.names(found.digest)):
@@ -257,11 +257,11 @@ class _Walk:
         return block if proved or block is None else self._unproved(frame, block)
 
     def _unproved(self, frame: Frame, block: Block) -> Block | None:
-        """Messages of a content that no checksum proves, counted apart; without the one in which it was cut off."""
+        """Messages of a content without a checksum, counted separately; without the truncated one."""
         kept = followed_by_records(block)
-        left, what = len(block.heads) - len(kept.heads), "where the file was cut off no checksum proves the messages"
+        left, what = len(block.heads) - len(kept.heads), "no checksum covers the messages where the file is truncated"
         self.info.unproved += len(kept.heads)
-        self.info.note(self.where, frame.at, f"{what}: {len(kept.heads)} of a chunk are used, {left} left out")
+        self.info.note(self.where, frame.at, f"{what}: {len(kept.heads)} of a chunk are used, {left} excluded")
         return kept if kept.heads.size else None
 
     def _manifest_at(self, frame: Frame) -> Manifest | None:
@@ -298,7 +298,7 @@ class _Walk:
         if end.op == OP_DATA_END and len(body) == 4 and any(body):
             self.info.data_checksum = checksum_before(self.stream, end.at) == int.from_bytes(body, "little")
             if not self.info.data_checksum:
-                self.info.note(self.where, end.at, "the checksum of the data does not agree")
+                self.info.note(self.where, end.at, "the checksum of the data does not match")
 
     def _data_after(self, end: Frame) -> bool:
         """Whether an end of the data is out of place: records follow it that stand in no summary."""
@@ -312,12 +312,12 @@ class _Walk:
         return False
 
     def _data_records_after(self, at: int) -> None:
-        """What stands behind the end of the data of a file with manifests, where other readers may look for it."""
+        """Records after the end-of-data record of a file with manifests, which other readers may use."""
         if self.unbound.bound and self.unbound.summary is None:
             self.info.note(self.where, at, "the summary is damaged or missing")  # other readers may use it all the same
         for frame in self.framing.frames(at) if self.unbound.bound else ():
             if frame.op in (OP_MESSAGE, OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT, OP_INDEX, OP_DATA_END):
-                what = f"{with_article(frame.op)} stands behind the end of the data"
+                what = f"{with_article(frame.op)} follows the end-of-data record"
                 self.info.contradict(self.where, frame.at, what)
                 break
 
@@ -345,7 +345,7 @@ def _unpacked_file(raw: BinaryIO, size: int, where: str) -> BinaryIO:
             if total > limit:
                 raise BagError(f"{where}: the file must unpack to at most {limit / 1e9:.1f} GB, got more")
     except zstandard.ZstdError:
-        pass  # cut off: what there is ends inside a record, and that is noted
+        pass  # truncated inside a record, which is reported
     return stream
 
 
@@ -390,4 +390,4 @@ def _from_start(stream: BinaryIO, info: FileInfo, where: str) -> Iterator[Block]
             yield block
     if left_out:
         what = f"cannot be unpacked, or not within the limit of {info.max_chunk / 1e6:g} MB (--max-chunk)"
-        info.problems.append(f"{where}: {left_out} compressed messages {what}: left out")
+        info.problems.append(f"{where}: {left_out} compressed messages {what}: excluded")

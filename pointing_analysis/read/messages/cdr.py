@@ -252,7 +252,7 @@ def layout(schema: str, payload: bytes) -> Layout:
     except struct.error:
         start, count = len(payload), 1
     if start + 8 * count > len(payload):
-        raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short")
+        raise BagError(f"{schema}: the payload of {len(payload)} bytes is truncated")
     return Layout(len(payload), start, count, tuple(cursor.lengths), cursor.order)
 
 

@@ -1,7 +1,7 @@
 """Types of ROS messages from definitions in IDL (``ros2idl``), the second language in which bags carry them.
 
 Read as far as the layout of the messages needs: modules, structures, type definitions, sequences, arrays, strings (OMG
-IDL 4.2, as rosidl writes it). Annotations, comments and constants say nothing about the layout.
+IDL 4.2, as rosidl writes it). Annotations, comments and constants do not affect the layout.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def parse_idl(schema: str, text: str) -> Definitions:
         reader = _Reader(_TOKEN.findall(_LEFT_OUT.sub(" ", text)), types)
         reader.members_of_modules(())
     except (StopIteration, RecursionError, ValueError) as error:
-        raise BagError(f"the definition of {schema} must be IDL, got {error or 'one that ends early'}") from None
+        raise BagError(f"the definition of {schema} must be IDL, got {error or 'a truncated one'}") from None
     if short_name(schema) not in types:
         raise BagError(
             f"the definition of {schema} must hold it, got {', '.join(set(types) - set(BUILT_IN)) or 'none'}"
@@ -74,9 +74,9 @@ class _Reader:
     def _take(self, expected: str = "") -> str:
         found = self._next
         if found is None:
-            raise ValueError("one that ends early")
+            raise ValueError("a truncated one")
         if expected and found != expected:
-            raise ValueError(f"{found[:40]!r} in place of {expected!r}")
+            raise ValueError(f"{found[:40]!r} instead of {expected!r}")
         self._next = next(self._tokens, None)
         return found
 

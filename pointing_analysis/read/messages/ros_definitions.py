@@ -63,7 +63,7 @@ QUANTITIES: Mapping[tuple[str, str], str] = MappingProxyType(
         ("sensor_msgs/Temperature", ""): "a temperature [K] and its variance",
     }
 )
-"""What fields of the types of ROS are that hold no angles; an empty name: the message itself.
+"""Quantities of fields of ROS types other than angles; an empty name: the message itself.
 
 A vector, a point or an array may hold anything: there the unit that is given counts.
 """
@@ -258,7 +258,7 @@ class _Reader:
 
 @dataclass(frozen=True)
 class Places:
-    """Where two numbers are in messages of one size.
+    """Positions of two numbers in messages of one size.
 
     Attributes
     ----------
@@ -280,13 +280,13 @@ def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places
     Raises
     ------
     BagError
-        Not plain CDR, a message that is cut short, or a field with less than two numbers.
+        Not plain CDR, a truncated message, or a field with fewer than two numbers.
     """
     reader = _Reader(payload, types, byte_order(schema, payload), path)
     try:
         reader.message(short_name(schema), "")
     except struct.error:
-        raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short") from None
+        raise BagError(f"{schema}: the payload of {len(payload)} bytes is truncated") from None
     found = _places(reader, path)
     if found is None:
         raise BagError(f"{schema}: {path or 'the message'} must have two numbers, got fewer")

@@ -1,4 +1,4 @@
-"""Format of a file by its content: the name of the file does not count where the content says it."""
+"""Format of a file by its content; the file name counts only if the content does not decide."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.tables.table import TableError
 
 HEAD = 512
-"""Bytes at the beginning of a file by which its format is told."""
+"""First bytes of a file that identify its format."""
 TEXT_LOOKED_THROUGH = 1_000_000
 """Largest text that is searched for a digit [byte]; a table without numbers is refused by its reader if larger."""
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -28,7 +28,7 @@ TEXT_ENCODINGS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 
 
 class Format(Enum):
-    """What a file is."""
+    """Format of a file."""
 
     BAG = "bag"
     CSV = "CSV"
@@ -48,7 +48,7 @@ OF_SUFFIX = {".mcap": Format.BAG, ".csv": Format.CSV, ".txt": Format.CSV, ".mat"
 
 
 def format_of(path: Path) -> Format:
-    """What a file or folder is.
+    """Format of a file or folder.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def format_of(path: Path) -> Format:
 
 
 def _folder(path: Path) -> Format:
-    """A bag, if anything in the folder is of one; a bag that lost some of its files is told by its reader."""
+    """A bag, if anything in the folder is of one; the reader reports a bag with missing files."""
     names = [entry.name for entry in path.iterdir()]
     if not any(name == "metadata.yaml" or ".mcap" in name or ".db3" in name for name in names):
         raise TableError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")

@@ -37,9 +37,9 @@ READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
 )
 """Reader of each format but that of bags."""
 NO_TIME = "none"
-"""Value of the option ``--time`` for samples at a rate, whatever columns there are."""
+"""Value of the option ``--time`` for samples at a fixed rate, regardless of the columns."""
 OTHER_RATE = 1e-3
-"""Part by which a rate that the file says may differ from that of its times without a note."""
+"""Relative difference up to which a rate stated in the file and that of its time stamps are reported as equal."""
 X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"))
 
 
@@ -75,7 +75,7 @@ def read_los_table(
     los : names or numbers (from 1) of two columns, ``x,y``, or of an array; by default x, y or those that are left
         beside the time
     unit : of the line of sight; by default that of the header or of an attribute
-    rate : sampling rate [Hz]; needed where there is no time and the file does not say it
+    rate : sampling rate [Hz]; required without a time column and a rate in the file
     time : name of the time column, or ``none`` for samples at the rate; by default
         `pointing_analysis.read.tables.times.time_column`
 
@@ -91,22 +91,22 @@ def read_los_table(
     columns = table.of_length(len(table.columns[x]))
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
-    said_rate, problems = table.rate((x, y)), list(table.left_out)
+    stated_rate, problems = table.rate((x, y)), list(table.left_out)
     if when is not None and (lost := _lost_digits(when, columns[when])):
         if rate is None:
-            raise TableError(f"{path}: {lost}; --rate HERTZ takes the rows in their order")
-        when, problems = None, [*problems, f"{lost}: rows taken at {rate:g} Hz in their order"]
+            raise TableError(f"{path}: {lost}; --rate HERTZ reads the rows in their order")
+        when, problems = None, [*problems, f"{lost}: rows read at {rate:g} Hz in their order"]
     unused = _others(columns, x, y) if when is None else ""
-    if when is None and said_rate is not None:
-        if rate is not None and not same_rate(rate, said_rate):
-            raise TableError(f"{path}: rate must be {said_rate:.9g} Hz, which the file says of {x}, got {rate:.9g}")
-        rate = said_rate
-    said = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
+    if when is None and stated_rate is not None:
+        if rate is not None and not same_rate(rate, stated_rate):
+            raise TableError(f"{path}: rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
+        rate = stated_rate
+    stated = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
     try:
         if when is None:
             stamps = stamps_of(None, len(xy), rate)
         else:
-            stamps = column_stamps(when, columns[when], rate, unit_of_time if said in ("", *ANGLES) else said)
+            stamps = column_stamps(when, columns[when], rate, unit_of_time if stated in ("", *ANGLES) else stated)
     except ValueError as error:
         raise TableError(f"{path}: {error}{unused}") from None
     if unused:
@@ -114,15 +114,15 @@ def read_los_table(
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
     provenance = Provenance(path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
     found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
-    return found if said_rate is None else _with_rate_note(found, said_rate)
+    return found if stated_rate is None else _with_rate_note(found, stated_rate)
 
 
-def _with_rate_note(found: Series, said: float) -> Series:
-    """A note where the times have another rate than the file says."""
+def _with_rate_note(found: Series, stated: float) -> Series:
+    """A note if the time stamps have another rate than the file states."""
     own = 1.0 / found.topic.period
-    if len(found.topic) < 2 or abs(own - said) <= OTHER_RATE * own:
+    if len(found.topic) < 2 or abs(own - stated) <= OTHER_RATE * own:
         return found
-    note = f"the file says {said:.6g} Hz of {found.label}, its times have {own:.6g} Hz: the times are used"
+    note = f"the file states {stated:.6g} Hz for {found.label}, its time stamps {own:.6g} Hz: the stamps are used"
     return replace(found, problems=(*found.problems, note))
 
 
@@ -133,23 +133,23 @@ def _others(columns: Mapping[str, Column], x: str, y: str) -> str:
 
 def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: str | None) -> tuple[FloatArray, str]:
     """Samples in one unit, and that unit: the given one, or that of the file."""
-    said = [table.unit(name) for name in names]
-    for name, unit in zip(names, said):
+    stated = [table.unit(name) for name in names]
+    for name, unit in zip(names, stated):
         if unit and unit not in ANGLES:
             raise TableError(f"{table.path}: unit of {name} must be an angle, {NAMES}, got {unit!r} in the file")
     if given is not None:
         given = unit_name(given)
-        for name, unit in zip(names, said):
+        for name, unit in zip(names, stated):
             if unit and unit != given:
-                raise TableError(f"{table.path}: unit must be {unit}, which the file says of {name}, got {given!r}")
+                raise TableError(f"{table.path}: unit must be {unit}, stated in the file for {name}, got {given!r}")
         scale_of(given)
         return xy, given
-    if not all(said):
-        name = names[0] if not said[0] else names[1]
-        missing = f"which the file does not say of {name}, got none"
+    if not all(stated):
+        name = names[0] if not stated[0] else names[1]
+        missing = f"which the file does not state for {name}, got none"
         raise TableError(f"{table.path}: unit must be given (--unit {NAMES}), {missing}")
-    scales = [scale_of(unit) for unit in said]
-    return (xy, said[0]) if said[0] == said[1] else (xy * np.array(scales), "rad")
+    scales = [scale_of(unit) for unit in stated]
+    return (xy, stated[0]) if stated[0] == stated[1] else (xy * np.array(scales), "rad")
 
 
 def _chosen(table: Table, los: str | None, time: str | None) -> tuple[tuple[str, str, str | None], str]:
@@ -162,12 +162,12 @@ def _chosen(table: Table, los: str | None, time: str | None) -> tuple[tuple[str,
 
 
 def _lost_digits(name: str, column: Column) -> str:
-    """What is wrong with times that are mostly the same; empty where they differ."""
+    """Error of time stamps that are mostly equal; empty if they differ."""
     count, different = len(column), len(np.unique(column))
     if count < 3 or different >= FEWEST * count:
         return ""
     return (
-        f"times must differ from row to row, got {different} different ones in {count} rows of {name}, digits cut off"
+        f"times must differ from row to row, got {different} different ones in {count} rows of {name}: too few digits"
     )
 
 
@@ -176,8 +176,8 @@ def _asked_time(table: Table, time: str) -> tuple[str, str]:
     base, unit = split_unit(time)
     asked = table.find(time)
     if asked is None and unit in TIME_UNITS and (asked := table.find(base)) is not None:
-        if (said := table.unit(asked)) not in ("", *ANGLES, unit):
-            raise TableError(f"{table.path}: time must be in {said}, which the file says of {asked}, got {time!r}")
+        if (stated := table.unit(asked)) not in ("", *ANGLES, unit):
+            raise TableError(f"{table.path}: time must be in {stated}, stated in the file for {asked}, got {time!r}")
         return asked, unit
     if asked is None:
         raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")

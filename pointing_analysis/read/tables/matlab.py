@@ -99,7 +99,7 @@ def read_hdf5(path: Path) -> Table:
 
 
 def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> list[tuple[str, Any]]:
-    """Datasets by name, those of links to other files left aside."""
+    """Datasets by name, without links to other files."""
     found: list[tuple[str, Any]] = []
     waiting: list[tuple[str, Any]] = [("", file)]
     seen: set[Any] = set()
@@ -147,8 +147,8 @@ def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
 def _values(dataset: Any) -> NDArray[Any]:
     """Values of a dataset; packed ones (``scale_factor``, ``add_offset``, ``_FillValue`` of netCDF) are unpacked."""
     values = np.asarray(dataset[()])
-    said = {key: np.asarray(dataset.attrs[key]) for key in PACKED if key in dataset.attrs}
-    one = {key: value.reshape(-1)[0] for key, value in said.items() if value.size == 1 and value.dtype.kind in "fiu"}
+    packing = {key: np.asarray(dataset.attrs[key]) for key in PACKED if key in dataset.attrs}
+    one = {key: value.reshape(-1)[0] for key, value in packing.items() if value.size == 1 and value.dtype.kind in "fiu"}
     if not one or values.dtype.kind not in "fiu":
         return values
     missing = np.isin(values, [one[key] for key in PACKED[2:] if key in one])

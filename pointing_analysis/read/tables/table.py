@@ -1,4 +1,4 @@
-"""A table as arrays by name, with the units and the rate that its file says."""
+"""A table as arrays by name, with the units and the rate stated in its file."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def same_rate(one: float, other: float) -> bool:
 
 
 class TableError(ValueError):
-    """A table that cannot be used; the message says what it must be and what it is."""
+    """Invalid table; the message has the requirement and the value."""
 
 
 def unit_name(text: str) -> str:
@@ -134,8 +134,8 @@ class Table:
     path : the file
     kind : its format in words
     columns : (n,) each, by name; n may differ between columns
-    units : of columns, each as the file says it beside the name: as attribute, as text, in a comment
-    rates : sampling rates [Hz] of columns, each as the file says it
+    units : of columns, as stated in the file besides the name: as attribute, as text, in a comment
+    rates : sampling rates [Hz] of columns, as stated in the file
     left_out : what of the file is not used, one sentence each
     names : of all columns in the order of the file, those that are left out too; empty: `columns` are all
     """
@@ -156,21 +156,21 @@ class Table:
         return found[0] if len(found) == 1 else None
 
     def unit(self, name: str) -> str:
-        """Unit of a column by attribute, comment or header; empty where nothing says it.
+        """Unit of a column by attribute, comment or header; empty if not stated.
 
         Raises
         ------
         TableError
             Two units of one column.
         """
-        said = [unit_name(text) for text in self.units.get(name, ())]
-        units = list(dict.fromkeys((*said, *units_in(name))))
+        stated = [unit_name(text) for text in self.units.get(name, ())]
+        units = list(dict.fromkeys((*stated, *units_in(name))))
         if len(units) > 1:
             raise TableError(f"{self.path}: unit of {name} must be one, got {' and '.join(units)} in the file")
         return units[0] if units else ""
 
     def rate(self, names: Sequence[str]) -> float | None:
-        """Sampling rate [Hz] that the file says of columns; None where it says none.
+        """Sampling rate [Hz] stated in the file for columns; None if not stated.
 
         Raises
         ------
@@ -179,8 +179,8 @@ class Table:
         """
         rates = sorted({rate for name in names for rate in self.rates.get(name, ())})
         if rates and not same_rate(rates[0], rates[-1]):
-            said = f"{rates[0]:.9g} and {rates[-1]:.9g} Hz"
-            raise TableError(f"{self.path}: rate of {' and '.join(names)} must be one, got {said} in the file")
+            rates_stated = f"{rates[0]:.9g} and {rates[-1]:.9g} Hz"
+            raise TableError(f"{self.path}: rate of {' and '.join(names)} must be one, got {rates_stated} in the file")
         return rates[0] if rates else None
 
     def of_length(self, n: int) -> dict[str, Column]:
@@ -204,7 +204,7 @@ def check_unpacked(path: Path, size: int) -> None:
 
 @dataclass
 class Gathered:
-    """What a file with named arrays holds, found one by one: columns, and what it says of units and rates by owner."""
+    """Content of a file with named arrays: columns, and stated units and rates by owner."""
 
     columns: dict[str, Column] = field(default_factory=dict)
     units: dict[str, list[str]] = field(default_factory=dict)
@@ -248,7 +248,7 @@ class Gathered:
             self.rates.setdefault(owner, []).append(number if short in RATES else 1 / number)
 
     def add_unit(self, owner: str, unit: str) -> None:
-        """A unit that the file says of an array or of all in a group."""
+        """Add a unit stated in the file for an array or a group."""
         self.units.setdefault(owner, []).append(unit)
 
     def _put(self, name: str, array: NDArray[np.generic], unit: str) -> None:
@@ -257,7 +257,7 @@ class Gathered:
             self.add_unit(name, unit)
 
     def table(self, path: Path, kind: str, left_out: Sequence[str] = ()) -> Table:
-        """The table; what is said of an array is said of its columns, what is said of a group of all in it."""
+        """The table; statements about an array apply to its columns, about a group to all in it."""
         named = {
             owner: unit
             for name in self.columns

@@ -1,4 +1,4 @@
-"""Table in a text file: CSV with any usual separator, or columns apart by spaces."""
+"""Table in a text file: CSV with any usual separator, or columns separated by spaces."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ def read_text(path: Path) -> Table:
         raise TableError(f"{path}: table must have rows, got none")
     comments = [line.lstrip().lstrip("".join(COMMENT)).strip() for number, line in every if number < lines[0][0]]
     names, rows = _names_and_rows(path, lines, comments, named[1] if named else None)
-    said = _row_of_units(rows[0][1]) if rows else None
-    rows = rows[1:] if said else rows
+    stated_units = _row_of_units(rows[0][1]) if rows else None
+    rows = rows[1:] if stated_units else rows
     empty = [not any(cell.strip() for cell in row) for _, row in rows]
     kept = [row for row, bare in zip(rows, empty) if not bare]
     columns = {name: _column(path, name, [(n, row[i]) for n, row in kept]) for i, name in enumerate(names)}
-    notes += [f"{sum(empty)} rows without any value left out"] if any(empty) else []
+    notes += [f"{sum(empty)} empty rows skipped"] if any(empty) else []
     if texts := [name for name, column in columns.items() if column is None]:
-        notes.append(f"columns of text left out: {', '.join(texts)}")
+        notes.append(f"text columns ignored: {', '.join(texts)}")
     units = {name: _units_in(comments) for name in names if split_unit(name)[1] in ("", *ANGLES)}
-    for name, unit in zip(names, said or ()):
+    for name, unit in zip(names, stated_units or ()):
         units[name] = [*units.get(name, ()), *filter(None, [unit])]
     kept_columns = {name: column for name, column in columns.items() if column is not None}
     return Table(path, "CSV", kept_columns, units, left_out=tuple(notes), names=tuple(names))

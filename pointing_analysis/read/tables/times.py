@@ -117,7 +117,7 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
     """
     missing = int(np.isnat(column).sum()) if column.dtype.kind == "M" else int((~np.isfinite(column)).sum())
     if missing:
-        raise ValueError(f"time must be there for every row, got {missing} missing in column {name}")
+        raise ValueError(f"time must be given for every row, got {missing} missing in column {name}")
     if column.dtype.kind == "M":
         whole = column.astype("datetime64[ns]").astype(np.int64)
     elif unit not in UNITS:

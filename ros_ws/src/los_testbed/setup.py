@@ -47,6 +47,6 @@ setup(
             f"{program} = {NAME}.nodes.{program}:main"
             for program in ("plant", "estimator", "controller", "estimator_controller", "recorder", "live")
         ]
-        + [f"los-testbed = {NAME}.program:main"],
+        + [f"los-testbed = {NAME}.__main__:main"],
     },
 )

@@ -17,7 +17,7 @@ from los_design.verification.check_proof_texts import TextError, require_plain
 from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 
 FORGED = "k in [8, 12]\nproven: gain below 1e-09 at all frequencies from 0 rad/s on\nproven: stable\nfor all k"
-OVERWRITTEN = "x\r\x1b[1A\x1b[2Kof the shipped controllers and telescope: their loop was made anew"
+OVERWRITTEN = "x\r\x1b[1A\x1b[2Kof the shipped controllers and telescope: the loop was rebuilt"
 
 
 def ended(capsys: pytest.CaptureFixture[str], file: Path) -> tuple[int, str, list[str]]:
@@ -55,7 +55,7 @@ def test_words_of_a_loop_are_no_lines(where: str, tmp_path: Path, capsys: pytest
     write_loop_proof(proof, tmp_path / "other.npz")
     code, out, lines = ended(capsys, tmp_path / "other.npz")
     assert code == 2 and out == "" and len(lines) == 1 and lines[0].isprintable()
-    assert "names and words of a proof must have no control characters" in lines[0]
+    assert "names and description of a proof must have no control characters" in lines[0]
 
 
 def test_a_refusal_is_one_line_whatever_the_file_has_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

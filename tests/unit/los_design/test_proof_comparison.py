@@ -124,7 +124,7 @@ def test_command_refuses_the_proof_of_another_pair(
             main(["design", "check-proof", str(tmp_path / file), "--designs", str(tmp_path)])
         assert ended.value.code == code
     refused, mistake = capsys.readouterr().err.strip().splitlines()
-    assert refused.startswith(f"refused: it is not of the controllers and the telescope of {tmp_path}: other ")
+    assert refused.startswith(f"refused: it is not for those of {tmp_path}, mismatch: ")
     assert "--designs must be given with an .npz" in mistake
 
 

@@ -122,7 +122,7 @@ def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, telescope, tmp_pa
 
 def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):
+    with pytest.raises(ValueError, match="output must be a writable folder, got"):
         design_all(telescope, tmp_path / "file" / "soft")
     with pytest.raises(ValueError, match=r"^loop_delay must be that of the testbed, 0\.0015 s, got 0$"):
         design_all(telescope, tmp_path, DesignOptions(loop_delay=0.0))

@@ -145,7 +145,7 @@ def test_cut_off_file_gives_what_is_there_and_says_so(tmp_path: Path, signals, o
     got = run["truth/los"]
     assert 0.5 * share * N < len(got) <= N
     assert np.array_equal(got.values[:, :2], signals["truth/los"][: len(got)])
-    assert any("cut off" in problem for problem in run.problems)
+    assert any("truncated" in problem for problem in run.problems)
 
 
 def test_damaged_chunk_is_left_out_and_named(tmp_path: Path, signals) -> None:
@@ -348,7 +348,7 @@ def test_unknown_topic_and_empty_window(tmp_path: Path) -> None:
 def test_payload_that_is_no_cdr() -> None:
     with pytest.raises(BagError, match="plain CDR"):
         cdr.layout("geometry_msgs/msg/Vector3Stamped", b"\x00\x07" + bytes(60))
-    with pytest.raises(BagError, match="cut short"):
+    with pytest.raises(BagError, match="truncated"):
         cdr.layout(VECTOR3, bytes(Encoder(VECTOR3, 3, "los").encode(0, np.zeros(3)))[:30])
     with pytest.raises(BagError, match="message type must be one of"):
         cdr.layout("std_msgs/msg/String", bytes(20))

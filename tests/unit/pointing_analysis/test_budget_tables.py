@@ -143,7 +143,7 @@ def test_rss_is_still_the_total_after_the_table(tmp_path: Path, capsys: pytest.C
     [
         ("colour,setting,,,,red", "line 3: setting must be one of title, summation, axes, draws, seed, got 'colour'"),
         ("seed,setting,,,,1.5", "line 3: seed must be a whole number, got '1.5'"),
-        ("seed,setting,,,,2\nseed,setting,,,,2", "line 4: setting must stand once, got 'seed'"),
+        ("seed,setting,,,,2\nseed,setting,,,,2", "line 4: setting must be given once, got 'seed'"),
         ("summation,setting,,,,sum", "summation must be distribution or rss, got 'sum'"),
         ("RPE,total,,1;2,3,", "line 3: window must be one number, got '1;2'"),
         ("RPE,total,,,3,", "window must be a positive number"),
@@ -202,14 +202,17 @@ def test_results_have_the_four_steps(files: tuple[Path, Path], capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("source,type,colour\n", "columns must be of source, .* got 'colour'"),
+        ("source,type,colour\n", "columns must be among source, .* got 'colour'"),
         ("source,type\na,random\n", "columns must have source, type and unit, got no unit"),
         ("source,type,unit,sigma\na,random,mm,1\n", "line 2: unit must be one of .* got 'mm'"),
         ("source,type,unit,sigma\na,random,mas,1;x\n", "line 2: sigma must be a number, .* got '1;x'"),
-        ("source,type,unit,sigma\na,random,mas,1\na,random,mas,1\n", "line 3: source must be a name that stands once"),
-        ("source,type,unit,sigma\na,random,mas,1\na / b,random,mas,1\n", "line 3: source must not be below another"),
+        ("source,type,unit,sigma\na,random,mas,1\na,random,mas,1\n", "line 3: source must be unique"),
+        (
+            "source,type,unit,sigma\na,random,mas,1\na / b,random,mas,1\n",
+            "line 3: source must not be nested in another",
+        ),
         ("source,type,unit,sigma\na,magic,mas,1\n", "a: type must be one of"),
-        ("source,type,unit,sigma,sigma\na,random,mas,1,2\n", "columns must stand once, got 'sigma' 2 times"),
+        ("source,type,unit,sigma,sigma\na,random,mas,1,2\n", "columns must be unique, got 'sigma' 2 times"),
     ],
 )
 def test_mistakes_of_tables_are_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -222,7 +225,7 @@ def test_mistakes_of_tables_are_one_line(tmp_path: Path, text: str, message: str
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("R,requirement,,,,prob(|APE| < 40 mas) >= 0.9 at 95 % confidence, mixed", "'mixed' in 7; a text with commas"),
+        ("R,requirement,,,,prob(|APE| < 40 mas) >= 0.9 at 95 % confidence, mixed", "'mixed' in 7; quote a text"),
         ("b,constant,mas,9,5,,1.5", "got '1.5' in 7"),
         ("b,constant,mas,9,5,,,,x", "got 'x' in 9"),
     ],
@@ -230,7 +233,7 @@ def test_mistakes_of_tables_are_one_line(tmp_path: Path, text: str, message: str
 def test_a_cell_beyond_the_heads_is_refused(tmp_path: Path, row: str, message: str) -> None:
     """It had been left out: a requirement without its interpretation, a number with the digits before the comma."""
     (tmp_path / "a.csv").write_text(f"source,type,unit,half_range,sigma,text\na,constant,mas,1,,, ,\n{row}\n")
-    with pytest.raises(ValueError, match=f"line 3: cells must be in a column with a head, .*{message}") as caught:
+    with pytest.raises(ValueError, match=f"line 3: cells must be in a column with a heading, .*{message}") as caught:
         load_budget(tmp_path / "a.csv")
     assert "\n" not in str(caught.value)
 
@@ -238,7 +241,7 @@ def test_a_cell_beyond_the_heads_is_refused(tmp_path: Path, row: str, message: s
 @pytest.mark.parametrize("head", ["half_range,sigma", "half_range,sigma,"])
 def test_a_decimal_comma_is_no_further_column(tmp_path: Path, head: str) -> None:
     (tmp_path / "a.csv").write_text(f"source,type,unit,{head}\na,constant,mas,9,5,1\n")
-    with pytest.raises(ValueError, match="line 2: cells must be in a column with a head, got '1' in 6"):
+    with pytest.raises(ValueError, match="line 2: cells must be in a column with a heading, got '1' in 6"):
         load_budget(tmp_path / "a.csv")
 
 

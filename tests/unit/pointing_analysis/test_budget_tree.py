@@ -171,7 +171,7 @@ def test_the_command_prints_and_writes_a_page(tmp_path: Path, capsys: pytest.Cap
         ('[sources.a]\ntype = "random"\nsigma = [1, 2, 3]\n', "sigma must be 2 finite numbers"),
         (
             '[sources.a]\ntype = "random"\nsigma = 1\nvalue = 2\n',
-            "keys must be of correlation_time, sigma, got 'value'",
+            "keys must be among correlation_time, sigma, got 'value'",
         ),
         ('[sources.a]\ntype = "tones"\n', "tones must be a list"),
         ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such bag"),

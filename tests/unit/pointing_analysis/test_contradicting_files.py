@@ -84,7 +84,7 @@ def test_two_rates_of_the_samples_are_refused(tmp_path: Path, given: float | Non
 
 def test_a_given_rate_against_that_of_the_file(tmp_path: Path) -> None:
     np.savez(tmp_path / "los.npz", los=noise(), fs=1000.0, Ts=0.001)
-    with pytest.raises(ValueError, match="rate must be 1000 Hz, which the file says"):
+    with pytest.raises(ValueError, match="rate must be 1000 Hz, stated in the file"):
         open_los(tmp_path / "los.npz", unit="mas", rate=999.0)
 
 
@@ -92,7 +92,7 @@ def test_times_decide_over_the_rate_of_the_file_and_it_is_said(tmp_path: Path) -
     np.savez(tmp_path / "los.npz", t=np.arange(N) / 1000, los=noise(), fs=500.0)
     found = open_los(tmp_path / "los.npz", unit="mas")
     assert found.parameters["sampling_rate_hz"] == pytest.approx(1000.0)
-    assert any("the file says 500 Hz" in problem for problem in found.problems)
+    assert any("the file states 500 Hz" in problem for problem in found.problems)
 
 
 @pytest.mark.parametrize("rate", [995.0, 999.5, 1000.2, 1005.0])
@@ -100,7 +100,7 @@ def test_times_decide_over_the_rate_of_the_file_and_it_is_said(tmp_path: Path) -
 def test_a_rate_that_the_times_contradict_is_refused(rate: float, jitter: float) -> None:
     """Before, samples that fell on the same tick were left out and counted as none lost."""
     t = np.arange(N) / 1000 + jitter * np.random.default_rng(6).standard_normal(N)
-    with pytest.raises(ValueError, match=r"rate must be that of the samples, \S+ Hz by their times"):
+    with pytest.raises(ValueError, match=r"rate must match the samples, \S+ Hz by their times"):
         series(t, noise(), unit="mas", rate=rate)
 
 

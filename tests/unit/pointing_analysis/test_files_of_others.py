@@ -114,13 +114,13 @@ def test_the_content_says_format_unit_and_times(tmp_path: Path, write: Callable[
     topic = open_los(path)["truth/los"]
     assert np.allclose(topic.values, LOS * 1e-6, rtol=1e-12, atol=0.0)
     assert topic.period == 1 / RATE and not topic.integrity.missing
-    with pytest.raises(ValueError, match=r"unit must be .*rad.*, which the file says of .*, got 'arcsec'"):
+    with pytest.raises(ValueError, match=r"unit must be .*rad.*, stated in the file for .*, got 'arcsec'"):
         open_los(path, unit="arcsec")
 
 
 def test_the_unit_may_be_missing(tmp_path: Path) -> None:
     io.savemat(tmp_path / "a.mat", {"t": T, "los": LOS})
-    with pytest.raises(ValueError, match=r"unit must be given \(--unit mas, .* does not say of los.x, got none"):
+    with pytest.raises(ValueError, match=r"unit must be given \(--unit mas, .* does not state for los.x, got none"):
         open_los(tmp_path / "a.mat")
     assert np.allclose(open_los(tmp_path / "a.mat", unit="mas")["truth/los"].values, LOS * RAD_PER_MAS, rtol=1e-12)
 
@@ -241,7 +241,7 @@ def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pyte
     found = summarise(run, requirements=[parse("prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")])
     assert found.samples_lost == 100 and found.verdicts[0].missing == 100
     assert found.problems == (
-        "1 rows without any value left out",
+        "1 empty rows skipped",
         "x [mas], y [mas]: 100 samples without a value: missing",
     )
     assert main(["analyse", str(tmp_path / "a.csv"), "--requirements", str(tmp_path / "m.toml"), "--json"]) == 0
@@ -303,7 +303,7 @@ def test_units_behind_a_comment_mark_count(tmp_path: Path, header: str, unit: st
     assert run.parameters["unit_of_the_samples"] == unit
     assert run["truth/los"].values.std() == pytest.approx(ANGLES[unit], rel=0.1)
     other = "rad" if unit != "rad" else "mas"
-    with pytest.raises(ValueError, match=f"unit must be {unit}, which the file says of .*, got '{other}'"):
+    with pytest.raises(ValueError, match=f"unit must be {unit}, stated in the file for .*, got '{other}'"):
         open_los(file, unit=other)
     assert open_los(file, unit=unit)["truth/los"].values.tolist() == run["truth/los"].values.tolist()
 
@@ -327,11 +327,11 @@ def test_times_that_may_be_milliseconds_need_their_unit(tmp_path: Path) -> None:
     for option, rate in (("time_ms", 1000.0), ("time_s", 1.0), ("time_us", 1e6)):
         assert 1 / open_los(file, time=option)["truth/los"].period == pytest.approx(rate)
     assert 1 / open_los(file, rate=1.0)["truth/los"].period == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="rate must be that of the samples"):
+    with pytest.raises(ValueError, match="rate must match the samples"):
         open_los(file, rate=1000.0)
     named = table(tmp_path / "b.csv", "time_ms,x_mas,y_mas", step=1.0)
     assert 1 / open_los(named)["truth/los"].period == pytest.approx(1000.0)
-    with pytest.raises(ValueError, match="time must be in ms, which the file says of time_ms, got 'time_s'"):
+    with pytest.raises(ValueError, match="time must be in ms, stated in the file for time_ms, got 'time_s'"):
         open_los(named, time="time_s")
     for header, seconds in (("time_min", 60.0), ("t (h)", 3600.0), ("time_d", 86_400.0), ("seconds", 1.0)):
         slow = table(tmp_path / "c.csv", f"{header},x_mas,y_mas", step=1.0, rows=100)
@@ -347,7 +347,7 @@ def test_a_wrap_at_a_full_turn_is_refused(tmp_path: Path, unit: str, turn: float
             tmp_path / "a.csv", np.c_[0.001 * np.arange(400), wrapped], delimiter=",", header="t,x,y", comments=""
         )
         if np.ptp(wrapped) > turn / 2:
-            with pytest.raises(ValueError, match=r"without a wrap, got a step of a full turn behind sample \d+: write"):
+            with pytest.raises(ValueError, match=r"without a wrap, got a step of a full turn after sample \d+: write"):
                 open_los(tmp_path / "a.csv", unit=unit)
         else:
             assert len(open_los(tmp_path / "a.csv", unit=unit)["truth/los"]) == 400

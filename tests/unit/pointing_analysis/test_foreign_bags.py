@@ -188,7 +188,7 @@ def test_some_messages_in_another_encapsulation_are_left_out_and_counted(tmp_pat
 
     run = open_los(write(tmp_path / "bag", payload), los="/los", unit="arcsec")
     assert run["truth/los"].integrity.missing == 12
-    assert any("/los: 12 messages left out: my_msgs/msg/Los must be plain CDR, got PL_CDR" in p for p in run.problems)
+    assert any("/los: 12 messages excluded: my_msgs/msg/Los must be plain CDR, got PL_CDR" in p for p in run.problems)
 
 
 def test_a_compressed_message_unpacks_within_the_limit_of_a_chunk(tmp_path: Path) -> None:
@@ -367,4 +367,4 @@ def test_a_damaged_chunk_at_an_end_is_lost_before_or_after(
 def test_a_bag_that_was_cut_off_is_not_judged_as_whole(bags: dict[str, tuple[Path, bytes]]) -> None:
     found = check_as_after_repair(damaged(bags, "zstd", [Mutation("cut", 0.6, 0.0, 1, b"")]))
     assert found is not None and found.open_end and found.verdicts[0].status == "not enough data"
-    assert any("how many samples are missing at its end is not known" in problem for problem in found.problems)
+    assert any("the number of missing samples at its end is not known" in problem for problem in found.problems)

@@ -69,9 +69,9 @@ def test_idl_and_msg_have_the_same_fields() -> None:
     ("text", "message"),
     [
         ("", "must hold it, got none"),
-        ("module a { module msg { struct X { double x; ", "must be IDL, got one that ends early"),
+        ("module a { module msg { struct X { double x; ", "must be IDL, got a truncated one"),
         ("module a { union X switch (long) { case 1: double x; }; };", "must be IDL, got 'union'"),
-        ("struct X { double x };", "must be IDL, got '}' in place of ';'"),
+        ("struct X { double x };", "must be IDL, got '}' instead of ';'"),
         ("module a { " * 5000, "must be IDL"),
         ("struct X { sequence<double> x[2]; };", "an array of sequences"),
     ],

@@ -82,7 +82,7 @@ def test_files(tmp_path) -> None:
         ("x = [", "must be TOML"),
         ("a = 1", "a list 'requirement'"),
         ("requirement = [1]", "whose entries have a 'text'"),
-        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be of text, name, loop"),
+        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be among text, name, loop"),
     ):
         toml.write_text(content)
         with pytest.raises(RequirementError, match=message):
@@ -355,7 +355,7 @@ def test_the_quantile_is_below_the_limit_exactly_where_the_limit_is_kept(probabi
             limit = np.sort(values)[rank] * (1 + 1e-9) / MAS
             asked = parse(f"prob(rms RPE(20 ms) < {limit:.12g} mas) >= {probability} at 95 % confidence")
             verdict = requirements.decide(asked, values, float(size), 1.0)
-            assert verdict.keeps == (verdict.quantile.value < asked.limit), (size, rank)
+            assert verdict.within_limit == (verdict.quantile.value < asked.limit), (size, rank)
 
 
 @pytest.mark.parametrize("quantity", ["rms APE", "rms |RPE(20 ms)|", "|RPE(20 ms)", "RPE(20 ms)|"])
@@ -367,6 +367,6 @@ def test_other_forms_are_refused(quantity: str) -> None:
 def test_a_short_run_says_whether_it_keeps_its_limit(noise_run) -> None:
     short = noise_run(1.0, 5.0)
     kept, broken = (judge(parse(RPE.format(limit=limit)), [short]) for limit in (1000, 0.01))
-    assert kept.status == "not enough data" and kept.keeps
+    assert kept.status == "not enough data" and kept.within_limit
     assert re.fullmatch(r"within limit; not yet demonstrated at 95 % confidence: needs \d+ s", kept.statement)
-    assert broken.statement == broken.status == "not compliant" and not broken.keeps
+    assert broken.statement == broken.status == "not compliant" and not broken.within_limit

@@ -87,7 +87,7 @@ def test_a_bound_that_nobody_checked_is_not_said_to_be_proven() -> None:
     requirement = parse(RPE, "RPE, finest")
     short = decide(requirement, 25.0 * MAS * (1 + 0.1 * (1.0 * np.arange(100) % 2)), 100.0, 2.0)
     (row,) = rows_of([short], [beside_of(recorded(), requirement)])
-    assert row.bound_text == "39.99 mas (99.7 %), as the bag states, not checked here"
+    assert row.bound_text == "39.99 mas (99.7 %), stated in the bag, not checked"
     assert "stated_bound" in row.as_dict() and not [key for key in row.as_dict() if "proven" in key]
 
 
@@ -121,8 +121,8 @@ def test_two_requirements_on_one_quantity_are_told_apart_by_their_names() -> Non
     ("more", "text"),
     [
         ({"proof_bounds": ""}, "no proof for this loop"),
-        ({"proof_bounds": "", "proof_noise": "with noise, proven: ..."}, "no proof for what acts"),
-        ({"proof_bounds": "", "proof_rpe": {"rms_rad": 1e-7, "exposure_s": 0.02}}, "no proof for what acts"),
+        ({"proof_bounds": "", "proof_noise": "with noise, proven: ..."}, "no proof for this disturbance"),
+        ({"proof_bounds": "", "proof_rpe": {"rms_rad": 1e-7, "exposure_s": 0.02}}, "no proof for this disturbance"),
         ({}, "no proof of this quantity"),
     ],
 )

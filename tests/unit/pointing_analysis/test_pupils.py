@@ -121,7 +121,7 @@ def test_a_pupil_of_a_file() -> None:
 def test_pupils_that_are_none() -> None:
     ones = np.ones((8, 8))
     for content, text in (
-        (b"no file", "pupil must be a FITS file, got one that cannot be read"),
+        (b"no file", "pupil must be a readable FITS file, got"),
         (fits_file(ones), "metres per pixel as PUPLSCAL or PIXELSCL in its header, got none"),
         (fits_file(ones, PUPLSCAL=-1.0), r"in its header, got -1\.0"),
         (fits_file(ones, PUPLSCAL="wide"), "in its header, got 'wide'"),
@@ -130,7 +130,7 @@ def test_pupils_that_are_none() -> None:
         (fits_file(np.nan * ones, PUPLSCAL=0.1), "pupil must be finite, got 64 pixels that are not"),
         (fits_file(np.ones((2, 8, 8)), PUPLSCAL=0.1), "pupil must be a picture of real numbers"),
         (fits_file(ones, np.ones((3, 3)), PUPLSCAL=0.1), "OPD must have the shape of the pupil"),
-        (fits_file(None), "pupil must be a FITS file with a picture, got one without"),
+        (fits_file(None), "pupil must be a FITS file with an image, got none"),
     ):
         with pytest.raises(ValueError, match=text) as raised:
             read_pupil(content, 550e-9)
@@ -147,9 +147,9 @@ def test_pupils_that_are_none() -> None:
         ({"wavelength": 550.0}, r"f: optics.wavelength must be above 0 m and below 1 m, got 550\.0"),
         ({"spider_vanes": 2.5}, r"f: optics.spider_vanes must be a whole number from 0 to 64, got 2\.5"),
         ({"aperture_diameter": True}, "f: optics.aperture_diameter must be above 0 m, got True"),
-        ({"focus": 1.0}, r"f: keys of optics must be of .*, got \['focus'\]"),
+        ({"focus": 1.0}, r"f: keys of optics must be among .*, got \['focus'\]"),
         ({"pupil": 3}, "f: optics.pupil must be the name of a FITS file, got 3"),
-        ({"pupil": "p.fits"}, "f: optics.pupil must be a FITS file, got 'p.fits', whose content is not there"),
+        ({"pupil": "p.fits"}, "f: optics.pupil must be a FITS file, got 'p.fits' without its content"),
     ],
 )
 def test_optics_that_are_none(change: dict[str, Any], text: str) -> None:

@@ -12,7 +12,7 @@ from pointing_analysis.formatting.number_text import digits, number
 from pointing_analysis.indices.confidence import Quantile
 from pointing_analysis.requirements.rows import (
     BRIEF,
-    KEEPS,
+    WITHIN,
     RequirementRow,
     css_class,
     definition_table,
@@ -145,7 +145,7 @@ def test_the_verdict_has_a_line_for_each_index_of_each_run_with_the_worst_of_its
     table = verdict_table(rows, several=True)
     assert [row[0] for row in table.rows] == ["a", "a", "b"]
     assert table.rows[0][1:3] == ("|APE|, 75 %", "compliant")
-    assert table.rows[1][1].startswith("RPE, worst of 2 requirements\n") and table.rows[1][2].startswith(KEEPS)
+    assert table.rows[1][1].startswith("RPE, worst of 2 requirements\n") and table.rows[1][2].startswith(WITHIN)
     assert table.rows[2][3:] == ("19 mas", "20 mas", "+1 mas (5 %)"), "of two that are compliant that of least margin"
     assert verdict_table(rows[:1]).heads == table.heads[1:]
     assert definition_table(rows).rows[:2] == (("APE", str(ape)), ("long", str(RULE)))
@@ -155,7 +155,7 @@ def test_shown_and_overall() -> None:
     bad, above = verdict(status="not compliant", exceeding=1.0), replace(OPEN, exceeding=0.5)
     assert [RequirementRow.of(v).shown for v in (verdict(), OPEN, above, bad)] == [
         "compliant",
-        KEEPS,
+        WITHIN,
         "not enough data",
         "not compliant",
     ]
@@ -163,9 +163,9 @@ def test_shown_and_overall() -> None:
     for i, worst in enumerate(ranked):
         assert overall(ranked[i:]) == overall(ranked[i:][::-1]) == RequirementRow.of(worst).shown
     assert overall([]) == "not judged"
-    assert [css_class(s) for s in ("compliant", KEEPS, "not compliant", "not judged", "not enough data")] == [
+    assert [css_class(s) for s in ("compliant", WITHIN, "not compliant", "not judged", "not enough data")] == [
         "ok",
-        "kept",
+        "within",
         "bad",
         "open",
         "open",

@@ -184,7 +184,7 @@ def test_a_list_of_entries_holds_what_they_say() -> None:
     [
         ("text", "must hold a list 'requirement'"),
         ({"name": "a"}, "must hold a list 'requirement'"),
-        ({"text": text(), "limit": 3}, r"keys must be of text, name, loop, got \['limit'\]"),
+        ({"text": text(), "limit": 3}, r"keys must be among text, name, loop, got \['limit'\]"),
         ({"text": text(), "loop": 3}, "loop must be a name or a list of names, got 3"),
         ({"text": text(), "loop": ["fsm", 3]}, "loop must be a name or a list of names"),
         ({"text": text(), "loop": {"fsm": 1}}, "loop must be a name or a list of names"),

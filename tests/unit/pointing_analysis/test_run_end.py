@@ -18,11 +18,11 @@ def test_a_run_by_its_plan_says_nothing():
 def test_a_plant_that_was_started_again_has_a_plan_of_its_own():
     """It has the rest of the run; the configuration of the recorder has the whole."""
     assert of_plant(ticks="6800", planned_ticks="6800") == ""
-    assert of_plant(ticks="10000", planned_ticks="20000") == "the run ended before its plan: after 10000 of 20000 ticks"
+    assert of_plant(ticks="10000", planned_ticks="20000") == "the run ended early: after 10000 of 20000 ticks"
 
 
 def test_an_early_end_has_both_counts():
-    assert of_plant(ticks="9999") == "the run ended before its plan: after 9999 of 10000 ticks"
+    assert of_plant(ticks="9999") == "the run ended early: after 9999 of 10000 ticks"
 
 
 @pytest.mark.parametrize(

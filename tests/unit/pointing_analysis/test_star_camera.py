@@ -246,7 +246,7 @@ def test_a_table_makes_a_camera() -> None:
         ("throughput", math.nan, "throughput must be above 0, at most 1, got nan"),
         ("centroid", "best", "centroid must be maximum_likelihood or moments, got 'best'"),
         ("second_offset_mas", [1.0], r"second_offset_mas must be two numbers, got \[1.0\]"),
-        ("colour", 1.0, "got another set: colour"),
+        ("colour", 1.0, "got other keys: colour"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused(key: str, value: object, message: str) -> None:

@@ -125,10 +125,10 @@ def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
     made = series(None, NOISE, unit="rad", rate=1000.0)
     found = summarise(replace(made, topic=replace(made["truth/los"], lost_before=2, lost_after=3)), transient=0.0)
     assert found.lost_by_topic == {"truth/los": 5}
-    assert found.problems == ("line of sight: 5 samples missing before the first one and after the last one",)
+    assert found.problems == ("line of sight: 5 samples missing before the first and after the last one",)
     assert found.ticks == 3005
     cut = summarise(replace(made, topic=replace(made["truth/los"], open_end=True)), transient=0.0)
-    assert cut.samples_lost == 0 and "line of sight: the recording was cut off" in cut.problems[0]
+    assert cut.samples_lost == 0 and "line of sight: the recording is truncated" in cut.problems[0]
     assert (cut.lost_text(), cut.lost_text(2), found.lost_text()) == ("unknown", "at least 2", "5")
     assert (cut.as_dict()["cut_off"], found.as_dict()["cut_off"]) == (True, False)
 
@@ -162,7 +162,7 @@ def test_sentences_about_the_run(tmp_path: Path) -> None:
     short = summarise(bag(tmp_path / "a"))
     assert short.transient == 1.5
     assert short.problems == (
-        "a run shorter than 10 s: only 1.5 s of start-up is left out, not 5 s (--transient SECONDS)",
+        "a run shorter than 10 s: only 1.5 s of start-up is excluded, not 5 s (--transient SECONDS)",
     )
     assert summarise(bag(tmp_path / "b"), transient=0.0).problems == ()
     long = summarise(series(None, np.ones((10_000, 2)), unit="mas", rate=1000.0))

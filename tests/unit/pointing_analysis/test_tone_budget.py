@@ -154,6 +154,6 @@ def test_lines_are_tapered_only_where_a_drift_has_leaked_into_them() -> None:
 def test_tones_that_cannot_be_told_are_not_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spectra, "LEAK", 0.5)
     found = tone_budget(run_with(tones_rad_s=[300.0], rpe_budget_mas={"total": 40}), with_pulse(0.0), 0.02, 33.0)
-    assert "tones cannot be told from the rest" in str(found) and "total (99.7 %) 33 of 40" in str(found)
+    assert "tones cannot be distinguished from the rest" in str(found) and "total (99.7 %) 33 of 40" in str(found)
     content = found.as_dict()
     assert [content[part] for part in ("noise", "slow", "fast", "total")] == [None, None, None, 33.0]

@@ -61,7 +61,7 @@ def test_every_count_has_the_verdict_of_the_binomial_distribution(requirement: R
         found = decide(requirement, samples(count, above), count, 3.0)
         assert found.status == expected(requirement, above, above, count)
         assert (found.exceeding, found.samples, found.effective) == (above / count, count, count)
-        assert found.keeps == (above / count <= 1 - requirement.probability + 1e-12)
+        assert found.within_limit == (above / count <= 1 - requirement.probability + 1e-12)
         assert found.quantile == confidence.quantile(
             samples(count, above), requirement.probability, requirement.confidence, count
         )
@@ -180,12 +180,12 @@ def verdict(**changes: Any) -> Verdict:
 )
 def test_words_of_a_verdict(changes: dict[str, Any], keeps: bool, statement: str) -> None:
     found = verdict(**changes)
-    assert (found.keeps, found.statement) == (keeps, statement)
+    assert (found.within_limit, found.statement) == (keeps, statement)
 
 
 def test_notes_of_missing_samples() -> None:
     assert decide(LOOSE, samples(9, 0), 9, 1.0, 3.0).note == "3 of 12 samples are missing and count against the verdict"
-    assert "cut off" in decide(LOOSE, samples(9, 0), 9, 1.0, math.inf).note
+    assert "truncated" in decide(LOOSE, samples(9, 0), 9, 1.0, math.inf).note
 
 
 def test_temporal_counts_the_worst_run() -> None:

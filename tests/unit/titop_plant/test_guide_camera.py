@@ -67,7 +67,7 @@ def test_image_and_magnitude_are_one_model_of_the_loop(tmp_path: Path) -> None:
         ("[camera]\nexposure = 0.0205\n", "line 2: 'camera.exposure' must be whole milliseconds, got 0.0205 s"),
         ("[camera]\nexposure = 0.0\n", "line 2: 'camera.exposure' must be whole milliseconds, got 0.0 s"),
         ("[camera]\nreadout_delay = -0.001\n", "camera.readout_delay' must be whole milliseconds, got -0.001 s"),
-        ('[sensors]\ncamera = "image"\ncamera_noise = 1e-8\n', "line 3: 'sensors.camera_noise' must be left out"),
+        ('[sensors]\ncamera = "image"\ncamera_noise = 1e-8\n', "line 3: 'sensors.camera_noise' must be absent"),
         ('[sensors]\ncamera = "image"\n[optics]\npupil = "no.fits"\n', "cannot read the pupil .*no.fits"),
     ],
 )

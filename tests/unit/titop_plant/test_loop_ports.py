@@ -136,16 +136,16 @@ def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPo
 @pytest.mark.parametrize(
     ("sensors", "actuators", "message"),
     [
-        (("on_m2",), (), "sensors must be different names of on_m1, at_root, got ('on_m2',)"),
-        (("on_m1", "on_m1"), (), "sensors must be different names of on_m1, at_root, got ('on_m1', 'on_m1')"),
-        ("on_m1", (), "sensors must be different names of on_m1, at_root, got 'on_m1'"),
-        ((), ("pma_force",), "actuators must be different names of shaker, damper, got ('pma_force',)"),
+        (("on_m2",), (), "sensors must be distinct names among on_m1, at_root, got ('on_m2',)"),
+        (("on_m1", "on_m1"), (), "sensors must be distinct names among on_m1, at_root, got ('on_m1', 'on_m1')"),
+        ("on_m1", (), "sensors must be distinct names among on_m1, at_root, got 'on_m1'"),
+        ((), ("pma_force",), "actuators must be distinct names among shaker, damper, got ('pma_force',)"),
     ],
 )
 def test_other_names_are_refused(own: LoopPorts, sensors: str, actuators: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         own.named(sensors, actuators)
-    with pytest.raises(ValueError, match="none, which is what the telescope's file has, got"):
+    with pytest.raises(ValueError, match="none, as in the telescope's file, got"):
         own.reference.named(sensors, actuators)
 
 

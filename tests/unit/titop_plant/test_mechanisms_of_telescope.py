@@ -186,7 +186,7 @@ BAD = {
     "density": ("[reaction_wheel.broadband]\nfrequency = [1.0, 2.0]\n", ["broadband", "must have a density"]),
     "rising": (
         "[reaction_wheel.broadband]\nfrequency = [2.0, 1.0]\nradial_force = [1.0, 1.0]\n",
-        ["line 2", "rising frequencies", "[2.0, 1.0]"],
+        ["line 2", "increasing frequencies", "[2.0, 1.0]"],
     ),
     "rows": (
         "[reaction_wheel.broadband]\nfrequency = [1.0, 2.0]\nradial_force = [1.0]\n",

@@ -164,7 +164,7 @@ PUSH = '[[actuator]]\nname = "a"\nplace = "A1"\naxis = [0.0, 0.0, 1.0]\n'
         (PLACE.replace('"a"', '"payload"'), "must not be that of another place, got 'payload'"),
         (
             PLACE + "axes = [[1.0, 1.0, 0.0]]",
-            "'sensor[0].axes' must be of length 1, got [1.0, 1.0, 0.0] of length 1.414",
+            "'sensor[0].axes' must be a unit vector, got [1.0, 1.0, 0.0] of length 1.414",
         ),
         (PLACE + "axes = []", "'sensor[0].axes' must have 1 entries, got 0"),
         (PLACE + 'kind = "gyro"', "'sensor[0].kind' must be one of accelerometer, angular_accelerometer, got 'gyro'"),
@@ -172,7 +172,7 @@ PUSH = '[[actuator]]\nname = "a"\nplace = "A1"\naxis = [0.0, 0.0, 1.0]\n'
         (PLACE + "range = 0.0", "'sensor[0].range' must be positive, got 0.0"),
         (PLACE + "position = [1.0]", "'sensor[0].position' must have 3 entries, got 1"),
         (PLACE + "rate = 5.0", "unknown parameter 'sensor[0].rate'"),
-        (PUSH.replace("1.0]", "2.0]"), "'actuator[0].axis' must be of length 1"),
+        (PUSH.replace("1.0]", "2.0]"), "'actuator[0].axis' must be a unit vector"),
         ('[[actuator]]\nname = "a"\nplace = "A1"\n', "'actuator[0]' has no 'axis'"),
         (PUSH + "moving_mass = 0.0", "'actuator[0].moving_mass' must be positive, got 0.0"),
         (PUSH + "inertia = [1.0, 1.0, 0.0]", "'actuator[0].inertia' must be positive"),

@@ -187,7 +187,7 @@ def test_a_file_moves_the_plant(tmp_path: Path) -> None:
         ("time,theta\n", "the header must be time,theta,wheel_speed_1"),
         ("HEAD\n0,0,1,2,3\n", "line 2: must hold 6 finite numbers, got '0,0,1,2,3'"),
         ("HEAD\n0,0,1,2,3,inf\n", "line 2: must hold 6 finite numbers"),
-        ("HEAD\n1,0,1,2,3,4\n2,0,1,2,3,4\n", "time must rise from 0"),
+        ("HEAD\n1,0,1,2,3,4\n2,0,1,2,3,4\n", "time must increase from 0"),
         ("HEAD\n0,0,1,2,3,4\n", "over two lines or more, got 1 lines"),
     ],
 )

@@ -325,7 +325,7 @@ BAD = {
         ARRAY + ARRAY.replace("one", "two").replace("A1", "A2") + "theta_range = [-1.0, 1.0]\n",
         ["solar_array[1].theta_range", "'one'", "one angle"],
     ),
-    "angle": (ARRAY + "theta_range = [1.0, 2.0]\n", ["theta_range", "hold 0", "1 to 2"]),
+    "angle": (ARRAY + "theta_range = [1.0, 2.0]\n", ["theta_range", "contain 0", "1 to 2"]),
     "flat wheels": ("".join(WHEEL.format(n, [1, i, 0]) for i, n in enumerate("abc")), ["span the space", "rank 2"]),
     "speeds": ("[reaction_wheel]\nazimuths_deg = [0, 120, 240]\n", ["default_speed", "each of 3 wheels", "got 4"]),
     "no wheels": ("reaction_wheel = []\n", ["reaction_wheel", "got 0 wheels"]),

@@ -82,7 +82,7 @@ def test_both_forms_must_agree(tmp_path: Path) -> None:
         ),
         ('[[requirement]]\ntext = "x"\n', r"'requirement\[0\]' has no 'name'"),
         ('[[requirement]]\nname = "APE"\nloop = 3\n', r"line 3: .*must be a text or a list of texts, got 3"),
-        ('[[requirement]]\nname = "APE"\nloop = "both"\n', r"line 3: .*must be of none, isolator, fsm, fsm\+pma"),
+        ('[[requirement]]\nname = "APE"\nloop = "both"\n', r"line 3: .*must be among none, isolator, fsm, fsm\+pma"),
         ('[[requirement]]\nname = "APE"\nlimit = 3\n', r"unknown parameter 'requirement\[0\].limit'"),
         ('[[requirement]]\nname = "new"\nloop = "fsm"\n', r"'requirement\[0\]' has no 'text'"),
         ("[weights]\nape_limit = -1.0\n", r"line 2: 'weights.ape_limit' must be positive"),

@@ -130,7 +130,7 @@ def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> N
     ("texts", "message"),
     [
         (["payload.frequency_37=5%"], "one of the 36 modes, got mode 37"),
-        (["payload.damping=50%", "payload.damping_2=20%"], r"must stand without payload\.damping_2"),
+        (["payload.damping=50%", "payload.damping_2=20%"], r"must be given without payload\.damping_2"),
     ],
 )
 def test_modes_that_are_none_or_counted_twice_are_refused(texts: list[str], message: str, tmp_path: Path) -> None:

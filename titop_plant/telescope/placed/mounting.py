@@ -61,7 +61,7 @@ def actuator_wires(telescope: Telescope, systems: Mapping[str, System]) -> list[
 
 
 def sensor_blocks(telescope: Telescope) -> dict[str, System]:
-    """What makes the values of the further sensors from the twists of their nodes; nothing without any."""
+    """Map from the twists of their nodes to the values of the further sensors; empty without any."""
     mounts = _mounts(telescope)
     if not mounts:
         return {}

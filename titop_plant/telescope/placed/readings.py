@@ -1,4 +1,4 @@
-"""What the further sensors of a run say: true values with noise, bias, range and quantisation."""
+"""Readings of the further sensors of a run: true values with noise, bias, range and quantisation."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SensorReadings:
         self.reset()
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
+        """Return to tick 0: same seed, bit-identical noise."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._noisy = self._with_noise
         self.values[:] = 0.0

@@ -93,7 +93,7 @@ def _bearing(where: str, bearing: Table, wheel: Mapping[str, Any], file: Paramet
     try:
         WheelBearing(**bearing)
     except ValueError as error:
-        raise file.error(where, f"is no bearing: {error}") from None
+        raise file.error(where, f"is not a valid bearing: {error}") from None
     for key, of_wheel in (("rotor_mass", "mass"), ("rotor_radial_inertia", "radial_inertia")):
         if bearing[key] > wheel[of_wheel]:
             raise file.error(
@@ -117,7 +117,7 @@ def _stepper(where: str, stepper: Table, drive: Mapping[str, Any], file: Paramet
     try:
         read_stepper(stepper)
     except ValueError as error:
-        raise file.error(where, f"is no stepper: {error}") from None
+        raise file.error(where, f"is not a valid stepper: {error}") from None
     if not drive.get("gearbox_stiffness", 1.0) > 0.0:
         raise file.error(where, "needs a gearbox_stiffness above zero, got 0")
 
@@ -133,7 +133,9 @@ def _broadband(where: str, table: Table, wheel: Mapping[str, Any], file: Paramet
             _number(f"{where}.{key}", entry, file)
     frequency = table.get("frequency", [])
     if len(frequency) < 2 or not frequency[0] > 0.0 or any(b <= a for a, b in itertools.pairwise(frequency)):
-        raise file.error(f"{where}.frequency", f"must be two or more rising frequencies above 0 Hz, got {frequency}")
+        raise file.error(
+            f"{where}.frequency", f"must be two or more increasing frequencies above 0 Hz, got {frequency}"
+        )
     given = [key for key in DENSITIES if key in table]
     if not given:
         raise file.error(where, f"must have a density, one of {', '.join(DENSITIES)}, got none")

@@ -1,4 +1,4 @@
-"""Checks of the tables of a user's file that say what is on board: ``[[solar_array]]`` and the like."""
+"""Checks of the layout tables of a user's file: ``[[solar_array]]`` and the like."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ KEYS: Mapping[str, Mapping[str, Any]] = {
 
 _GROWING = ("frequencies", "participation", "axes")
 REFERENCE_KIND = "reference"
-"""What ``like`` may name beside an earlier body: the array of the reference telescope."""
+"""Values of ``like`` besides an earlier body: the array of the reference telescope."""
 
 
 def take_mounted(own: Table) -> dict[str, Any]:
@@ -236,7 +236,9 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
 def _check_angle(name: str, full: Table, file: ParameterFile) -> None:
     low, high = full["theta_range"]
     if low > high or (low < high and not low <= 0.0 <= high):
-        raise file.error(f"{name}.theta_range", f"must rise and hold 0, or be one angle twice, got {low:g} to {high:g}")
+        raise file.error(
+            f"{name}.theta_range", f"must be increasing and contain 0, or be one angle twice, got {low:g} to {high:g}"
+        )
     if not any(full["drive_axis"]):
         raise file.error(f"{name}.drive_axis", "must be a direction, got zeros")
 

@@ -48,7 +48,7 @@ POSITIVE = {
     "pixel_mas",
     "weight_mas",
 }
-"""Keys whose numbers must be above zero, in whatever table they stand."""
+"""Keys whose numbers must be above zero, in any table."""
 
 ANY_SIGN = ("pma.height",)
 """By full name those that are positions: a section's height is above zero, that of the actuators is over a point."""

@@ -42,7 +42,7 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
         for i, table in enumerate(whole.get(kind, ())):
             name = f"{kind}[{i}]"
             if table.get("name") in COLUMNS:  # controllers know devices by the names of their ports
-                raise file.error(f"{name}.name", f"must be none of {', '.join(COLUMNS)}, got {table['name']!r}")
+                raise file.error(f"{name}.name", f"must not be one of {', '.join(COLUMNS)}, got {table['name']!r}")
             _check_place(name, kind, table, whole, file)
             _check_axes(name, kind, table, file)
             if kind == SENSOR:
@@ -69,7 +69,7 @@ def _check_axes(name: str, kind: str, table: Mapping[str, Any], file: ParameterF
         length = math.sqrt(sum(entry**2 for entry in axis))
         if abs(length - 1.0) > UNIT_WITHIN:
             key = f"{name}.{'axis' if kind == ACTUATOR else 'axes'}"
-            raise file.error(key, f"must be of length 1, got {axis} of length {length:.4g}")
+            raise file.error(key, f"must be a unit vector, got {axis} of length {length:.4g}")
 
 
 def _check_sensor(name: str, table: Mapping[str, Any], file: ParameterFile) -> None:

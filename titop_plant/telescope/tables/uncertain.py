@@ -39,7 +39,7 @@ UNCERTAIN = "uncertain"
 STIFFNESS, DAMPING = "isolator.stiffness", "isolator.damping"
 GAIN = "gain"
 ENTRIES = (STIFFNESS, DAMPING, *(f"{name}.{GAIN}" for name in (*COMMANDED, *MEASURED)))
-"""What can be uncertain, in the order of Delta; then come those of `MODAL`."""
+"""Entries that can be uncertain, in the order of Delta; then those of `MODAL`."""
 BODIES = ("body", "payload")
 FREQUENCY_OF, DAMPING_OF = "frequency", "damping"
 MODAL = re.compile(rf"({'|'.join(BODIES)})\.({DAMPING_OF}|(?:{FREQUENCY_OF}|{DAMPING_OF})_([1-9]\d*))")
@@ -115,7 +115,7 @@ def require_modes(spreads: Iterable[str], tables: Mapping[str, Any]) -> None:
         if number is None:
             continue
         if kind.startswith(DAMPING_OF) and f"{body}.{DAMPING_OF}" in names:
-            raise ValueError(f"uncertain {body}.{DAMPING_OF} has all modes: it must stand without {name}, got both")
+            raise ValueError(f"uncertain {body}.{DAMPING_OF} has all modes: it must be given without {name}, got both")
         modes = tables[body]["modes"]
         if int(number) > modes and not tables[body].get("modal_data"):
             raise ValueError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")

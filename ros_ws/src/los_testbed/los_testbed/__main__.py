@@ -1,6 +1,6 @@
-"""Entry point of ``los-testbed`` and ``python -m los_testbed``: a signal ends it in one line from the first import.
+"""Entry point of ``los-testbed`` and ``python -m los_testbed``: a signal ends it with one line, also during imports.
 
-The imports take the greater part of a second, in which the handlers of the command line are not there yet.
+The imports take most of a second, before the handlers of the command line are installed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from los_testbed.run.processes.memory import check_command
 
 
 def _end(number: int, frame: Any) -> NoReturn:
-    """Nothing is open yet; an exception in the midst of an import could become another one."""
+    """Exit on a signal during the imports: nothing is open yet, and an exception inside an import could be replaced."""
     os.write(2, b"los-testbed: interrupted\n")
     os._exit(ExitCode.INTERRUPTED)
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 
 LABELS = {"name": "requirement", "text": "definition", "quantile": "value", "status": "verdict"}
-"""Columns of a table of requirements that have another name than in the JSON object."""
+"""Columns of the table of requirements that are named differently in the JSON object."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,7 +55,7 @@ class RunResult:
     summary : Summary
         Metrics, as :mod:`pointing_analysis.requirements.summary` documents them.
     remarks : tuple of str
-        Sentences beside the verdict: also nodes that ended and were started again, and warnings.
+        Remarks on the verdict, with restarted nodes and warnings.
     values : mapping
         The JSON object of the command line.
     """
@@ -127,7 +127,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """Rows of a campaign and what they say.
+    """Rows and summary of a campaign.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class CampaignResult:
     summary: Mapping[str, Any]
 
     def to_pandas(self) -> pd.DataFrame:
-        """One row a member: parameters, metrics, status (needs pandas)."""
+        """One row per member: parameters, metrics, status (needs pandas)."""
         return self._rows.to_pandas()
 
     @cached_property
@@ -176,7 +176,7 @@ def run(
     designs : path, optional
         Folder of ``design all``: controllers and telescope.
     plant : object, optional
-        A plant of your own in place of the telescope in the mode ``inprocess``.
+        A user's plant instead of the telescope, in the mode ``inprocess``.
     report : bool
         Write ``report.html`` into the folder of the bag.
     **settings
@@ -239,7 +239,7 @@ def analyse(
     Raises
     ------
     ValueError
-        A file that cannot be read, columns or units that are not there.
+        A file that cannot be read, missing columns or units.
     """
     from los_testbed.run.summary.summary import summarise_runs
     from pointing_analysis.read.los_source import open_los
@@ -271,7 +271,7 @@ def campaign(
     samples, seed, sampling, depth, resume
         As the options of ``los-testbed campaign``.
     workers : int
-        Processes; 0: one a processor. Rows do not depend on them.
+        Processes; 0: one per processor. Rows do not depend on them.
     **settings
         Of the run of each member: ``loop``, ``duration``, ``parameters`` and so on; ``designs``, a folder of ``design
         all``.
@@ -331,7 +331,7 @@ def design(
     Raises
     ------
     ValueError
-        A parameter file that cannot be read, a folder that cannot be written to.
+        An unreadable parameter file, a folder that is not writable.
     """
     from los_design.redesign import PAIR, design_all
     from titop_plant.telescope.load import load_telescope
@@ -344,7 +344,7 @@ def design(
 
 
 def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings without paths and arrays, which the configuration does not take."""
+    """Settings with paths and arrays converted for the configuration."""
     return {name: _value(value) for name, value in settings.items() if value is not None}
 
 

@@ -66,7 +66,9 @@ def test_a_chunk_with_a_new_manifest_breaks_the_chain_behind_it(bag: Path, numbe
     """The next manifest does not continue the chain; behind the last one its end does not."""
     forge_with_manifest(bag, number)
     run = Run.open(bag)
-    expected = "the end of the chain is not what stands before it" if number == 2 else "does not continue the chain"
+    expected = (
+        "the end of the chain does not match the chain before it" if number == 2 else "does not continue the chain"
+    )
     assert [text for text in run.contradictions if expected in text], run.contradictions
 
 
@@ -100,14 +102,14 @@ def test_a_chunk_put_in_without_a_manifest_is_a_stranger(bag: Path) -> None:
     forge(other)
     altered = apart(other)
     found.insert(places(found, OP_MANIFEST)[2], altered[places(altered, OP_CHUNK)[1]])
-    assert any("no manifest names" in text for text in changed(bag, found).contradictions)
+    assert any("no manifest lists" in text for text in changed(bag, found).contradictions)
 
 
 @pytest.mark.parametrize("op", [OP_CHUNK, OP_METADATA])
 def test_nothing_may_stand_behind_the_end(bag: Path, op: int) -> None:
     found = apart(bag)
     found.insert(end_of(bag) + 1, found[places(found, op)[0]])
-    assert any("behind the end of the chain" in text for text in changed(bag, found).contradictions)
+    assert any("follows the end of the chain" in text for text in changed(bag, found).contradictions)
 
 
 def test_the_end_may_not_be_missing(bag: Path) -> None:
@@ -212,7 +214,7 @@ def test_messages_outside_of_the_chunks_are_not_used(bag: Path, place: str, summ
     }[place]
     found[where:where] = forged_messages(found)
     run = changed(bag, found if summary else without_summary(found))
-    assert [text for text in run.contradictions if "50 messages stand outside of the chunks" in text]
+    assert [text for text in run.contradictions if "50 messages are outside the chunks" in text]
     assert same_as(run, before)
 
 
@@ -221,7 +223,7 @@ def test_a_chunk_in_front_of_the_first_manifest_is_not_used(bag: Path) -> None:
     found = apart(bag)
     found.insert(places(found, OP_MANIFEST)[0], (OP_CHUNK, scaled(found[places(found, OP_CHUNK)[0]][1])[0]))
     run = changed(bag, found)
-    assert [text for text in run.contradictions if "no manifest names" in text] and same_as(run, before)
+    assert [text for text in run.contradictions if "no manifest lists" in text] and same_as(run, before)
 
 
 def test_index_records_do_not_say_where_messages_are(bag: Path) -> None:
@@ -256,14 +258,14 @@ def test_no_data_stand_behind_the_end_of_the_data(bag: Path, op: int) -> None:
     found = apart(bag)
     record = forged_messages(found, 1)[0] if op == OP_MESSAGE else found[places(found, op)[0]]
     found.insert(places(found, OP_DATA_END)[0] + 1, record)
-    assert any("behind the end of the data" in text for text in changed(bag, found).contradictions)
+    assert any("follows the end-of-data record" in text for text in changed(bag, found).contradictions)
 
 
 def test_a_summary_that_names_a_chunk_twice_or_has_a_wrong_checksum_is_told(bag: Path) -> None:
     found = apart(bag)
     at = places(found, OP_CHUNK_INDEX)[0]
     run = changed(bag, [*found[:at], found[at], *found[at:]])
-    assert any("does not name each chunk once" in text for text in run.contradictions)
+    assert any("does not list each chunk once" in text for text in run.contradictions)
     (bag / "bag_0.mcap").write_bytes(put_together([*found[:at], found[at], *found[at:]], False))
     run = Run.open(bag)
     assert any("the summary is damaged or missing" in text for text in run.problems) and not run.contradictions

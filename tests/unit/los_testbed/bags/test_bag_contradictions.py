@@ -49,7 +49,7 @@ def test_each_command_says_it_and_ends_with_its_exit_code(
     assert code == ExitCode.CONTRADICTION
     content = json.loads(out.splitlines()[-1])
     [text] = (content["runs"][0] if command == "report" else content)["contradictions"]
-    assert "not what the digest in its manifest says" in text and text in " ".join(err.split())
+    assert "does not match the digest in its manifest" in text and text in " ".join(err.split())
     if command in ("analyse", "report"):
         assert text in (bag / "report.html").read_text()
 

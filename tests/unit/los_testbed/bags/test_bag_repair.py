@@ -46,7 +46,7 @@ def test_a_bag_that_ends_within_a_chunk_keeps_all_chunks_before(bag, tmp_path, p
     file.write_bytes(file.read_bytes()[: cut.chunk_start_offset + int(part * cut.chunk_length)])
     (bag / "metadata.yaml").unlink()
     result = repair_bag(bag, tmp_path / "new")
-    assert not result.finished and any("cut off" in text for text in result.sentences())
+    assert not result.finished and any("truncated" in text for text in result.sentences())
     lost = {loss.topic: loss.missing for loss in result.losses}
     assert sum(lost.values()) == 32_200 - result.messages, "the manifest before the chunk says what it held"
     with AnyReader([tmp_path / "new"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

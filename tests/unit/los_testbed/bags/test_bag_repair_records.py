@@ -171,7 +171,7 @@ def test_a_record_that_is_cut_off_is_told(tmp_path: Path, size: int) -> None:
     good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
     cut = chunk(message(1, 6, b"b"))[:size]
     result, file = repaired(tmp_path, good, end=cut)
-    assert not result.finished and any("cut off" in text for text in result.sentences())
+    assert not result.finished and any("truncated" in text for text in result.sentences())
     assert [m[1] for m in messages(file)][:1] == [5]
 
 
@@ -182,7 +182,7 @@ def test_a_file_is_finished_if_it_has_the_end_of_its_data(tmp_path: Path, end: b
 
 
 def test_a_file_without_anything_to_read_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="must hold records that can be read, got none"):
+    with pytest.raises(ValueError, match="must have readable records, got none"):
         repaired(tmp_path, end=record(15, b""))
     assert [file.name for file in tmp_path.iterdir()] == ["old.mcap"]
 
@@ -232,15 +232,15 @@ def test_the_message_in_which_power_was_lost_is_left_out(tmp_path: Path, chunked
     result, file = repaired(tmp_path, written, end=tail)
     assert [row[1] for row in messages(file)] == [5, 6] and not result.finished
     told = " ".join(result.problems)
-    assert ("no checksum proves the messages: 2 of a chunk are used, 1 left out" in told) == chunked
-    assert chunked or "cut off" in told
+    assert ("file is truncated: 2 of a chunk are used, 1 excluded" in told) == chunked
+    assert chunked or "truncated" in told
 
 
 def test_a_chunk_without_a_checksum_needs_a_record_behind_it(tmp_path: Path) -> None:
     content = channel(1, FIRST) + message(1, 5, b"abcd") + message(1, 6, bytes(4))
     result, file = repaired(tmp_path, chunk(content, "", checksum=0), end=bytes(100))
     assert [row[1] for row in messages(file)] == [5]
-    assert any("no checksum proves" in text for text in result.problems)
+    assert any("no checksum covers" in text for text in result.problems)
 
 
 def test_the_beginning_must_be_that_of_a_bag(tmp_path: Path) -> None:

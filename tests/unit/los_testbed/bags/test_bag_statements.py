@@ -45,7 +45,7 @@ def with_yaml(bag: Path, **entries: Any) -> None:
 
 def test_a_whole_run_ends_by_its_plan(bag: Path) -> None:
     found = check_bag(bag)
-    assert row_of(found, "end of the run") == BagCheckRow("end of the run", "agrees", "by its plan, after 3000 ticks")
+    assert row_of(found, "end of the run") == BagCheckRow("end of the run", "agrees", "as planned, after 3000 ticks")
     assert found.code == 0 and Run.open(bag).covered_ticks == 3000
     assert row_of(found, "counts").found.endswith("topics, as in metadata.yaml and the summary")
 
@@ -75,8 +75,7 @@ def test_an_early_end_says_which_of_its_ticks_the_messages_cover(bag: Path, tmp_
     cut = cut_short(bag, tmp_path / "cut", 2.0)
     with_metadata(cut, statistics=json.dumps(statistics))
     assert row_of(check_bag(cut), "end of the run").found == (
-        "the run ended before its plan: after 2500 of 3000 ticks; "
-        "the messages cover 2000 of the 2500 ticks in the run's record"
+        "the run ended early: after 2500 of 3000 ticks; the messages cover 2000 of the 2500 ticks in the run's record"
     )
 
 

@@ -57,7 +57,7 @@ def test_the_checksum_of_all_data_is_compared(tmp_path: Path, chunks: bool) -> N
     found = check_bag(file)
     assert found.code == 1
     assert found.title == "not whole"
-    assert checksums(found).found.endswith("the checksum of the data does not agree")
+    assert checksums(found).found.endswith("the checksum of the data does not match")
 
 
 @pytest.mark.parametrize("chunks", [True, False])

@@ -126,7 +126,7 @@ def test_a_few_bytes_do_not_stand_for_millions_of_records(
     run = Run.open(many)
     assert len(run["truth/los"]) == 2000
     assert len(read) < 5000
-    assert sum("no record: the rest of it is left out" in problem for problem in run.problems) == 1
+    assert sum("invalid records: the rest of it is excluded" in problem for problem in run.problems) == 1
     assert len(run.problems) < 5
 
 

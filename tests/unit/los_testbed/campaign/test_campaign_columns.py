@@ -282,12 +282,12 @@ def test_what_a_campaign_cannot_judge_is_named_with_the_reason(
     assert summary["not_judged"] == [
         f"{OTHERS['longest']}: the run must be at least as long as the window of 30 s, got 2 s",
         f"{OTHERS['exposure']}: the run must last for one exposure of 2 s and a sample, got 2000 samples of 0.001 s",
-        f"{OTHERS['again']}: the PRE compares several runs, a campaign has one of each member",
+        f"{OTHERS['again']}: the PRE compares several runs, a campaign has one per member",
     ]
     assert {v["requirement"] for v in summary["verdicts"]} == {*JUDGED, "APE", "RPE, fine", "RPE, finest"}
     _show(Console(width=300), {**summary, "report": "r.html"}, folder)
     shown = capsys.readouterr().out
-    assert all(f"no verdict of a campaign on {text}" in shown for text in summary["not_judged"])
+    assert all(f"no campaign verdict on {text}" in shown for text in summary["not_judged"])
     page = write_page(asked, folder, summary, tmp_path / "r.html").read_text("utf-8")
     assert "got 2000 samples of 0.001 s; prob(|PRE(1 s)|" in page
 
@@ -398,4 +398,4 @@ def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
         screens[width] = console.export_text()
         assert all(name in screens[width] for name in names), "a name that is cut names no column"
     assert "above 0.7" in screens[300]
-    assert "largest (of lower limits smallest)" in screens[300] and "largest (of lower limits smallest)" in page
+    assert "largest (smallest for lower limits)" in screens[300] and "largest (smallest for lower limits)" in page

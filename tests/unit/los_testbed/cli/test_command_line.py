@@ -257,7 +257,7 @@ def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):
     ("given", "message"),
     [
         (["--quiet", "--verbose"], "must not be given together"),
-        (["--log", "absent/los.log"], "--log must be a file that can be written"),
+        (["--log", "absent/los.log"], "--log must be a writable file"),
         (["--log"], "must be followed by a FILE"),
     ],
 )
@@ -280,7 +280,7 @@ def test_a_value_error_of_an_operation_is_no_mistake_of_the_user(run, monkeypatc
     for fault in (lambda parts: np.zeros(3) + np.zeros(4), lambda parts: int("three"), lambda parts: json.loads("{")):
         monkeypatch.setattr(RunParts, "check", fault)
         code, _, error = run("run", "--mode=inprocess", "--duration=1", *run.controllers)
-        assert code == ExitCode.FAILED and "unexpected " in error and "a mistake of this program" in error
+        assert code == ExitCode.FAILED and "unexpected " in error and "(a bug: please report it)" in error
 
 
 @pytest.mark.parametrize(

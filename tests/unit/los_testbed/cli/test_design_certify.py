@@ -70,7 +70,7 @@ def test_it_goes_on_after_any_end(tmp_path: Path) -> None:
         assert process.returncode == code, errors
         if code == 130:
             assert errors.strip().splitlines()[-1].startswith("los-testbed: interrupted")
-            assert "this goes on with them: los-testbed design certify" in errors
+            assert "resume with: los-testbed design certify" in errors
             assert "Traceback" not in errors and not [p for p in output.rglob("*") if p.name.startswith(".")]
         now = parts(output)
         assert kept.items() <= now.items() and len(now) >= count  # none was made again
@@ -113,7 +113,7 @@ def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
     (found,) = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
     assert found["status"] == "open" and found["upper"] is None and found["proof"] is None and not found["stable"]
     assert 0.43 < found["lower"] < 0.44 and found["uncovered"]
-    assert "the time is over: 0 of 1 figures proven; the same command goes on" in errors
+    assert "time limit: 0 of 1 figures proven; run again to resume" in errors
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -149,7 +149,7 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
     wanted = [(stage, name) for stage in MIRROR_STAGES for name in figures_of(load_telescope(), stage)]
     assert [(f["stage"], f["figure"]) for f in found] == wanted
     assert {f["status"] for f in found} == {"open"}
-    assert f"the time is over: 0 of {len(wanted)} figures proven; the same command goes on" in told.err
+    assert f"time limit: 0 of {len(wanted)} figures proven; run again to resume" in told.err
     assert not (tmp_path / "bundle.zip").exists()
 
 

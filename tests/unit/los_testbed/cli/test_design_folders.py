@@ -77,7 +77,7 @@ def test_the_output_is_refused_before_the_work(folder: Path, soft: Path, tmp_pat
         check_output(folder, None)
     with pytest.raises(ValueError, match="must be a folder, got the file"):
         check_output(soft, None)
-    with pytest.raises(ValueError, match="folder that can be written to"):
+    with pytest.raises(ValueError, match="writable folder"):
         check_output(soft / "below", None)
 
 
@@ -105,10 +105,10 @@ def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsy
     (tmp_path / "mission.toml").write_text(table)
     name_unseen_requirements(load_telescope(tmp_path / "mission.toml"))
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "designs do not see slow (prob(rms RPE(250 ms) < 100 mas)" in said
+    assert said.count("\n") == 1 and "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in said
 
 
 def test_the_effect_of_control_is_told_where_it_is_adverse() -> None:
     assert ControlEffect(closed=5.0, isolated=20.0).remark == ""
     text = ControlEffect(closed=31.3, isolated=2.2).remark
-    assert text.startswith("control adds more than it removes") and "31.3" in text and "2.2" in text
+    assert text.startswith("control increases the error") and "31.3" in text and "2.2" in text

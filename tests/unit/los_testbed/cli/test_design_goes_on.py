@@ -46,9 +46,8 @@ def test_the_same_command_goes_on_until_it_is_done(
     with pytest.raises(SystemExit) as ended:
         app.main(command)
     assert ended.value.code == 130
-    assert (
-        f"rounds so far are kept; this goes on with them: los-testbed design k-fsm --output {shlex.quote(str(file))}"
-        in (capsys.readouterr().err)
+    assert f"rounds so far are stored; resume with: los-testbed design k-fsm --output {shlex.quote(str(file))}" in (
+        capsys.readouterr().err
     )
     assert rounds.exists() and not file.exists()
     app.main(command)

@@ -80,7 +80,7 @@ def end_by_interrupt(process: subprocess.Popen[str]) -> None:
     errors = process.communicate(timeout=600)[1].splitlines()
     assert process.returncode == 130
     told = [line for line in errors if not line.startswith(("round ", "design: "))]
-    assert told[0].startswith("rounds and designs so far are kept") and told[1:] == ["los-testbed: interrupted"]
+    assert told[0].startswith("rounds and designs so far are stored") and told[1:] == ["los-testbed: interrupted"]
     until = time.monotonic() + 60.0
     while members(process.pid) and time.monotonic() < until:
         time.sleep(0.05)

@@ -70,7 +70,7 @@ def run_with(tmp_path, end, *options):
 def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(tmp_path, end, how):
     done = run_with(tmp_path, end)
     assert done.returncode == 1, done.stderr
-    words = f"los-testbed: the process of the run ended in code of the user ({how}): disturbance_source leaving:Leaving"
+    words = f"los-testbed: the process of the run ended in user code ({how}): disturbance_source leaving:Leaving"
     assert done.stderr.splitlines()[-1].startswith(words), done.stderr
     if (tmp_path / "bag").exists():
         assert f"los-testbed bag repair {tmp_path / 'bag'}" in done.stderr
@@ -87,7 +87,7 @@ def test_code_of_the_user_that_ends_a_node_started_alone_is_named(tmp_path):
         [*command, "--k-pma=leaving:law"], capture_output=True, text=True, cwd=tmp_path, env=variables, timeout=600
     )
     assert done.returncode == 1, done.stderr
-    words = "los-testbed: the process of the run ended in code of the user (exit code 0): k_pma leaving:law"
+    words = "los-testbed: the process of the run ended in user code (exit code 0): k_pma leaving:law"
     assert done.stderr.splitlines()[-1] == words, done.stderr
 
 
@@ -114,7 +114,7 @@ def ended_with(arguments):
 @pytest.mark.parametrize(
     ("left", "code"),
     [
-        ({"failures": ["plant ended unexpectedly (signal 15); it was started again"]}, ExitCode.RESTARTED),
+        ({"failures": ["plant ended unexpectedly (signal 15); it was restarted"]}, ExitCode.RESTARTED),
         ({"interrupted": True}, ExitCode.INTERRUPTED),
         ({}, ExitCode.FINISHED),
     ],

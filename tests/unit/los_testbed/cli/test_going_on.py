@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from los_testbed.cli.interrupts import remember_command, told_how_to_go_on
+from los_testbed.cli.interrupts import remember_command, resume_hint
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,7 @@ def told(
     **options: tuple[str],
 ) -> str:
     remember_command(words)
-    with pytest.raises(error), told_how_to_go_on("rows", Path(folder), **options):
+    with pytest.raises(error), resume_hint("rows", Path(folder), **options):
         raise error
     return capsys.readouterr().err
 
@@ -43,7 +43,7 @@ def test_it_names_the_folder_and_the_options_that_go_on(
 ) -> None:
     line = told(capsys, ["campaign", *given], KeyboardInterrupt, further=("--resume",), without=("--anew",))
     said, command = line.split(": ", 1)
-    assert said == "rows are kept; this goes on with them"
+    assert said == "rows are stored; resume with"
     assert shlex.split(command) == ["los-testbed", "campaign", *expected]
 
 

@@ -165,13 +165,13 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
             OPTICS + 'pupil = "bare.fits"\n',
             "as PUPLSCAL or PIXELSCL in its header, got none",
         ),
-        (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a FITS file, got one that cannot be read"),
+        (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a readable FITS file, got"),
         (
             ["analyse", "--requirements", "long.toml"],
             OPTICS,
             "los.csv: exposure must be at most the",
         ),
-        (["image", "figures", "--output", "new"], None, "no optics are known of this recording"),
+        (["image", "figures", "--output", "new"], None, "no optics are known for this recording"),
         (
             ["image", "export", "--output", "k.fits", "--exposure", "5"],
             None,
@@ -190,7 +190,7 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
             None,
             "--number must be given with --exposure",
         ),
-        (["image", "export", "--output", "k.fits", "--step", "1e-5"], None, "step must give at most 4001 places"),
+        (["image", "export", "--output", "k.fits", "--step", "1e-5"], None, "step must give at most 4001 cells"),
     ],
 )
 def test_mistakes(

@@ -247,7 +247,7 @@ def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Pa
         content = content if command == "analyse" else content["runs"][0]
         assert content["mode"] == "inprocess", "the other record holds"
         assert any(METADATA_NAME in problem and "hash" in problem for problem in content["problems"])
-    assert "does not agree with its hash" in (bag / "report.html").read_text()
+    assert "does not match its hash" in (bag / "report.html").read_text()
 
 
 def test_a_failed_report_leaves_nothing_and_the_old_one(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -124,8 +124,8 @@ def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
     ("arguments", "message"),
     [
         (["--magnitudes", "12"], "--magnitudes must be two or more, got 1"),
-        (["--magnitudes", "12,x"], "--magnitudes must be numbers with commas between them, got '12,x'"),
-        (["--magnitudes", "25,26", "--frames", "10"], "two stars that half of the frames see, got 0"),
+        (["--magnitudes", "12,x"], "--magnitudes must be numbers separated by commas, got '12,x'"),
+        (["--magnitudes", "25,26", "--frames", "10"], "two stars detected in half of the frames, got 0"),
         (["--frames", "1"], "--frames must be"),
         (["--exposures", "-1"], "camera.exposure must be above 0 s, got -1.0"),
         (["--time-limit", "0.001", "--frames", "100"], "--time-limit must be enough for 19 stars"),

@@ -52,7 +52,7 @@ def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
     assert found["as_recorded"] and found["identical"]
     assert {d["compared"] for d in found["differences"]} == {4000}
     code, out, _ = call(recorded)
-    assert "identical to the recording, bit by bit, on 4000 ticks" in out
+    assert "bit-identical to the recording on 4000 ticks" in out
 
 
 def test_one_bit_is_found(call, recorded, tmp_path) -> None:

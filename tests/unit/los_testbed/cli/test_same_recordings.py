@@ -30,7 +30,7 @@ def test_a_recording_or_its_copy_is_no_further_run(table: Path, capsys: pytest.C
     copy = table.with_name("b.csv")
     shutil.copy(table, copy)
     for second in (table, copy):
-        assert "recordings must be different ones, got" in refused(capsys, "analyse", table, second)
+        assert "recordings must be distinct, got" in refused(capsys, "analyse", table, second)
 
 
 def test_a_column_is_not_both_axes(table: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,7 +103,7 @@ def test_metadata_alone_is_no_repaired_bag(bag: Path) -> None:
     data = file.read_bytes()
     chunks = [(begin, end) for begin, end in records(data) if data[begin] == OP_CHUNK]
     file.write_bytes(data[: chunks[0][0] + 50])
-    with pytest.raises(BagError, match="got none of the 24150 that were recorded"):
+    with pytest.raises(BagError, match="got none of the 24150 recorded"):
         repair_bag(bag, bag.parent / "new")
     assert not (bag.parent / "new").exists()
 
@@ -117,7 +117,7 @@ def test_an_end_of_the_data_in_front_of_the_data_ends_nothing(bag: Path, op: int
     file.write_bytes(data[:head] + data[begin:end] + data[behind:begin] + data[head:behind] + data[end:])
     result = repair_bag(bag, bag.parent / "new")
     assert messages((bag.parent / "new" / "new_0.mcap").read_bytes()) == messages(data)
-    assert not result.losses and any("in front of data" in problem for problem in result.problems)
+    assert not result.losses and any("precedes data" in problem for problem in result.problems)
     assert len(Run.open(bag)["truth/los"]) == 3000
 
 
@@ -132,7 +132,7 @@ def test_an_end_of_the_data_where_the_summary_has_a_chunk_ends_nothing(bag: Path
     file.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
     result = repair_bag(bag, bag.parent / "new")
     assert messages((bag.parent / "new" / "new_0.mcap").read_bytes()) == messages(data)
-    assert not result.losses and any("in front of data" in problem for problem in result.problems)
+    assert not result.losses and any("precedes data" in problem for problem in result.problems)
     assert len(Run.open(bag)["truth/los"]) == 3000
 
 
@@ -161,6 +161,6 @@ def test_a_chunk_that_stands_twice_is_told_and_counts_once(bag: Path) -> None:
     result = repair_bag(bag, bag.parent / "new")
     assert not result.losses
     assert not result.repeated and result.messages == len(messages(data))
-    assert any(f"byte {end}: a chunk stands twice in the file" in text for text in result.sentences())
+    assert any(f"byte {end}: a chunk is in the file twice" in text for text in result.sentences())
     for run in (Run.open(bag), Run.open(bag.parent / "new")):
         assert len(run["truth/los"]) == 3000 and not run["truth/los"].integrity.duplicates

@@ -40,7 +40,7 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
         with pytest.raises(SystemExit) as ended:
             app.main(command)
     assert ended.value.code == 130 and parts.exists() and not file.exists()
-    assert f"parts that are done are kept; this goes on with them: los-testbed {shlex.join(map(str, command))}" in (
+    assert f"finished parts are stored; resume with: los-testbed {shlex.join(map(str, command))}" in (
         capsys.readouterr().err
     )
     monkeypatch.undo()
@@ -50,10 +50,10 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
     with pytest.raises(SystemExit) as ended:
         app.main(command)
     assert ended.value.code == 130 and computed["_swept"] == stage_check.BLOCKS - 5
-    assert f"5 parts are taken from {parts}" in capsys.readouterr().err
+    assert f"5 parts are read from {parts}" in capsys.readouterr().err
     monkeypatch.undo()
     app.main(command)
-    assert f"{stage_check.BLOCKS + 2} parts are taken from {parts}" in capsys.readouterr().err
+    assert f"{stage_check.BLOCKS + 2} parts are read from {parts}" in capsys.readouterr().err
     assert not parts.exists()
     whole = tmp_path / "whole.json"
     app.main([*command[:-1], str(whole)])
@@ -83,13 +83,13 @@ def test_parts_are_of_the_same_telescope_designs_and_code(
 
     swept = stage_check._swept
     said = taken(0)
-    assert "kept" not in said and not parts.exists(), "nothing was done"
-    assert "kept" in taken(1) and "1 parts are taken" in taken(0)
+    assert "stored" not in said and not parts.exists(), "nothing was done"
+    assert "stored" in taken(1) and "1 parts are read" in taken(0)
     law = (folder / "k_fsm.json").read_text()
     (folder / "k_fsm.json").write_text(law.replace('"name": "', '"name": "other ', 1))
     assert "taken" not in taken(1)
     monkeypatch.setattr(provenance, "source_digest", lambda: "changed code")
-    assert "taken" not in taken(1) and "1 parts are taken" in taken(0)
+    assert "taken" not in taken(1) and "1 parts are read" in taken(0)
 
 
 def test_nothing_is_lost_of_a_file_that_is_no_verification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -72,9 +72,9 @@ WATERFALL = ";".join(f"{rpm},{f},{9 if f == 5 else 1},3" for rpm in (1, 9000) fo
     [
         ("t,fx,Force Z [N],temperature", "0,1,2,3;0.0005,-1,2,3", ("columns not used: Force Z [N], temperature",)),
         ("t,fx,fz,wheel.fz", "0,1,2,3;0.0005,-1,2,3", ("columns not used: wheel.fz",)),
-        ("t,fx,fz", "0,1,n/a;0.0005,-1,2", ("columns of text left out: fz",)),
+        ("t,fx,fz", "0,1,n/a;0.0005,-1,2", ("text columns ignored: fz",)),
         ("frequency,fx,phase", "1,2,3;100,2,3", ("columns not used: phase",)),
-        ("order,fx,ty,comment", "1,2,3,a;2,1,1,b", ("columns of text left out: comment",)),
+        ("order,fx,ty,comment", "1,2,3,a;2,1,1,b", ("text columns ignored: comment",)),
         ("speed [rpm],frequency,fx,count", WATERFALL, ("columns not used: count",)),
     ],
 )
@@ -116,7 +116,7 @@ def test_tables_of_one_file(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TOML)
     wheel, cooler, thruster = make_sources(entries_of([str(tmp_path / "a.toml")]), load_telescope(), RUN)
     assert wheel.signal.lines.tolist() == [200.0]
-    assert wheel.remarks == ("1 tones above 1000 Hz left out",)
+    assert wheel.remarks == ("1 tones above 1000 Hz excluded",)
     assert np.abs(wheel.signal.amplitude[0, :2]).tolist() == pytest.approx([1e-6 * 200.0**2] * 2)  # type: ignore[attr-defined]
     assert cooler.signal.lines == pytest.approx(2 * np.pi * np.array([45.0, 90.0]))
     assert thruster.place == "bus" and not thruster.signal.lines.size
@@ -164,7 +164,7 @@ def test_units_of_harmonics(tmp_path: Path, header: str, factor: float) -> None:
         ("frequency (Hz),Tz (Nm/rtHz)", r"Tz \(Nm/rtHz\) must be Nm\^2/Hz or .*, got 'nm/rthz'"),
         ("frequency (Hz),Tz (Nm)", "must be Nm.2/Hz or .*, got 'Nm'"),
         ("frequency (MHz),Tz", "frequency .* must be Hz, kHz or rad/s, got 'mhz'"),
-        ("order,Fx (N)", r"must be N s\^2/rad\^2 or .* \(squared = false takes N\), got 'N'"),
+        ("order,Fx (N)", r"must be N s\^2/rad\^2 or .* \(squared = false for N\), got 'N'"),
         ("time (ticks),Fx", "unit of the time must be one of s, ms, us, ns, min, h, d, got 'ticks'"),
         ("time (s),Fx (Nm)", r"unit of Fx \(Nm\) must be N or mN, got 'Nm'"),
         ("time (s),Mz (N)", r"unit of Mz \(N\) must be Nm or mNm, got 'N'"),
@@ -206,10 +206,10 @@ def test_a_series_may_have_dates(tmp_path: Path) -> None:
             'name = "a"\nkind = "wind"',
             "kind must be one of series, harmonics, waterfall, psd, cooler, pulses, got 'wind'",
         ),
-        ('name = "a"\nkind = "cooler"\nfrequncy = 45.0', "keys must be of .*frequency.*, got frequncy"),
+        ('name = "a"\nkind = "cooler"\nfrequncy = 45.0', "keys must be among .*frequency.*, got frequncy"),
         (
             'name = "a"\nkind = "cooler"\nfrequency = 45.0\nharmonics = [{order = 1, forces = [1.0, 0.0, 0.0]}]',
-            "keys of a harmonic must be of order, force, torque, got forces",
+            "keys of a harmonic must be among order, force, torque, got forces",
         ),
         ('name = "a"\nkind = "cooler"\nfrequency = -1.0\nharmonics = [{order = 1}]', "frequency must be .* got -1.0"),
         ('name = "a"\nkind = "pulses"\nplace = "moon"\nperiod = 1.0\nwidth = 0.1', "place must be one of bus, wheels"),
@@ -281,4 +281,4 @@ harmonics = [{order = 1, force = [200.0, 0.0, 0.0]}, {order = 2, force = [0.0, 1
     assert "Sources of disturbance" in page and "45.000" in page
     Path("cooler.toml").write_text(cooler.replace("200.0", "300.0"))
     assert main(["report", "bag", "--json"]) == 0
-    assert "no longer those of the run" in Path("bag/report.html").read_text()
+    assert "have changed since the run" in Path("bag/report.html").read_text()

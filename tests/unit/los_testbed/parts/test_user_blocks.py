@@ -126,7 +126,7 @@ def of_another_shape(given: np.ndarray, out: np.ndarray) -> None:
         (lambda given, out: np.zeros(2), "must write all of out, got nothing in los_estimate[0]"),
         (of_another_shape, "los_estimate (2,), got ValueError: could not broadcast"),
         (lambda given: None, "los_estimate (2,), got TypeError"),
-        (meddle, "must leave its input alone"),
+        (meddle, "must not change its input"),
     ],
 )
 def test_a_broken_contract_is_named_with_port_and_shape(step: Any, words: str) -> None:
@@ -147,7 +147,7 @@ def test_missing_methods_and_a_reset_that_fails_are_named() -> None:
 def test_a_block_must_repeat_itself_after_reset() -> None:
     seen = np.random.default_rng(1)
     with pytest.raises(
-        ContractError, match=r"must repeat itself after reset, got .* and .* in wheel_imbalance\[0\] at"
+        ContractError, match=r"must give the same outputs after reset, got .* and .* in wheel_imbalance\[0\] at"
     ):
         check(lambda out: out.__setitem__(slice(None), seen.standard_normal()), "disturbance_source")
 
@@ -226,7 +226,7 @@ def test_a_value_that_is_not_finite_ends_the_run_and_is_in_the_bag(module: str) 
         ("--k-pma", "{}:Quiet", "k_pma"),
         ("--k-fsm", "short_name", "k_fsm must be a file, MODULE:NAME or an entry point of los_testbed.k_fsm"),
         ("--k-fsm", "missing.json", "missing.json"),
-        ("--disturbance", "{}:Restless", "must repeat itself after reset"),
+        ("--disturbance", "{}:Restless", "must give the same outputs after reset"),
         ("--disturbance", "no_such_module:Wind", "disturbance_source must be MODULE:NAME or an entry point of"),
     ],
 )
@@ -371,9 +371,9 @@ def test_a_law_with_a_model_starts_and_is_judged_as_its_file(models: str, laws: 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("OtherModel", "step must do what system() does from a state, got "),
-        ("Forgetful", "step must do what system() does from a state, got "),
-        ("NoModel", "system must return the sampled system that it is, got "),
+        ("OtherModel", "step must agree with system() from a state, got "),
+        ("Forgetful", "step must agree with system() from a state, got "),
+        ("NoModel", "system must return the sampled system of the block, got "),
     ],
 )
 def test_a_model_that_is_another_system_is_refused(models: str, name: str, words: str) -> None:

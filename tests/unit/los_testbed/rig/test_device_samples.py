@@ -25,8 +25,8 @@ from los_testbed.rig.wire import Kind, Reader, encode
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
 CONFIG = RunConfig(device="my:Rig", start="rest")
-ZERO = "mirror and forces were brought to zero"
-NOT_ZERO = "mirror and forces could NOT be brought to zero"
+ZERO = "mirror and forces were set to zero"
+NOT_ZERO = "mirror and forces could NOT be set to zero"
 
 
 class Rig:
@@ -85,7 +85,7 @@ def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift, monkeypatch
     assert [found[f"device_impossible_time_{port}"] for port in (CAMERA_PORT, TRUTH_PORT, EVERY_TICK[0])] == ["1"] * 3
     assert float(found["device_age_max_us"]) < 1e6
     said = refused_in_words(supervisor.counts)
-    assert len(said) == 1 and said[0].startswith("accel_Ip, camera_los, los_controlled: 1 samples with a time of")
+    assert len(said) == 1 and said[0].startswith("accel_Ip, camera_los, los_controlled: 1 samples with an acquisition")
 
 
 def test_the_times_of_a_slow_read_and_of_another_day_are_used():

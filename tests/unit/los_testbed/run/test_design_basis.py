@@ -166,8 +166,8 @@ def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path
 
 def test_another_limit_of_the_run_is_one_line_for_each_controller() -> None:
     first, second = RunParts(RunConfig(fsm_authority=4e-3)).check()
-    assert first == "K_FSM, implemented was made for fsm_authority 0.0053, not for fsm_authority 0.004"
-    assert second.startswith("K_PMA, implemented was made for fsm_authority 0.0053")
+    assert first == "K_FSM, implemented was designed for fsm_authority 0.0053, not for fsm_authority 0.004"
+    assert second.startswith("K_PMA, implemented was designed for fsm_authority 0.0053")
 
 
 def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,7 +176,7 @@ def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys:
     assert cli.main([*arguments, "--set", "fsm_authority=0.004"]) == 0
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert err.startswith("warning: K_FSM, implemented was made for fsm_authority 0.0053")
+    assert err.startswith("warning: K_FSM, implemented was designed for fsm_authority 0.0053")
     parameters = Run.open(bag).parameters
     assert parameters["controller_warnings"] == err.removeprefix("warning: ").strip()
     assert parameters["fsm_authority"] == 0.004
@@ -243,7 +243,7 @@ def test_a_bag_from_before_is_replayed_with_the_reference_telescopes_sensitivity
 @pytest.mark.parametrize(
     ("basis", "message"),
     [
-        ({"los_sensitvity": 0.1}, "keys of design_basis must be of parameters_hash, .*, got 'los_sensitvity'"),
+        ({"los_sensitvity": 0.1}, "keys of design_basis must be among parameters_hash, .*, got 'los_sensitvity'"),
         ({"los_sensitivity": 0.0}, "los_sensitivity must be positive and finite, got 0"),
         ({"los_sensitivity": "0.1"}, "los_sensitivity must be a number, got '0.1'"),
         ({"fsm_authority": True}, "fsm_authority must be a number, got True"),

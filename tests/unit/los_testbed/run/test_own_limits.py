@@ -161,7 +161,7 @@ def test_files_of_others_have_no_limits_until_given(
     told = capsys.readouterr()
     (table,) = screen_rows(told.err)
     assert all(row[2:] == ["", "", ""] for row in table if row[0] != "samples lost")
-    assert told.err.count("no requirements are known of this recording") == 1 and "--requirements FILE" in told.err
+    assert told.err.count("no requirements are known for this recording") == 1 and "--requirements FILE" in told.err
     content: dict[str, Any] = json.loads(told.out.splitlines()[-1])
     assert content["requirements"] == [] and content["requirements_known"] is False
     page = (tmp_path / "r.html").read_text()

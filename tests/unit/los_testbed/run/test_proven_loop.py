@@ -163,7 +163,7 @@ def proven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shown(bag: Path) -> tuple[list[str], list[str]]:
     """Bounds in the table, and remarks on proofs."""
     found = judged([Run.open(bag)], None, None)
-    words = ("proven", "proof", "as the bag states")
+    words = ("proven", "proof", "stated in the bag")
     remarks = [text for text in found.remarks[0] if any(word in text for word in words)]
     return [row.bound_text for row in found.summaries[0].rows], remarks
 
@@ -171,8 +171,8 @@ def shown(bag: Path) -> tuple[list[str], list[str]]:
 def test_what_the_certificates_say_of_the_loop_in_the_bag_is_proven(proven: Path) -> None:
     assert confirmed(Run.open(proven)) == set(PROOF_KEYS)
     bounds, remarks = shown(proven)
-    assert all("proven" in text and "as the bag states" not in text for text in bounds)
-    assert len(remarks) == 3 and all("proven" in text and "as the bag states" not in text for text in remarks)
+    assert all("proven" in text and "stated in the bag" not in text for text in bounds)
+    assert len(remarks) == 3 and all("proven" in text and "stated in the bag" not in text for text in remarks)
 
 
 def test_forged_words_of_proof_are_not_shown_as_proven(proven: Path, tmp_path: Path) -> None:
@@ -188,8 +188,8 @@ def test_forged_words_of_proof_are_not_shown_as_proven(proven: Path, tmp_path: P
     with_metadata(bag, **forged)
     assert not Run.open(bag).contradictions and confirmed(Run.open(bag)) == set()
     texts, remarks = shown(bag)
-    assert all("proven" not in text and text.endswith("as the bag states, not checked here") for text in texts)
-    assert len(remarks) == 3 and all(text.startswith("as the bag states, not checked here: ") for text in remarks)
+    assert all("proven" not in text and text.endswith("stated in the bag, not checked") for text in texts)
+    assert len(remarks) == 3 and all(text.startswith("stated in the bag, not checked: ") for text in remarks)
 
 
 def test_a_bound_that_the_record_is_far_above_is_not_of_its_loop(proven: Path) -> None:

@@ -138,7 +138,7 @@ def test_the_first_publisher_is_matched_by_its_name_or_by_its_hold_ticks():
     replayed = SourceGuard(NODE)
     replayed.sort(C, 0, message(None))
     assert replayed.decide([Endpoint(C.hex(), "/telescope/replay")], 0)
-    assert replayed.strangers([PLANT]) == [PLANT]
+    assert replayed.foreign_publishers([PLANT]) == [PLANT]
 
 
 def test_two_publishers_of_one_name_are_not_decided_on():
@@ -189,7 +189,7 @@ def test_with_a_list_an_early_impostor_is_never_matched(tmp_path):
     assert not listed.guard.decide([AGAIN], 0), "the only publisher, with the right name and a hold tick"
     listed.add(A)
     assert [listed.sort(gid) for gid in (C, A, C, A)] == [FOREIGN, OURS, FOREIGN, OURS]
-    assert listed.guard.strangers([PLANT, AGAIN]) == [AGAIN]
+    assert listed.guard.foreign_publishers([PLANT, AGAIN]) == [AGAIN]
     assert listed.guard.intruders() == [C]
 
 

@@ -110,7 +110,7 @@ def test_a_trade_designs_for_each_star_and_goes_on_where_it_ended(
     assert ended.value.code == 1
     told = capsys.readouterr()
     assert json.loads(told.out.splitlines()[-1]) == {"trade": [], "finished": False}
-    assert "ended by the time limit after 0 of 2: run it again to go on" in told.err
+    assert "ended by the time limit after 0 of 2: run again to resume" in told.err
     main(command)
     first = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert first["finished"] and [row["design"] for row in first["trade"]] == ["converged", "converged"]
@@ -172,7 +172,7 @@ def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--magnitudes", "a,b"], "--magnitudes must be numbers with commas between them, got 'a,b'"),
+        (["--magnitudes", "a,b"], "--magnitudes must be numbers separated by commas, got 'a,b'"),
         (["--rates", "30"], "must divide 1000 Hz"),
         (["--rates", "0"], "rates must be positive, got 0 Hz"),
         (["--magnitudes", "120"], "camera.magnitude must be above -30 and below 99, got 120.0"),

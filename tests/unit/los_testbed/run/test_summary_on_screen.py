@@ -66,10 +66,10 @@ def printed(results: RunSummaries, **options: Any) -> str:
         (
             {"lost_periods": "3"},
             0,
-            "3 periods were lost: the plant went on with the command it had, and no sample was sent",
+            "3 periods were lost: the plant held its command, and no sample was sent",
         ),
-        ({"lost_periods": "3"}, 4, "no sample was sent; 4 windows of 20 ms with one are left out"),
-        ({"unsent_ticks": "2"}, 1, "in 2 ticks the device gave not all samples"),
+        ({"lost_periods": "3"}, 4, "no sample was sent; 4 windows of 20 ms with one are excluded"),
+        ({"unsent_ticks": "2"}, 1, "in 2 ticks samples of the device were incomplete"),
     ],
 )
 def test_what_a_plant_could_not_send_is_told_with_the_windows_that_it_cost(
@@ -150,7 +150,7 @@ def test_ticks_are_missed_in_real_time_only(summary: Summary, mode: str, counts:
 
 @pytest.mark.parametrize(
     ("lost", "open_end", "verdict"),
-    [(0, False, "met"), (2, False, "not met"), (2, True, "not met"), (0, True, "not known: cut off")],
+    [(0, False, "met"), (2, False, "not met"), (2, True, "not met"), (0, True, "not known: truncated")],
 )
 def test_lost_samples_are_judged_where_they_are_known(
     summary: Summary, lost: int, open_end: bool, verdict: str
@@ -170,13 +170,13 @@ def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> Non
     beside = [figure for figure in summary.figures if figure.quantity not in judged]
     assert len(beside) == len(summary.figures) - 1  # the requirement is on one of them
     assert set(rows(table)) == {*judged, *(figure.name for figure in beside), "samples lost"}
-    assert [row.css for row in summary.rows] == ["kept"]
+    assert [row.css for row in summary.rows] == ["within"]
     assert table.columns[-1]._cells[0].style == "green"  # type: ignore[union-attr]
 
 
 def test_title_names_what_is_known(summary: Summary) -> None:
     whole = screen._table(replace(summary, scenario="design", transient=0.5), metrics(summary))
-    assert str(whole.title) == "fsm, design, realtime, 2 s, first 0.5 s (start-up) left out"
+    assert str(whole.title) == "fsm, design, realtime, 2 s, first 0.5 s (start-up) excluded"
     bare = screen._table(replace(summary, loop="", scenario="", mode="", transient=0.0), metrics(summary))
     assert str(bare.title) == f"{summary.path.name}, 2 s, steady start"
 

@@ -32,7 +32,7 @@ def ended(end: str) -> tuple[int, str, float]:
 
 def test_a_process_that_is_left_behind_is_not_waited_for() -> None:
     code, said, spent = ended("os._exit(0)")
-    assert code == 1 and "ended in code of the user (exit code 0): plant my:Plant" in said
+    assert code == 1 and "ended in user code (exit code 0): plant my:Plant" in said
     assert spent < 50.0
 
 

@@ -1,1 +1,1 @@
-"""Bags: messages as bytes, MCAP files, what a bag says about its run."""
+"""Bags: serialised messages, MCAP files, checks, repair, signatures."""

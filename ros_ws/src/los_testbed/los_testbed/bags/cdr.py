@@ -17,7 +17,7 @@ _LITTLE_ENDIAN = ENCAPSULATION[:2]
 
 
 class CodecError(ValueError):
-    """A message that is not what its topic carries; `reason` is ``encoding`` or ``size``."""
+    """A message that does not have the type of its topic; `reason` is ``encoding`` or ``size``."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
@@ -48,7 +48,7 @@ class Codec(Encoder):
         Raises
         ------
         CodecError
-            Not little-endian CDR, cut short, or another number of efforts.
+            Not little-endian CDR, truncated, or another number of efforts.
         """
         fixed = data[_FRAME_OFFSET : self._offset] == self._fixed
         if fixed and len(data) == len(self._buffer) and data[:2] == _LITTLE_ENDIAN:

@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
-"""``early``: whole, of a run that did not end by its plan, or whose messages do not show that it did."""
+"""``early``: intact, but the run did not end as planned, or its messages do not show that it did."""
 
 CHECKSUMS = "checksums"
 NAMED = 3
-"""Places that are named of those that count messages and agree."""
+"""Largest number of agreeing message counts that are listed."""
 
 
 @dataclass(frozen=True)
 class BagCheckRow:
-    """One thing that was checked: its name, whether it agrees, and what was found."""
+    """One check: its name, state and finding."""
 
     name: str
     state: State
@@ -90,13 +90,13 @@ class BagCheck:
 
 
 def check_bag(path: Path, max_chunk: int = MAX_CHUNK, key: Ed25519PublicKey | None = None) -> BagCheck:
-    """Read a bag from one end to the other and compare all that it says of itself.
+    """Read a whole bag and check its digests, counts and signature.
 
     Parameters
     ----------
     path : of the bag
     max_chunk : largest chunk that is unpacked [byte]; a larger one counts as lost
-    key : whose signature it must have; None: whoever's, which is not checked
+    key : key that must have signed it; None: a signature is not checked
 
     Raises
     ------
@@ -107,7 +107,7 @@ def check_bag(path: Path, max_chunk: int = MAX_CHUNK, key: Ed25519PublicKey | No
 
 
 def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> Path:
-    """Sign a bag that is whole; the path of the signature.
+    """Sign an intact bag; the path of the signature.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     found, infos, files = _check(path, max_chunk, None)
     refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
-        raise ValueError(f"a bag must be whole to be signed, got {path}, {refused}")
+        raise ValueError(f"a bag must be intact to be signed, got {path}, {refused}")
     if not all(info.chunks and _all_agree(info) for info in infos):
         raise ValueError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
     return write_signature(files[0], [info.chain for info in infos], key)
@@ -136,7 +136,7 @@ def _check(
     counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
         BagCheckRow(
-            "end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))
+            "end of the data", *(("damaged", "the recording is truncated") if reading.cut else ("agrees", "present"))
         ),
         _checksums(infos, damage, contents.topics.total()),
         _digests(infos),
@@ -150,9 +150,9 @@ def _check(
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
-    told = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
-    problems = tuple(dict.fromkeys([*reading.problems(), *told]))
-    result = BagCheck(path, found, (*reading.contradictions, *told), problems, dict(contents.topics), losses)
+    differences = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
+    problems = tuple(dict.fromkeys([*reading.problems(), *differences]))
+    result = BagCheck(path, found, (*reading.contradictions, *differences), problems, dict(contents.topics), losses)
     return result, infos, bag.files
 
 
@@ -163,7 +163,9 @@ def _checksums(infos: list[FileInfo], damage: list[str], messages: int) -> BagCh
     if not unchecked:
         return BagCheckRow(CHECKSUMS, "agrees", "no damage")
     which = f"any of the {messages}" if unchecked >= messages else f"{unchecked} of the {messages}"
-    return BagCheckRow(CHECKSUMS, "none", f"the file has no checksum of {which} messages: damage to them does not show")
+    return BagCheckRow(
+        CHECKSUMS, "none", f"the file has no checksum of {which} messages: damage to them is not detected"
+    )
 
 
 def _first(texts: list[str]) -> str:
@@ -171,7 +173,7 @@ def _first(texts: list[str]) -> str:
 
 
 def _before(reading: BagPass) -> list[str]:
-    """Contradictions of the bag that this one was made of."""
+    """Contradictions of the bag that this one was repaired from."""
     own = {text for info in reading.infos for text in info.contradictions}
     return [text for text in reading.contradictions if text not in own]
 
@@ -195,7 +197,7 @@ def _all_agree(info: FileInfo) -> bool:
 def _digests(infos: list[FileInfo]) -> BagCheckRow:
     chunks, agree = sum(max(info.chunks, info.chain.manifests) for info in infos), sum(info.digests for info in infos)
     if not any(info.chain.manifests for info in infos):
-        return BagCheckRow("digests of chunks", "none", "no manifests: another program has recorded it")
+        return BagCheckRow("digests of chunks", "none", "no manifests: recorded by another program")
     refuted = [text for info in infos for text in info.contradictions if not _of_chain(info, text)]
     text = f"{agree} of {chunks} agree"
     if refuted:
@@ -206,7 +208,7 @@ def _digests(infos: list[FileInfo]) -> BagCheckRow:
 def _chain(infos: list[FileInfo]) -> BagCheckRow:
     linked = [info for info in infos if info.chain.linked or info.chain.sealed]
     if not linked:
-        return BagCheckRow("chain of manifests", "none", "none: an older version or another program has recorded it")
+        return BagCheckRow("chain of manifests", "none", "none: recorded by an older version or another program")
     broken = [text for info in linked for text in info.contradictions if _of_chain(info, text)]
     if broken:
         return BagCheckRow("chain of manifests", "contradicts", _first(broken))
@@ -218,7 +220,7 @@ def _chain(infos: list[FileInfo]) -> BagCheckRow:
 
 @dataclass(frozen=True)
 class _Source:
-    """Who counts messages: what it counts in all and by topic, and what was read of that; None: it does not say."""
+    """Message counts of one source, in all and by topic (None: not stated), and the messages read."""
 
     name: str
     total: int | None
@@ -228,7 +230,7 @@ class _Source:
 
     @property
     def wrong(self) -> list[str]:
-        """Where it counts otherwise than was read, one sentence each."""
+        """Differences from the messages read, one sentence each."""
         known, read = self.topics, sum(self.read.values())
         found = [
             f"{topic}: {self.name} counts {known.get(topic, 0)} messages, {self.read.get(topic, 0)} can be read"
@@ -252,10 +254,10 @@ def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Ma
             found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
     statistics = known.get("statistics")
     recorder = statistics.get("recorder") if isinstance(statistics, dict) else None
-    told = str(recorder.get("messages")) if isinstance(recorder, dict) else ""
-    if told.isascii() and told.isdecimal() and len(told) < 16:
+    stated = str(recorder.get("messages")) if isinstance(recorder, dict) else ""
+    if stated.isascii() and stated.isdecimal() and len(stated) < 16:
         recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
-        found.append(_Source("the run's record", int(told), None, recorded, at_least=True))
+        found.append(_Source("the run's record", int(stated), None, recorded, at_least=True))
     return found
 
 
@@ -268,7 +270,7 @@ def _by_topic(info: FileInfo) -> Counter[str]:
 
 
 def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) -> BagCheckRow:
-    """Messages that were read against those that are counted elsewhere in the bag."""
+    """Comparison of the messages read with the counts elsewhere in the bag."""
     wrong = [text for source in sources for text in source.wrong]
     if wrong:
         return BagCheckRow("counts", "damaged" if incomplete else "contradicts", _first(wrong))
@@ -291,18 +293,18 @@ def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[T
     if end.text:
         return BagCheckRow("end of the run", "early", end.text)
     if end.by_plan:
-        return BagCheckRow("end of the run", "agrees", f"by its plan, after {end.done} ticks")
-    return BagCheckRow("end of the run", "none", "not known: the run's record does not hold its plan and its ticks")
+        return BagCheckRow("end of the run", "agrees", f"as planned, after {end.done} ticks")
+    return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:
     there = [file for file in bag.files if signature_file(file).is_file()]
     if key is None:
-        return BagCheckRow("signature", "none", "there, not checked: no --public-key" if there else "none")
+        return BagCheckRow("signature", "none", "present, not checked: no --public-key" if there else "none")
     if not there:
-        return BagCheckRow("signature", "contradicts", "none, though one must be there (--public-key)")
+        return BagCheckRow("signature", "contradicts", "none, but required by --public-key")
     if there != [bag.files[0]] or not is_signed_by(there[0], [info.chain for info in infos], key):
-        return BagCheckRow("signature", "contradicts", "not that of this key for this bag")
+        return BagCheckRow("signature", "contradicts", "does not match this key and bag")
     if any(info.chain.unchecked or info.chain.open or not _all_agree(info) for info in infos):
-        return BagCheckRow("signature", "damaged", "that of this key, but what is damaged is not covered by it")
-    return BagCheckRow("signature", "agrees", "that of this key")
+        return BagCheckRow("signature", "damaged", "matches this key, but does not cover the damaged parts")
+    return BagCheckRow("signature", "agrees", "matches this key")

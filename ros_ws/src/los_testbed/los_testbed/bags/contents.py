@@ -1,4 +1,4 @@
-"""What the messages of a bag are, as one pass over it counts them: of each file by topic, and the ticks they cover."""
+"""Message counts of one pass over a bag: by file and topic, and the ticks covered."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Contents:
         self.stamps: dict[str, tuple[int, int]] = {}
 
     def add(self, number: int, info: FileInfo, block: Block) -> None:
-        """Take note of the messages of a block of the file with this number."""
+        """Count the messages of a block of the file with this number."""
         self.files += [Counter() for _ in range(number + 1 - len(self.files))]
         for channel, rows in block.by_channel(info.channels):
             self.files[number][channel.topic] += int(rows.size)

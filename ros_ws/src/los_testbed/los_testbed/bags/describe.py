@@ -1,4 +1,4 @@
-"""What a bag holds: times, topics, the run, hashes; without unpacking its chunks where the bag counts its messages."""
+"""Contents of a bag: times, topics, run, hashes; chunks are unpacked only if the bag has no message counts."""
 
 from __future__ import annotations
 

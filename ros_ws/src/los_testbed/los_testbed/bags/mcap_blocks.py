@@ -179,7 +179,7 @@ class McapBlockWriter:
             self._add_records([*self._schemas, *self._channels])
 
     def _add_records(self, records: Sequence[McapRecord]) -> None:
-        """Take records that are no messages into the chunk."""
+        """Append records other than messages to the chunk."""
         for record in records:
             builder = RecordBuilder()
             record.write(builder)
@@ -312,7 +312,7 @@ class McapBlockWriter:
         )
 
     def _write(self, record: McapRecord, bound: bool = False) -> tuple[int, int]:
-        """Write a record, and with `bound` take it into the chain; its place and length."""
+        """Write a record, with `bound` also into the chain; its offset and length."""
         builder = RecordBuilder()
         record.write(builder)
         data = builder.end()

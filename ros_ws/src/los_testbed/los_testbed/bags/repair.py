@@ -1,7 +1,7 @@
 """Repair of a bag whose recorder was killed or whose file is damaged: every reader opens the new bag.
 
 The messages come through the same pass over the file as those of the reader (`pointing_analysis.read.mcap.walk`), so
-the new bag holds what an analysis of the damaged one uses, and says the same of what is lost.
+the new bag holds what an analysis of the damaged one uses, and reports the same losses.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from pointing_analysis.read.messages.topic_columns import KNOWN
 
 @dataclass
 class RepairResult:
-    """What was copied and what is lost.
+    """Result of a repair: messages copied and lost.
 
     Attributes
     ----------
     messages : messages in the new bag
     copied : messages of each topic in the new bag
     losses : what was recorded and cannot be read, topic by topic
-    repeated : messages of each topic whose number others have, in both bags; copies of a whole chunk are not copied
+    repeated : messages of each topic with a repeated sequence number, in both bags; a repeated chunk is not copied
     damage : offset [byte] in the file and description of each damaged place
     problems : the same and further defects as sentences
     contradictions : where the file contradicts its own digests; in `problems` as well
-    finished : whether the file has the end of its data; False if the recorder was killed or the file cut off
+    finished : whether the file has its end-of-data record; False if the recorder was killed or the file truncated
     last_stamp : log time of the newest message [ns]
     """
 
@@ -55,11 +55,11 @@ class RepairResult:
     last_stamp: int = 0
 
     def sentences(self) -> list[str]:
-        """What is lost and what is damaged, one sentence each."""
+        """Losses and damage, one sentence each."""
         found = [*(str(loss) for loss in self.losses), *self.problems]
-        found += [f"{topic}: {n} messages have a number that others have, too" for topic, n in self.repeated.items()]
+        found += [f"{topic}: {n} messages have a repeated sequence number" for topic, n in self.repeated.items()]
         if not self.finished:
-            found.append("the recording was cut off: what came after its last message is not in the file")
+            found.append("the recording is truncated after its last message")
         return found or ["nothing is lost"]
 
 
@@ -77,7 +77,7 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     Raises
     ------
     ValueError
-        `source` is no bag, holds nothing or none of its messages can be read, or `target` exists.
+        `source` is not a bag, is empty or has no readable message, or `target` exists.
     """
     check_new_bag(target)
     found = bag_files(source)
@@ -92,17 +92,17 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
         result.contradictions = contradictions([info])
         result.problems = (*found.problems, *info.problems)
         if not result.messages and not info.channels and not info.metadata:
-            raise BagError(f"{source} must hold records that can be read, got none")
+            raise BagError(f"{source} must have readable records, got none")
         if not result.messages and result.losses:
             lost = sum(loss.missing for loss in result.losses)
-            raise BagError(f"{source} must hold messages that can be read, got none of the {lost} that were recorded")
+            raise BagError(f"{source} must have readable messages, got none of the {lost} recorded")
     return result
 
 
 def _copy(
     file: Path, info: FileInfo, ledger: LossLedger, folder: Path, name: str, counts: Mapping[str, int]
 ) -> RepairResult:
-    """Two passes: what stands beside the messages, which goes first, then the messages."""
+    """Two passes: metadata and attachments first, then the messages."""
     beside = FileInfo(max_chunk=info.max_chunk, unpacks=lambda first, last: False)
     for _ in walk(file, beside):
         pass
@@ -137,14 +137,14 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
 
 
 def _namespace(beside: FileInfo) -> str | None:
-    """What stands before the names of the topics; None where no channel tells."""
+    """Namespace of the topics; None if no channel has it."""
     names = [channel.topic for channel in beside.channels.values()]
     found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
     return next(iter(found)) if len(found) == 1 else None
 
 
 def _record(file: Path, info: FileInfo, result: RepairResult, origin: int) -> Mapping[str, str]:
-    """What every later reader of the new bag shows."""
+    """Record of the losses for later readers of the new bag."""
     notes = [*(str(loss) for loss in result.losses), *info.problems]
     return {
         "source": file.name,
@@ -164,14 +164,14 @@ def _by_topic(info: FileInfo, block: Block, bag: BagWriter) -> Iterator[tuple[st
             continue
         if channel.topic not in bag.topics:
             if channel.encoding != "cdr" or not channel.definition:
-                info.problems.append(f"{channel.topic}: messages without a definition of their type are left out")
+                info.problems.append(f"{channel.topic}: messages without a type definition are excluded")
                 continue
             definition = channel.definition.decode(errors="replace")
             type_hash = dict(channel.metadata).get("topic_type_hash", "")
             bag.add_topic(channel.topic, channel.schema, definition, type_hash, channel.definition_encoding)
         known = bag.types[channel.topic]
-        if channel.encoding != "cdr" or channel.schema not in ("", known):  # readers of the old bag leave them out, too
-            text = f"{channel.topic}: messages must be {known} in CDR, got others: they are left out"
+        if channel.encoding != "cdr" or channel.schema not in ("", known):  # readers of the old bag skip them, too
+            text = f"{channel.topic}: messages must be {known} in CDR, got others: they are excluded"
             info.problems += [text] if text not in info.problems else []
             continue
         yield channel.topic, np.flatnonzero(numbers == number)

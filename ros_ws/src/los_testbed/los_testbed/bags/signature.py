@@ -1,4 +1,4 @@
-"""Ed25519 signature of a bag, beside its first file: who holds the key vouches for the digests that end the chains.
+"""Ed25519 signature of a bag, stored beside its first file, over the digests that end the hash chains.
 
 Of a bag with several files one signature binds all of them in their order.
 """
@@ -23,12 +23,12 @@ SUFFIX = ".sig"
 
 
 def signature_file(file: Path) -> Path:
-    """Where the signature of an MCAP file is."""
+    """Path of the signature of an MCAP file."""
     return file.with_name(file.name + SUFFIX)
 
 
 def _content(chains: Sequence[Chain]) -> dict[str, Any]:
-    """What is signed."""
+    """The signed bytes."""
     if len(chains) == 1:
         return {"format": FORMAT, **chains[0].seal()}
     return {"format": FORMAT_OF_SEVERAL, "files": [chain.seal() for chain in chains]}

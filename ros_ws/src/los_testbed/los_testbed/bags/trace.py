@@ -34,7 +34,7 @@ US = 1000.0
 def sent_times(run: Run, namespace: str, start: float, stop: float) -> tuple[dict[int, list[float]], int]:
     """For each tick of a part the times at which the messages of `TOPICS` were sent [ns]; first stamp of the run [ns].
 
-    Ticks are given by their stamps [ns], a message that there is not is NaN.
+    Ticks are given by their stamps [ns]; a missing message is NaN.
     """
     names = {f"{namespace}/{name}": k for k, name in enumerate(TOPICS)}
     found: dict[int, list[float]] = {}
@@ -50,7 +50,7 @@ def sent_times(run: Run, namespace: str, start: float, stop: float) -> tuple[dic
 def events(sent: dict[int, list[float]], first: int) -> Iterator[dict[str, Any]]:
     """Events of the trace: names of the tracks, then for each tick its period and the part of each node.
 
-    The stamps of a run count ticks from the `first` one; the wall's time of that is where the quickest tick says.
+    The stamps of a run count ticks from `first`; the wall-clock time of that is taken from the fastest tick.
     """
     for track, name in enumerate(("ticks", *STEPS)):
         yield {"ph": "M", "name": "thread_name", "pid": 1, "tid": track, "args": {"name": name}}
@@ -78,7 +78,7 @@ def write_trace(run: Run, output: Path, start: float = 0.0, stop: float = np.inf
     Raises
     ------
     ValueError
-        A run that was not in real time, or a bag that has nothing of the loop in that part.
+        A run that was not in real time, or a bag without messages of the loop in that part.
     """
     if run.parameters.get("mode") != "realtime":
         raise ValueError(f"{run.path}: a trace must be of a run in real time, got mode {run.parameters.get('mode')}")

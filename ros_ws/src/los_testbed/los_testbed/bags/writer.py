@@ -40,12 +40,12 @@ _LATEST = 2**63 - 1
 
 
 def check_new_bag(path: Path) -> None:
-    """Refuse a path where no new bag can be made.
+    """Reject a path where no new bag can be created.
 
     Raises
     ------
     ValueError
-        Something is there already, the name is too long, or the parent is no folder one may write to.
+        The path exists, the name is too long, or the parent is not a writable folder.
     """
     check_output(path, "the bag", new=True, folder=True)
 
@@ -113,7 +113,7 @@ class BagWriter:
         try:
             path.mkdir(parents=True)
         except OSError as error:
-            raise ValueError(f"the bag {path} cannot be made: {error.strerror}") from None
+            raise ValueError(f"the bag {path} cannot be created: {error.strerror}") from None
         self.path = path
         self.file_name = f"{name or path.name}_0.mcap"
         self._mcap = McapBlockWriter(path / self.file_name)
@@ -154,7 +154,7 @@ class BagWriter:
             self._mcap.add_block(self._channels[topic], log_times, publish_times, messages, sequences)
 
     def end_chunk(self) -> None:
-        """Compress and write out what came since the last call; called once per second of data."""
+        """Compress and write the messages since the last call; called once per second of data."""
         with named_errors(self.path, self.path):
             self._mcap.flush_chunk()
 

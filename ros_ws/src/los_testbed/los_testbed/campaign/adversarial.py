@@ -1,4 +1,4 @@
-"""Members that a worst-case search finds, for campaigns that look for the worst and not for the distribution."""
+"""Members found by a worst-case search, for campaigns on the worst case instead of the distribution."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""How a campaign stands against the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
+"""Verdicts of a campaign on the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
 
 =============  =====================================================================================================
-ensemble       the worst instant of each member is one sample: so many members keep the limit at all times
-temporal       each member keeps the limit for the share of its time; one that is proven not to is the verdict
+ensemble       the worst instant of each member is one sample: so many members are within the limit at all times
+temporal       each member is within the limit for the share of its time; one proven not to be is the verdict
 mixed          all instants of all members together
 =============  =====================================================================================================
 
@@ -11,12 +11,12 @@ The worst instant, the quantile and the share above a limit are columns of the d
 those in place of instants. Under a lower limit the worst is the smallest, and what is below the limit counts.
 
 **Confidence.** Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`).
-The instants of a member weigh as many as its exceedances leave (:mod:`pointing_analysis.indices.exceedances`), and all
-of them together as many as their scatter from member to member. A temporal verdict has two steps, each at the
+The instants of a member count as its effective samples (:mod:`pointing_analysis.indices.exceedances`), and all of them
+together by their scatter from member to member. A temporal verdict has two steps, each at the
 confidence of the requirement: on each member from its run, and on all telescopes from the members. A member counts as
-kept only where its own run proves it. Members that are no random draws speak for themselves alone: there are no bounds
-then, and all of them must be proven. A member that diverged is beyond every limit, and so is one whose
-metric is not known; one that failed for another reason is left out and counted.
+compliant only if its own run proves it. Members that are not random draws have no bounds, and all of them must be
+proven. A member that diverged, or whose metric is not known, exceeds every limit; one that failed for another reason is
+excluded and counted.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from titop_plant.telescope.requirements import window_length, window_probability
 LOST = ("unstable", "diverged")
 """Statuses of members that are beyond every limit."""
 
-PRE = "the PRE compares several runs, a campaign has one of each member"
+PRE = "the PRE compares several runs, a campaign has one per member"
 """Why there is no verdict on the PRE."""
 
 
@@ -224,12 +224,12 @@ def model_verdicts(
     requirements: Sequence[Requirement],
     random: bool = True,
 ) -> list[CampaignVerdict]:
-    """Verdicts of a campaign at depth model: each member keeps the limit with its worst tone and its noise.
+    """Verdicts of a campaign at depth model: each member is within the limit with its worst tone and its noise.
 
     Parameters
     ----------
     total : ndarray, shape (members,)
-        What the required part of the windows keeps [mas].
+        Quantile of the windows at the required probability [mas].
     status, loop, requirements, random
         As in :func:`verdicts`.
     """
@@ -250,13 +250,13 @@ def _known(own: FloatArray, requirement: Requirement) -> list[str]:
 
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
-    """How many values, in the unit of the columns, do not keep the limit."""
+    """Number of values, in the unit of the columns, above the limit."""
     limit = requirement.limit / column_unit(requirement)[1]
     return int(np.sum(values <= limit if requirement.lower else values >= limit))
 
 
 def _quantile(values: FloatArray, requirement: Requirement) -> float:
-    """What the required part of the values keeps."""
+    """Quantile of the values at the required probability."""
     sign = -1.0 if requirement.lower else 1.0
     return sign * SortedValues(sign * values).quantile(requirement.probability)
 
@@ -271,10 +271,10 @@ def _decided(interpretation: str, requirement: Requirement, above: int, samples:
 
 
 def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], random: bool) -> CampaignVerdict:
-    """Every member keeps the limit for its share of the time; `status` is the one of each member alone.
+    """Every member is within the limit for its share of the time; `status` is that of each member alone.
 
-    Bounds are those of the share of telescopes that do not keep it. A member that breaks the limit passes for one that
-    keeps it no more often than 1 - c: of those that break it a part c at least is not proven.
+    Bounds are those of the share of telescopes that exceed it. A member that exceeds the limit passes for one within
+    it with probability 1 - c at most: of those that exceed it a part c at least is not proven.
     """
     above, samples, c = _above(own, requirement), len(own), requirement.confidence
     worst = float(np.min(own) if requirement.lower else np.max(own))

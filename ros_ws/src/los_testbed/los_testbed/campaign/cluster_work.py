@@ -1,4 +1,4 @@
-"""Items of work on the worker processes of a Dask cluster, which need nothing but the package.
+"""Items of work on the worker processes of a Dask cluster, which need only the package.
 
 An item's result does not depend on the worker that computes it, and results come in the order of the items, so that
 they are the same for any number of workers of one kind. Files are read and written by the caller alone.
@@ -29,7 +29,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 2
-"""Items for each worker that are handed out before their turn."""
+"""Items queued per worker."""
 
 
 def _itself(item: Any) -> Any:
@@ -46,7 +46,7 @@ def _nowhere(item: Any, result: Any) -> None:
 
 @dataclass(frozen=True)
 class Work(Generic[Item, Result]):
-    """What is done with each item: `function` by a worker, the rest by the caller.
+    """Processing of each item: `function` by a worker, the rest by the caller.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ class Work(Generic[Item, Result]):
     sent : callable
         What a worker receives of an item, as it is handed out.
     kept : callable
-        Result that is known already, or None.
+        Stored result, or None.
     keep : callable
-        Receives item and result as soon as it is there, in any order.
+        Receives each item and result immediately, in any order.
     named : callable
         Text for messages.
     advice : str
-        What a message about lost workers ends with.
+        End of a message about lost workers.
     """
 
     function: Callable[[Any], Result]
@@ -69,11 +69,11 @@ class Work(Generic[Item, Result]):
     kept: Callable[[Item], Result | None] = _never
     keep: Callable[[Item, Result], None] = _nowhere
     named: Callable[[Item], str] = lambda item: "an item"
-    advice: str = "start the command again"
+    advice: str = "run the command again"
 
 
 class ClusterWorkers(Workers):
-    """Workers of a cluster in place of processes of this machine.
+    """Workers of a cluster instead of processes of this machine.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class ClusterWorkers(Workers):
         self.client = client
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-        """What :meth:`map` gives, one by one."""
+        """Results of :meth:`map`, one by one."""
         return results_on(self.client, Work[Item, Result](function), items)
 
 
@@ -109,7 +109,7 @@ def connected(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
 
 
 def versions() -> dict[str, str]:
-    """What results depend on, of the process that calls it."""
+    """Versions in this process that results depend on."""
     return {"los-testbed": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
 
 
@@ -119,7 +119,7 @@ def results_on(client: Any, work: Work[Item, Result], items: Sequence[Item]) -> 
     Raises
     ------
     RuntimeError
-        The scheduler was lost, no worker is left, or an item fails or ends its workers.
+        The connection to the scheduler or all workers were lost, or an item fails or ends its workers.
     """
     waiting, running, done = deque(range(len(items))), dict[Any, int](), dict[int, Result]()
     try:
@@ -140,7 +140,7 @@ def results_on(client: Any, work: Work[Item, Result], items: Sequence[Item]) -> 
                     _collect(client, work, items, running, done)
             yield done.pop(number)
     except (CancelledError, TimeoutError, OSError) as error:
-        raise RuntimeError(f"the scheduler was lost, {work.advice} ({type(error).__name__})") from None
+        raise RuntimeError(f"connection to the scheduler lost, {work.advice} ({type(error).__name__})") from None
     finally:
         with contextlib.suppress(Exception):
             client.cancel(list(running))
@@ -173,7 +173,7 @@ def _collect(
     running: dict[Any, int],
     done: dict[int, Result],
 ) -> None:
-    """Wait for an item that is done, and keep all that are."""
+    """Wait for a finished item, and store all finished ones."""
     looked = seen = time.monotonic()
     while not any(future.done() for future in running):
         time.sleep(POLL)
@@ -184,7 +184,7 @@ def _collect(
             looked = now
             seen = now if client.scheduler_info(n_workers=-1)["workers"] else seen
             if now - seen > PATIENCE:
-                raise RuntimeError(f"no worker is left since {PATIENCE:g} s, {work.advice}")
+                raise RuntimeError(f"no worker for {PATIENCE:g} s, {work.advice}")
     for future in [future for future in running if future.done()]:
         number = running.pop(future)
         if future.status == "cancelled":
@@ -197,5 +197,5 @@ def _collect(
 
 
 def _text(error: BaseException) -> str:
-    """Kind and message of an error in one line."""
+    """Type and message of an error in one line."""
     return ": ".join(text for text in (type(error).__name__, " ".join(str(error).split())) if text)

@@ -1,8 +1,8 @@
-"""Results of a campaign on disk: a folder with what was asked for, and rows in Parquet files.
+"""Results of a campaign on disk: a folder with its definition, and rows in Parquet files.
 
-``campaign.json`` says what the campaign is; ``rows/part-*.parquet`` hold the rows of one chunk of members each, written
-whole or not at all. A campaign that was interrupted goes on where chunks are missing; the rows of a chunk do not depend
-on when or where it was computed.
+``campaign.json`` defines the campaign; each ``rows/part-*.parquet`` has the rows of one chunk of members, written
+completely or not at all. An interrupted campaign resumes with the missing chunks; the rows of a chunk do not depend on
+when or where it was computed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 MANIFEST, ROWS = "campaign.json", "rows"
 FORMAT = 2
 CHUNK = {"time": 10, "model": 100}
-"""Members of a chunk, which is what one task computes and one file holds."""
+"""Members of a chunk: one task and one file."""
 MODELLED = ("duration", "loop", "scenario", "k_fsm", "k_pma", "parameters", "camera_rate")
 """Settings that members may have at depth model, whose figures are those of the loop's matrices."""
 PLACE = ("mode", "output", "domain", "namespace")
@@ -42,7 +42,7 @@ PLACE = ("mode", "output", "domain", "namespace")
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a campaign is: two with equal fields have equal rows.
+    """Definition of a campaign: two with equal fields have equal rows.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Campaign:
 
     @property
     def parameters(self) -> MemberParameters:
-        """What the members differ in."""
+        """Parameters that vary among the members."""
         return MemberParameters.of(self.base.parameters)
 
     @property
@@ -164,7 +164,7 @@ class Campaign:
         return Job("campaign", self.manifest(), folder / MANIFEST, "output")
 
     def manifest(self) -> dict[str, Any]:
-        """What the rows depend on."""
+        """Dependencies of the rows."""
         return {
             "format": FORMAT,
             "depth": self.depth,
@@ -178,7 +178,7 @@ class Campaign:
 
 
 def check_depth(base: RunConfig, depth: str) -> None:
-    """Refuse settings that members cannot be evaluated with.
+    """Reject settings with which members cannot be evaluated.
 
     Raises
     ------
@@ -216,7 +216,7 @@ class ResultFolder:
         self.path = path
 
     def check(self, resume: bool) -> None:
-        """Refuse, before anything is computed, a folder where no rows can be written.
+        """Reject, before any computation, a folder where no rows can be written.
 
         Raises
         ------
@@ -234,7 +234,7 @@ class ResultFolder:
                 pass
 
     def compare(self, campaign: Campaign) -> None:
-        """Refuse another campaign than the one that the folder holds.
+        """Reject a campaign other than the one in the folder.
 
         Settings that an older version did not have count as what they are by default.
 
@@ -244,14 +244,14 @@ class ResultFolder:
             Another campaign, or none.
         """
         present = read_manifest(self.path)
-        with contextlib.suppress(ValueError, KeyError):  # settings that are none of today's are compared as they are
+        with contextlib.suppress(ValueError, KeyError):  # unknown settings are compared unchanged
             present["run"] = _settings(RunConfig.from_mapping(present["run"]))
         campaign.job(self.path).require_same(present)
 
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
-        """Make the folder, or go on in it; the chunks that are there already.
+        """Create the folder, or resume in it; the finished chunks.
 
-        Not among them are chunks with crashed members, and those without a column of the campaign's metrics.
+        Chunks with crashed members, or without a column of the campaign's metrics, are not among them.
 
         Raises
         ------
@@ -337,7 +337,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _settings(config: RunConfig) -> dict[str, Any]:
-    """Those of each member, as the folder holds them."""
+    """Those of each member, from the folder."""
     return {name: value for name, value in config.to_plain().items() if name not in ("output", "domain")}
 
 

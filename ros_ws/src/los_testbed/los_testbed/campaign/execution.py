@@ -27,16 +27,16 @@ CONNECT = 15.0
 """Seconds to reach a scheduler."""
 
 POLL, LOOK = 0.02, 5.0
-"""Seconds between looks for finished chunks, and for workers."""
+"""Polling interval of finished chunks and of workers [s]."""
 
 PATIENCE = 120.0
-"""Seconds that a campaign waits for a worker where there is none any more."""
+"""Longest wait for a worker after all were lost [s]."""
 
 CRASHES = 3
-"""Members in a row that end their workers, each alone, after which the workers are at fault and not the members."""
+"""Consecutive members that end their workers, each alone, after which the workers are considered at fault."""
 
 EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow", "cryptography": "cryptography"}
-"""Modules of the extra ``campaign``, and how they are called."""
+"""Modules of the extra ``campaign``, and their names."""
 
 
 class WorkerMismatchError(RuntimeError):
@@ -77,7 +77,7 @@ def cluster(scheduler: str, workers: int, tls: TlsFiles | None = None) -> Iterat
 
 
 def check_cluster(scheduler: str, tls: TlsFiles | None = None) -> None:
-    """Refuse, before anything is computed, a cluster that cannot be.
+    """Reject, before any computation, an invalid cluster.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def check_cluster(scheduler: str, tls: TlsFiles | None = None) -> None:
 
 
 def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
-    """Refuse an address where no Dask scheduler answers: nothing, a program that is silent, or one that is not Dask's.
+    """Reject an address without a Dask scheduler: no server, a silent one, or another program.
 
-    Dask itself waits for the answer of a silent one without an end.
+    Dask itself waits for a silent server without a timeout.
     """
     from distributed.core import rpc
 
@@ -114,7 +114,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
     except asyncio.TimeoutError:
         reason = f"no answer within {CONNECT:g} s"
     except MemoryError:  # for a length that is none
-        reason = "what answers is not Dask"
+        reason = "the server is not Dask"
     except Exception as error:  # whatever Dask makes of the bytes of another program
         reason = _first_cause(error, scheduler)
     else:
@@ -125,7 +125,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
 
 
 def _first_cause(error: BaseException, scheduler: str) -> str:
-    """What Dask's exception came from, in one line.
+    """Cause of Dask's exception, in one line.
 
     A scheduler that refuses this client's certificate does so after the handshake (TLS 1.3): the client sees its alert,
     or only the end of the connection, whichever comes first.
@@ -134,7 +134,7 @@ def _first_cause(error: BaseException, scheduler: str) -> str:
         error = error.__cause__
     ended = isinstance(error, (ssl.SSLEOFError, ConnectionError)) or "_ALERT_" in str(error)
     if scheduler.startswith(SCHEME) and ended and not isinstance(error, ConnectionRefusedError):
-        return f"it ended the connection: it must know the authority of --tls-cert ({_one_line(error)})"
+        return f"it closed the connection: it must trust the CA of --tls-cert ({_one_line(error)})"
     return _one_line(error)
 
 
@@ -143,7 +143,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def check_workers(campaign: Campaign, client: Any) -> None:
-    """Refuse a cluster before work begins: workers that join later are compared before their first member.
+    """Reject a cluster before work begins: workers that join later are compared before their first member.
 
     Raises
     ------
@@ -184,14 +184,15 @@ def run_campaign(
     ValueError
         Another process writes to the folder.
     RuntimeError
-        The scheduler was lost, a worker has another installation, or rows cannot be written; what was written stays.
+        The connection to the scheduler was lost, a worker has another installation, or rows cannot be written; written
+        rows remain.
     """
     with folder.alone():
         try:
             _compute(campaign, folder, client, done, progress)
         except (CancelledError, TimeoutError, asyncio.TimeoutError, OSError) as error:
             text = " ".join(str(error).split()) or type(error).__name__
-            raise RuntimeError(f"the scheduler was lost, {KEPT} ({text})") from None
+            raise RuntimeError(f"connection to the scheduler lost, {KEPT} ({text})") from None
         except WorkerMismatchError as error:
             raise RuntimeError(f"{error}; {KEPT}") from None
 
@@ -226,7 +227,7 @@ def _compute(
                 pending.add(following)
 
 
-KEPT = "the rows so far are kept; go on with --resume"
+KEPT = "the rows so far are stored; resume with --resume"
 
 
 def _wait(ready: Callable[[], bool], client: Any) -> None:
@@ -242,11 +243,11 @@ def _wait(ready: Callable[[], bool], client: Any) -> None:
             if client.status != "running" or client.scheduler_info(n_workers=-1)["workers"]:
                 seen = now
             if now - seen > PATIENCE:
-                raise RuntimeError(f"no worker is left since {PATIENCE:g} s, {KEPT}")
+                raise RuntimeError(f"no worker for {PATIENCE:g} s, {KEPT}")
 
 
 def _fetched(client: Any, future: Any) -> list[dict[str, Any]] | None:
-    """Rows of a task, waited for; None where it failed. Those of a worker that is gone are computed again."""
+    """Wait for the rows of a task; None if it failed. Those of a lost worker are computed again."""
     while True:
         _wait(future.done, client)
         if future.status == "cancelled":
@@ -284,12 +285,12 @@ def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> l
 
 
 def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campaign: Campaign) -> list[dict[str, Any]]:
-    """Rows of a chunk that ended its workers: each member alone, and a row with the reason for the one that does it.
+    """Rows of a chunk that ended its workers: each member alone; a row with the reason for the one that ends them.
 
     Raises
     ------
     RuntimeError
-        Several in a row do it: it is the workers, which have too little memory, say, and not the members.
+        Several consecutive ones do: the workers are at fault, for instance with too little memory.
     """
     rows: list[dict[str, Any]] = []
     crashes = 0
@@ -316,7 +317,7 @@ def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campai
 
 
 def _difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
-    """What a worker has that is not as here; empty for none."""
+    """Difference between a worker and this process; empty without one."""
     for key, value in here.items():
         if there.get(key) != value:
             return f"{key} must be {value} as here, got {there.get(key)}"

@@ -1,4 +1,4 @@
-"""What decides about the metrics of a campaign: rank correlations, main and pair effects, yield."""
+"""Sensitivity of the metrics of a campaign: rank correlations, main and pair effects, yield."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def influences(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list
 
 
 def first_order_index(values: FloatArray, metric: FloatArray) -> float:
-    """Variance of the means in bins of the values (:func:`bins_of`) over the whole variance, less what chance makes.
+    """Variance of the means in bins of the values (:func:`bins_of`) over the total variance, minus the chance level.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def first_order_index(values: FloatArray, metric: FloatArray) -> float:
 def bins_of(values: FloatArray, bins: int) -> IntArray:
     """Bin of each value, numbered from 0: one for each distinct value where these are no more than `bins`.
 
-    More are put into at most `bins` bins that are filled as equally as they can be: **equal values are in one bin**.
+    More are put into at most `bins` bins, filled as equally as possible: **equal values are in one bin**.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def bins_of(values: FloatArray, bins: int) -> IntArray:
 
 @dataclass(frozen=True)
 class PairEffect:
-    """What two parameters do together beyond the sum of what each does.
+    """Interaction of two parameters, beyond the sum of their main effects.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> li
 
 
 def _share(group: IntArray, metric: FloatArray) -> float:
-    """Share of the variance between groups, less what chance would make of it."""
+    """Share of the variance between groups, minus the chance level."""
     _, group = np.unique(group, return_inverse=True)
     count = np.bincount(group)
     means = np.bincount(group, weights=metric) / count

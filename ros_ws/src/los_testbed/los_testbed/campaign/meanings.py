@@ -1,4 +1,4 @@
-"""Columns of metrics of a campaign: the names of those that a requirement has, and what each is, in a few words."""
+"""Columns of metrics of a campaign: names of those of a requirement, and short descriptions."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ MEANINGS = {
     "force_gain": "largest forces of a tone of unit norm over their authority",
     "noise_ape_arcsec_rms": "absolute error from sensor noise [arcsec rms]",
     "noise_rpe_mas_rms": "relative error from sensor noise [mas rms]",
-    "total_mas": "what the required part of the windows keeps with the worst tone and the noise [mas]",
+    "total_mas": "quantile of the windows at the required probability, with the worst tone and the noise [mas]",
     "sensitivity_mirror": "peak sensitivity of the mirror loop",
     "sensitivity_forces": "peak sensitivity of the force loop",
     "rpe_peak_rad_s": "frequency of the worst tone [rad/s]",
 }
 
 RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
-"""Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
+"""Metric by which the members of a depth are ranked: that of the limits of the relative error."""
 
 SCENARIOS = {
     "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst. Their "
@@ -47,11 +47,11 @@ SCENARIOS = {
     "worst_case": "one tone of norm 1 acts, the worst one of the member",
     "none": "no tones of a scenario act",
 }
-"""What disturbs the members of a simulated campaign."""
+"""Disturbances of the members of a simulated campaign."""
 
 
 def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str:
-    """What the members of a campaign are exposed to, with the sources of the parameter file.
+    """Disturbances of the members of a campaign, with the sources of the parameter file.
 
     Examples
     --------
@@ -107,9 +107,9 @@ class RequirementColumns:
     worst : str
         Worst sample: the largest, under a lower limit the smallest.
     quantile : str
-        What the required part of the samples keeps.
+        Quantile of the samples at the required probability.
     share : str
-        Share of the samples that do not keep the limit; missing ones are among them.
+        Share of the samples that exceed the limit; missing ones are among them.
     effective : str
         Independent samples that those beyond the limit weigh as much as.
     scale : float
@@ -188,7 +188,7 @@ def _frequency(frequency: SpatialFrequency) -> str:
 
 
 def _digits(value: float, places: int, tolerance: float) -> str:
-    """A few significant digits, or as many as tell it from others where those differ by more than a tolerance."""
+    """A few significant digits, or as many as distinguish it from others beyond a tolerance."""
     short = f"{value:.{places}g}"
     return short if math.isclose(float(short), value, rel_tol=tolerance) else f"{value:.15g}"
 

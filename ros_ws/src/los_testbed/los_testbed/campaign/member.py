@@ -1,6 +1,6 @@
 """One member of a campaign: its metrics from a simulated run, or from the matrices of its loop.
 
-The run is the one of :func:`los_testbed.run.loop.simulate.run_in_process`, the same bits without the bag; the metrics
+The run is bit-identical to :func:`los_testbed.run.loop.simulate.run_in_process`, without the bag; the metrics
 are those that :func:`pointing_analysis.requirements.summary.summarise` reads from that bag. What all members share (the
 LFT of the telescope, its parameter file, the controllers) is made once for a process.
 """
@@ -61,14 +61,14 @@ COMMON_METRICS = (
 quantile."""
 
 CRASHED = "crashed"
-"""Status of a member that ended its process or for which there was no memory: another machine may do better, so a
-resumed campaign computes its part again."""
+"""Status of a member that ended its process or lacked memory: another machine may succeed, so a resumed campaign
+computes its chunk again."""
 
 ALL_FORCES = slice(FORCES.start, None)
 """Columns of the command with those of further actuators."""
 
 DEPTHS = ("time", "model")
-"""How a member is evaluated: from a simulated run, or from its matrices."""
+"""Evaluation of a member: from a simulated run, or from its matrices."""
 
 
 def source_columns(source: str) -> tuple[str, str]:
@@ -243,7 +243,7 @@ class MemberEvaluator:
         return record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
 
     def _of_sources(self, parts: RunParts) -> dict[str, float]:
-        """What each source of disturbance does alone in a member."""
+        """Errors of each source of disturbance alone in a member."""
         found: dict[str, float] = {}
         for index, name in enumerate(self.sources):
             alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT, self.exposure)
@@ -252,7 +252,7 @@ class MemberEvaluator:
 
     @cached_property
     def _model(self) -> MemberMetrics:
-        """What the members share at depth model: a few seconds, once for a process."""
+        """Shared data of the members at depth model: computed once per process in a few seconds."""
         pair = self.controllers["k_fsm"], self.controllers["k_pma"]
         return MemberMetrics.of(self.family.telescope, *pair, self.base.loop)
 
@@ -275,7 +275,7 @@ class _Record:
     largest: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def keep(self, block: Signals, rows: int) -> None:
-        """Take a block of ticks."""
+        """Append a block of ticks."""
         part = self.values[self.done : self.done + rows]
         part[:, :2] = block.truth[:rows]
         part[:, 2:4] = block.los_estimate[:rows] + self.gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]

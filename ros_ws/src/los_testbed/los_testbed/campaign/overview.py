@@ -1,4 +1,4 @@
-"""What a campaign found: quantiles of each metric, members that failed, the worst members with their commands."""
+"""Summary of a campaign: quantiles of each metric, failed members, the worst members with their commands."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _quantiles(values: FloatArray, lower: bool) -> dict[str, float | None]:
 def quantile_heads(summary: dict[str, Any]) -> tuple[str, ...]:
     """Headings of the quantiles of the metrics: of a lower limit those that so many members are above."""
     any_lower = any("q0" in found for found in summary["metrics"].values())
-    return "median", "90 %", "99 %", "largest (of lower limits smallest)" if any_lower else "largest"
+    return "median", "90 %", "99 %", "largest (smallest for lower limits)" if any_lower else "largest"
 
 
 def _not_judged(campaign: Campaign) -> dict[Requirement, str]:

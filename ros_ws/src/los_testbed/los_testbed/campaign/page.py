@@ -25,7 +25,7 @@ from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")
 BINS, LEVELS = 40, 200
 SHOWN, SMALL = 3, 0.005
-"""Parameters with a panel of their own; share of the variance below which a pair is left out."""
+"""Parameters with their own panel; share of the variance below which a pair is omitted."""
 
 ERROR = "relative error [mas]"
 
@@ -155,7 +155,7 @@ def _effects(summary: dict[str, Any]) -> Picture:
         axis.set_xlabel("share of the variance [%]")
 
     alt = "Shares of the variance: " + ", ".join(f"{name} {100 * share:.1f} %" for name, share, _ in rows)
-    return picture("effects", "What the relative error depends on", alt, 1.2 + 0.24 * len(rows), draw)
+    return picture("effects", "Influence of the parameters on the relative error", alt, 1.2 + 0.24 * len(rows), draw)
 
 
 def _words(parameter: str) -> str:
@@ -187,4 +187,4 @@ def _main_effects(
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
 
     alt = f"Median and middle 80 % of the members over {', '.join(parameters)}: {name}."
-    return picture("main-effects", "Over the parameters that matter most", alt, 2.8, draw)
+    return picture("main-effects", "Main effects of the most influential parameters", alt, 2.8, draw)

@@ -1,4 +1,4 @@
-"""Configuration of a campaign and the content of its files as one text, from which a worker makes them again."""
+"""Configuration of a campaign and the content of its files as one text, from which a worker restores them."""
 
 from __future__ import annotations
 

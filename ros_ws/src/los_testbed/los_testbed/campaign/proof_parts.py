@@ -1,4 +1,4 @@
-"""Parts of proofs on the worker processes of a Dask cluster: each is kept as soon as it is proven."""
+"""Parts of proofs on the worker processes of a Dask cluster: each is stored as soon as it is proven."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ PARTS = Work[ProofPart, PartResult](
     kept=kept_part,
     keep=keep_part,
     named=_named,
-    advice="parts that are proven are kept: the same command goes on",
+    advice="proven parts are stored: run again to resume",
 )
 
 
 def prover_of(workers: Workers) -> Prover:
-    """What proves parts on workers: of this machine, or of a cluster, which read and write no files."""
+    """Prover of parts on workers: of this machine, or of a cluster, which read and write no files."""
     if isinstance(workers, ClusterWorkers):
         return partial(prove_on, workers.client)
     return partial(workers.each, prove_part)
 
 
 def prove_on(client: Any, parts: Sequence[ProofPart]) -> Iterator[PartResult]:
-    """Results in the order of the parts; what is kept is read.
+    """Results in the order of the parts; stored ones are read.
 
     Raises
     ------
     RuntimeError
-        The scheduler was lost, no worker is left, or a part ends its workers; what was proven is kept.
+        The connection to the scheduler or all workers were lost, or a part ends its workers; proven parts are stored.
     """
     return results_on(client, PARTS, parts)

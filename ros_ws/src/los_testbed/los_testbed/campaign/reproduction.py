@@ -1,4 +1,4 @@
-"""The command that gives the figure of one member of a campaign again.
+"""Command that reproduces the figure of one member of a campaign.
 
 At depth time it is a recorded run of the member with its seed. At depth model there is no run: what is evaluated there
 is the worst tone of unit norm and the noise, from the matrices, and a simulated run has other disturbances. The command
@@ -23,7 +23,7 @@ MODEL_DIGITS = 6
 
 
 def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
-    """Command line that gives the figure of a member.
+    """Command line that reproduces the figure of a member.
 
     Parameters
     ----------

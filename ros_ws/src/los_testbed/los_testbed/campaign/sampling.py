@@ -18,7 +18,7 @@ from titop_plant.telescope.motion_profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
-"""Samplings whose members are random draws: of these alone is there a probability."""
+"""Samplings whose members are random draws: only these have a probability."""
 
 REFERENCE_FREQUENCIES = ("solar_array.omega_1", "solar_array.omega_2")
 """Columns of these are ``omega_1`` and ``omega_2``, as the options of a run."""
@@ -30,7 +30,7 @@ _SEEDS = 2**31 - 1
 
 @dataclass(frozen=True)
 class MemberParameters:
-    """What the members of a campaign differ in: the uncertain parameters of a telescope, a column each.
+    """Parameters that vary in a campaign: the uncertain parameters of a telescope, one column each.
 
     Columns are ``tau`` = tan(theta/4) of the arrays that turn, ``wheel_speed_1`` and so on [rad/s], then the
     frequencies [rad/s]: ``omega_1`` and ``omega_2`` where they are those of the reference telescope, else the name of

@@ -46,9 +46,13 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress; warnings and errors stay.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Progress each second; errors with their place.")] = False,
-    log: Annotated[Path | None, typer.Option("--log", metavar="FILE", help="Also append progress to a file.")] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Suppress progress output; warnings and errors remain.")
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Progress each second; errors with traceback.")] = False,
+    log: Annotated[
+        Path | None, typer.Option("--log", metavar="FILE", help="Also append progress to this file.")
+    ] = None,
 ) -> None:
     """Testbed for fine line-of-sight control of a flexible space telescope."""
     if quiet and verbose:
@@ -58,7 +62,7 @@ def _options(
     try:
         choose_output(quiet=quiet or bool(os.environ.get(QUIET)), interval=1.0 if verbose else 10.0, log=log)
     except OSError as error:
-        raise ValueError(f"--log must be a file that can be written, got {log}: {error.strerror}") from None
+        raise ValueError(f"--log must be a writable file, got {log}: {error.strerror}") from None
 
 
 RENAMED = {
@@ -71,7 +75,7 @@ RENAMED = {
     ("design", "sensitivity"): {"--of": "now --entry"},
     ("export", "fmu"): {"--plant": "now --telescope"},
 }
-"""Options of before 0.2, by command, and what has become of them."""
+"""Options before 0.2, by command, and their replacements."""
 
 COMMON = ("--quiet", "--verbose", "--log")
 """Options of all commands, which may stand anywhere on the command line."""
@@ -101,7 +105,7 @@ def with_common_options_first(arguments: Sequence[str]) -> list[str]:
 
 
 NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP)
-"""Errors that only a path on the command line, or in a file of the user, can be the cause of."""
+"""Errors caused only by a path on the command line or in a user's file."""
 
 AGAIN_S = 0.05
 
@@ -111,7 +115,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def _not_raised(lost: sys.UnraisableHookArgs) -> None:
-    """Raise an interrupt again that came where no exception can leave: in a callback of the garbage collector."""
+    """Re-raise an interrupt from a callback of the garbage collector, where exceptions are swallowed."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
     else:
@@ -126,11 +130,11 @@ def command_line() -> Callable[..., Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point: mistakes are one line on the error output and exit code 2, failures 1.
+    """Entry point: a user error is one line on the error output and exit code 2, a failure 1.
 
     SIGINT, SIGTERM and SIGHUP end a command alike: what it was writing is removed or completed, the exit code is 130.
     """
-    if arguments is None:  # this is the program: what ends it is ours to tell
+    if arguments is None:  # the program itself: it reports what ends it
         os.environ[SUPERVISED] = "1"
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
@@ -153,7 +157,7 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         if error.errno in NO_PATH:
             return _fail(
-                f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}",
+                f"a path must be valid, got {str(error.filename)[:80]!r}: {error.strerror}",
                 ExitCode.USER_ERROR,
             )
         return _fail(_with_memory(error), ExitCode.FAILED)
@@ -175,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
-    """What :func:`los_testbed.cli.run.with_lone_options` makes of the words of a command."""
+    """Result of :func:`los_testbed.cli.run.with_lone_options` for the words of a command."""
     if all(argument.startswith("-") for argument in arguments):
         return arguments  # without a command: help or version, which need no import
     from los_testbed.cli.run import with_lone_options
@@ -184,7 +188,7 @@ def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
 
 
 def _with_new_name(message: str, words: Sequence[str]) -> str:
-    """Message about a command line that cannot be read; of an option that has another name now, that name."""
+    """Message about an invalid command line; for a renamed option, its new name."""
     given = {word.split("=")[0] for word in words}
     for command, options in RENAMED.items():
         if list(words[: len(command)]) == list(command):
@@ -195,9 +199,9 @@ def _with_new_name(message: str, words: Sequence[str]) -> str:
 
 
 def _is_refusal(error: BaseException) -> bool:
-    """Whether an error was raised on purpose, for a mistake of the user, and not by an operation that failed.
+    """Whether an error was raised deliberately for a user error, and not by a failed operation.
 
-    A ValueError of numpy, scipy or Python's library that nothing has caught is a mistake of this program.
+    An uncaught ValueError of numpy, scipy or Python's library is a bug of this program.
     """
     frames = traceback.extract_tb(error.__traceback__)
     if not frames:
@@ -219,19 +223,19 @@ def _packages() -> tuple[Path, ...]:
 
 
 def _with_memory(error: BaseException) -> str:
-    """Message of an error; a limit of memory shows as errors of many kinds."""
+    """Message of an error; a memory limit causes errors of many types."""
     if isinstance(error, MemoryError) or names_memory(f"{type(error).__name__}: {error}"):
         return f"{TOO_LITTLE_MEMORY}: {str(error) or 'an allocation failed'}"
     return f"a package cannot be loaded: {error}" if isinstance(error, ImportError) else str(error)
 
 
 def _unexpected(error: BaseException) -> str:
-    """One line about an error that no check has foreseen; the whole of it where it is asked for."""
+    """One line about an unexpected error; with a traceback if requested."""
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
-    return f"unexpected {type(error).__name__} in {place}: {error} (a mistake of this program: please report it)"
+    return f"unexpected {type(error).__name__} in {place}: {error} (a bug: please report it)"
 
 
 def _leave(code: int) -> int:

@@ -16,7 +16,7 @@ from rich.console import Console
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
 from los_testbed.cli.command_group import HelpAll
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import (
     Cluster,
     SchedulerOption,
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.config.run_config import RunConfig
 
-CAMPAIGN_EXAMPLES = """Evaluate many members of the telescope's family; one row a member in a Parquet data set.
+CAMPAIGN_EXAMPLES = """Evaluate many members of the telescope's family; one row per member in a Parquet data set.
 
 Needs the extra campaign (Dask, pyarrow). The same seed gives the same rows with any number of workers; an interrupted
-campaign goes on with --resume.
+campaign continues with --resume.
 
 **Examples**
 
@@ -60,11 +60,11 @@ campaign goes on with --resume.
 
 @with_settings(
     SIMULATED,
-    helps={"scenario": "Disturbance scenario; default: unit_norm, none beside sources of the parameter file."},
+    helps={"scenario": "Disturbance scenario; default: unit_norm, or none with sources in the parameter file."},
 )
 def campaign(
     *,
-    samples: Annotated[int, typer.Option(help="Number of members; 0: all corners, or all lines of a file.")] = 100,
+    samples: Annotated[int, typer.Option(help="Number of members; 0: all corners, or all rows of a file.")] = 100,
     seed: Annotated[int, typer.Option(help="Seed of the members and of their noise.")] = 1,
     sampling: Annotated[
         str, typer.Option(help="uniform, lhs, corners, adversarial, or a CSV file of members.")
@@ -76,13 +76,13 @@ def campaign(
     tls_ca_file: TlsCaFile = None,
     tls_cert: TlsCertificate = None,
     tls_key: TlsKey = None,
-    workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
-    keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
+    workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one per processor.")] = 0,
+    keep: Annotated[int, typer.Option(help="Keep the bags of this many worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Continue in the folder --output.")] = False,
     output: NewFolder = None,
     member: Annotated[
         str | None,
-        typer.Option(metavar="VALUE,...", help="Evaluate this one member alone; its noise has the seed --seed."),
+        typer.Option(metavar="VALUE,...", help="Evaluate this member alone; --seed is the seed of its noise."),
     ] = None,
     gate: Gate = False,
     json_: Json = False,
@@ -129,9 +129,9 @@ def campaign(
             done = folder.open(asked, resume)
         if client.dashboard_link:
             console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
-        with told_how_to_go_on("the rows so far", folder.path, further=("--resume",)):
+        with resume_hint("the rows so far", folder.path, further=("--resume",)):
             _evaluate(asked, folder, client, done)
-    with told_how_to_go_on("all rows", folder.path, further=("--resume",)), Progress("summary and report"):
+    with resume_hint("all rows", folder.path, further=("--resume",)), Progress("summary and report"):
         summary = campaign_summary(asked, folder, max(keep, 5))
         summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
         summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))
@@ -149,7 +149,7 @@ def _searching(cluster: Cluster, sampling: str) -> AbstractContextManager[Worker
 
 
 def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: frozenset[int]) -> None:
-    """The chunks that are missing, with a progress bar."""
+    """The missing chunks, with a progress bar."""
     from los_testbed.campaign.execution import run_campaign
 
     with Progress("members") as bar:
@@ -160,7 +160,7 @@ def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: froze
             nonlocal finished
             finished += members
             rate = (finished - before) / max(time.monotonic() - start, 1e-9)
-            bar.report(finished, asked.samples, what=f"members, {rate:.3g} a second")
+            bar.report(finished, asked.samples, what=f"members, {rate:.3g} per second")
 
         run_campaign(asked, folder, client, done, progress)
 
@@ -173,7 +173,7 @@ def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> No
     if summary["verdicts"]:
         console.print(on_screen(verdict_table(summary)))
     for text in summary["not_judged"]:
-        console.print(f"no verdict of a campaign on {text}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"no campaign verdict on {text}", soft_wrap=True, highlight=False, markup=False)
     for line in worst_lines(summary)[:5]:
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""The commands by name: each is imported when it is asked for, and the list of all needs none of them."""
+"""The commands by name: each is imported on demand; the list of commands imports none."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ENTRIES = {
     ),
     "campaign": CommandEntry(
         "campaign",
-        "Evaluate many members of the telescope's family; one row a member in a Parquet data set.",
+        "Evaluate many members of the telescope's family; one row per member in a Parquet data set.",
         "campaign",
         "CAMPAIGN_EXAMPLES",
     ),
@@ -68,12 +68,10 @@ ENTRIES = {
         "KEYS_EXAMPLES",
     ),
     "bag": CommandEntry("groups", "Describe, check, export, sign, repair and trace recorded runs.", "bag_app"),
-    "image": CommandEntry(
-        "analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"
-    ),
+    "image": CommandEntry("analysis.image", "Image quality: pictures, and jitter for other programs.", "image_app"),
     "control": CommandEntry(
         "control",
-        "Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
+        "Change a run on this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
         "control_app",
     ),
     "device": CommandEntry("device", "Check a rig before the first closed loop.", "device_app"),
@@ -141,7 +139,7 @@ def loaded(name: str) -> Any:
 
 
 class Commands(UserDict[str, Any]):
-    """Commands by name, each imported when it is asked for, and further ones that a program adds."""
+    """Commands by name, each imported on demand, and commands that a program adds."""
 
     def __init__(self, further: Mapping[str, Any]) -> None:
         super().__init__({**dict.fromkeys(ENTRIES), **further})
@@ -174,7 +172,7 @@ class CommandGroup(TyperGroup):
         return list(self.commands)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name; what stands for it in the list while that is made."""
+        """The command of a name; its list entry while the list is built."""
         if self._listing and cmd_name in ENTRIES:
             return TyperCommand(cmd_name, help=ENTRIES[cmd_name].about)
         return self.commands.get(cmd_name)

@@ -1,4 +1,4 @@
-"""Command ``los-testbed control``: change a run while it goes on."""
+"""Command ``los-testbed control``: change a run in progress."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from los_testbed.nodes.remote_control import RemoteControl
 
 control_app = typer.Typer(
-    help="Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
+    help="Change a run on this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
     no_args_is_help=True,
 )
 
 Domain = Annotated[int | None, option("domain")]
 Namespace = Annotated[str, option("namespace")]
 At = Annotated[float | None, typer.Option(metavar="SECONDS", help="Time from the start of the run; default: now.")]
-Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="Wait for an answer at most this long.")]
+Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="Longest wait for a response [s].")]
 
 
 @contextmanager
@@ -50,7 +50,7 @@ def stage(
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:
-    """Close the loops of another stage from one tick on; commands fade in and out within fade_ticks."""
+    """Switch to another stage at one tick; commands fade in and out within fade_ticks."""
     RunConfig(loop=loop)
     with _remote(domain, namespace, timeout, at) as remote:
         remote.change("stage", loop, at)
@@ -76,7 +76,7 @@ def fault(
 
 @control_app.command()
 def start(domain: Domain = None, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
-    """Begin a run that waits for its start (run --set wait_for_start=true)."""
+    """Start a run that waits for its start (run --set wait_for_start=true)."""
     with _remote(domain, namespace, timeout) as remote:
         remote.trigger("start")
 
@@ -97,7 +97,7 @@ def stop(at: At = None, domain: Domain = None, namespace: Namespace = NAMESPACE,
 
 @control_app.command()
 def reset(at: At = None, domain: Domain = None, namespace: Namespace = NAMESPACE, timeout: Timeout = 10.0) -> None:
-    """End the run at one tick and begin it again, with the settings of the start and another bag (NAME-2)."""
+    """Restart the run at one tick, with its initial settings and another bag (NAME-2)."""
     _end("reset", at, domain, namespace, timeout)
 
 

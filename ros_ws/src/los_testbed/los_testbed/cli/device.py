@@ -20,13 +20,13 @@ from pointing_analysis.formatting.tables import TextTable, numbers, texts
 if TYPE_CHECKING:
     from los_testbed.rig.check import DeviceCheckRow
 
-CHECK_EXAMPLES = """Move mirror and proof masses a little and compare what each sensor sees with the model.
+CHECK_EXAMPLES = """Excite mirror and proof masses and compare the response of each sensor with the model.
 
 Four seconds without motion, then five with all actuators at once, each at three frequencies of its own from 5 to 16.5
 Hz: the mirror by up to 1 %, the forces by up to 10 % of their limits, times `--scale`. The table has gain, delay and
-noise of each value of each sensor; each fault is one line: axes that are exchanged, a wrong sign, a gain or noise that
-is not the model's, values older than their times say, a sensor or actuator that is dead. What all sensors of an
-actuator say alike is a fault of the actuator. No loop is closed; mirror and forces are at zero afterwards.
+noise of each channel of each sensor; each fault is one line: exchanged axes, a wrong sign, a gain or noise unlike the
+model's, stamps newer than the values, a dead sensor or actuator. A deviation that all sensors of an actuator share is
+a fault of the actuator. No loop is closed; mirror and forces are at zero afterwards.
 
 Exit code 0: no fault, 1: faults, 6: the device failed.
 
@@ -52,7 +52,7 @@ def check(
     device: Annotated[str, typer.Argument(help="Rig, MODULE:NAME or entry point.")],
     device_address: Annotated[str, option("device_address")] = RunConfig.SETTINGS["device_address"].default,
     device_key: Annotated[str | None, option("device_key")] = None,
-    scale: Annotated[float, typer.Option(help="Of the motions, 0.01 to 10.")] = 1.0,
+    scale: Annotated[float, typer.Option(help="Scale of the excitation, 0.01 to 10.")] = 1.0,
     parameters: TelescopeFile = None,
     json_: Json = False,
 ) -> None:
@@ -81,18 +81,18 @@ def check(
     finally:
         supervisor.end()
     rows = judge(found, model)
-    said = faults(rows)
+    fault_lines = faults(rows)
     console = Screen(stderr=json_)
     say(console, _table(rows).markdown())
-    for line in said or ("no fault: directions, gains, delays and noise are those of the model",):
+    for line in fault_lines or ("no fault: directions, gains, delays and noise agree with the model",):
         say(console, line)
     if (pause := found.longest_pause_ms) > config.hold_ticks:
-        warn([f"commands paused for up to {pause:.0f} ms, the machine is busy: directions are sure, repeat the rest"])
+        warn([f"commands paused for up to {pause:.0f} ms, the machine is busy: directions are valid, repeat the rest"])
     if json_:
         print_json(
             {
-                "passed": not said,
-                "faults": list(said),
+                "passed": not fault_lines,
+                "faults": list(fault_lines),
                 "rows": [{name: _json(value) for name, value in asdict(row).items()} for row in rows],
                 "peaks": peaks.tolist(),
                 "longest_pause_ms": round(pause, 1),
@@ -100,7 +100,7 @@ def check(
                 "statistics": supervisor.statistics(),
             }
         )
-    if said:
+    if fault_lines:
         raise typer.Exit(ExitCode.FAILED)
 
 

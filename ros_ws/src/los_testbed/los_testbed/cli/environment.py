@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 QUIET, TRACEBACK = "LOS_TESTBED_QUIET", "LOS_TESTBED_TRACEBACK"
-"""As ``--quiet``; unexpected errors with their place."""
+"""As ``--quiet``; unexpected errors with traceback."""
 SUPERVISED = "LOS_TESTBED_SUPERVISED"
-"""Of a program: code of the user runs in a process of its own, and its end is watched."""
+"""Set by the program: user code runs in a supervised process."""

@@ -1,4 +1,4 @@
-"""What ``los-testbed run`` makes of a finished run beside its report: the bag's signature, the trace of its ticks."""
+"""Outputs of ``los-testbed run`` besides the report: signature of the bag, trace of its ticks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 
 
 def check_trace(path: Path, config: RunConfig) -> None:
-    """Refuse, before the run, a trace that cannot be written after it.
+    """Reject, before the run, a trace that cannot be written after it.
 
     Raises
     ------

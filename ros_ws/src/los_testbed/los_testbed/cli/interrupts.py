@@ -1,4 +1,4 @@
-"""What a command says where an interrupt ends it: the command line that goes on with what is kept."""
+"""Hint after an interrupt: the command line that resumes from the stored results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _words: list[str] = []
 
 
 def remember_command(words: Sequence[str]) -> None:
-    """Keep the words of the command line."""
+    """Store the words of the command line."""
     _words[:] = words
 
 
@@ -21,20 +21,19 @@ def _has_content(path: Path) -> bool:
 
 
 @contextmanager
-def told_how_to_go_on(
+def resume_hint(
     kept: str, output: Path, further: Sequence[str] = (), without: Sequence[str] = (), state: Path | None = None
 ) -> Iterator[None]:
-    """After an interrupt or a signal: a line that says what is kept, and the command that goes on with it.
+    """After an interrupt or a signal, write what is stored and the command that resumes from it.
 
     Parameters
     ----------
     kept : str
-        What is on disk, in the plural.
+        What is stored, a plural noun.
     output : Path
-        Folder that has it, if there is one yet; the command line names it with ``--output`` even where the one that
-        was given does not.
+        Folder of the results; the command line names it with ``--output`` even if the given one does not.
     state : Path, optional
-        File that has it, in place of the output.
+        File of the results, instead of the output.
     further, without : sequence of str
         Options without a value that the command line must have, and must not have.
     """
@@ -46,5 +45,5 @@ def told_how_to_go_on(
             if not any(word.split("=")[0] == "--output" for word in words):
                 words += ["--output", str(output)]
             words += [option for option in further if option not in words]
-            sys.stderr.write(f"{kept} are kept; this goes on with them: {shlex.join(['los-testbed', *words])}\n")
+            sys.stderr.write(f"{kept} are stored; resume with: {shlex.join(['los-testbed', *words])}\n")
         raise

@@ -25,7 +25,7 @@ MAX_DAYS = 3650
 
 
 def keys(
-    folder: Annotated[Path, typer.Argument(help="New folder for them.")],
+    folder: Annotated[Path, typer.Argument(help="New folder for the keystore.")],
     namespace: Annotated[str, option("namespace")] = NAMESPACE,
     domain: Annotated[int | None, option("domain")] = None,
     days: Annotated[int, typer.Option(min=1, max=MAX_DAYS, help="Validity.")] = 365,

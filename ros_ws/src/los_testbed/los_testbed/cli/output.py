@@ -1,4 +1,4 @@
-"""What the commands share: lines of JSON, warnings, checks of numbers."""
+"""Output and checks shared by the commands: JSON, warnings, numbers."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def number(name: str, value: float, low: float, high: float, unit: str = "") -> 
 
 
 def numbers(name: str, text: str) -> tuple[float, ...]:
-    """Numbers of an option, with commas between them.
+    """Numbers of an option, separated by commas.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{name} must be numbers with commas between them, got {text!r}") from None
+        raise ValueError(f"{name} must be numbers separated by commas, got {text!r}") from None
 
 
 def seconds(name: str, value: float | None, high: float = 1e7) -> None:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from pointing_analysis.replay.replay import Comparison
 
 DIFFERENT = 1
-"""Exit code of a replay through the recorded controllers that did not give the recording again."""
+"""Exit code of a replay through the recorded controllers that does not reproduce the recording."""
 
 REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
-With the recorded controllers, the replay reproduces the recorded estimates and commands bit by bit: the bag then holds
+With the recorded controllers, the replay reproduces the recorded estimates and commands bit for bit if the bag holds
 every sample that the loop used (exit code 1 if not). With other controllers it gives their estimates, knowledge errors
 and commands. The recorded telescope does not respond to those commands, so a replay has no verdict: `analyse BAG
 --requirements FILE` judges the recorded line of sight, and `run --k-fsm FILE` that of another controller.
@@ -41,7 +41,7 @@ and commands. The recorded telescope does not respond to those commands, so a re
 
     los-testbed replay bags/isolator --loop fsm+pma         # what the controllers would have commanded
 
-    los-testbed replay bags/night --to-ros --domain 7       # drives the nodes that run on this domain
+    los-testbed replay bags/night --to-ros --domain 7       # publishes to the nodes on this domain
 """
 
 ROWS = (
@@ -61,12 +61,12 @@ def replay(
     k_pma: Annotated[
         str | None, typer.Option(metavar="LAW", help="Proof-mass law, as `run` takes it; default: the recorded one.")
     ] = None,
-    loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
-    output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
+    loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none to fsm+pma.")] = None,
+    output: Annotated[Path | None, typer.Option(help="New bag with the sensors and the replayed outputs.")] = None,
     transient: Transient = None,
     to_ros: Annotated[bool, typer.Option("--to-ros", help="Publish the sensors at their own times.")] = False,
     domain: Annotated[int | None, option("domain")] = None,
-    timeout: Annotated[float, typer.Option(help="With --to-ros: wait for listeners at most this long [s].")] = 30.0,
+    timeout: Annotated[float, typer.Option(help="With --to-ros: longest wait for subscribers [s].")] = 30.0,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:
@@ -144,7 +144,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     if played.answers:
         comparison = compare(run, played.replayed())
         content["identical"] = comparison.identical
-        console.print(f"answers of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
+        console.print(f"commands of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
     if output is not None:
         signals = {name: (run[name].stamp, run[name].values) for name in played.sent}
         metadata = {"mode": "replay to ROS", "replay_of": run.path.name}
@@ -160,7 +160,7 @@ def _show(
 ) -> None:
     say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
-        console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
+        console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were excluded", soft_wrap=True)
     rows = []
     for text, key, unit in ROWS:
         values = [found[side].get(key) for side in ("recorded", "replayed")]

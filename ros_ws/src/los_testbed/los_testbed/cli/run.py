@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pointing_analysis.requirements.summary import Summary
 
 FREE = "free"
-"""Value of ``--domain`` for a domain that nobody uses on this machine."""
+"""Value of ``--domain`` for an unused domain of this machine."""
 
 RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
@@ -49,11 +49,11 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
     los-testbed run                                    # 10 s on ROS 2 in real time, all loops closed
 
-    los-testbed run --duration 600 --live              # to watch in Foxglove or a browser, and to control
+    los-testbed run --duration 600 --live              # with live view in Foxglove or a browser
 
     los-testbed run --loop isolator --seed 3           # the same telescope without control
 
-    los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it computes
+    los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as possible
 
     los-testbed run --parameters my_telescope.toml     # your spacecraft; --designs FOLDER with its controllers
 
@@ -74,8 +74,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
         "max_missed": "PERCENT",
     },
     helps={
-        "mode": "How plant, estimator and controller run: realtime, lockstep, inprocess, or auto (in real time where "
-        "the machine keeps pace, else in lockstep); default: auto.",
+        "mode": "How plant, estimator and controller run: realtime, lockstep, inprocess, or auto (real time if "
+        "the machine is fast enough, else lockstep); default: auto.",
     },
 )
 def run(
@@ -89,21 +89,19 @@ def run(
         ),
     ] = None,
     no_disturbance: Annotated[
-        bool, typer.Option("--no-disturbance", help="None at all.", rich_help_panel=DISTURBANCES)
+        bool, typer.Option("--no-disturbance", help="No disturbance.", rich_help_panel=DISTURBANCES)
     ] = False,
     designs: Designs = None,
     sample: Annotated[
         str | None,
-        typer.Option(metavar="SEED", help="A random telescope of the family.", rich_help_panel=TELESCOPE),
+        typer.Option(metavar="SEED", help="Random member of the telescope's family.", rich_help_panel=TELESCOPE),
     ] = None,
     case: Case = None,
     cases: Cases = None,
-    config: Annotated[
-        Path | None, typer.Option(help="YAML file with any of the parameters.", rich_help_panel=FILES)
-    ] = None,
+    config: Annotated[Path | None, typer.Option(help="YAML file of settings.", rich_help_panel=FILES)] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Any of the parameters; repeatable.", rich_help_panel=FILES),
+        typer.Option("--set", metavar="NAME=VALUE", help="Any setting; repeatable.", rich_help_panel=FILES),
     ] = None,
     only: Annotated[
         str | None,
@@ -122,7 +120,7 @@ def run(
         bool,
         typer.Option(
             "--isolated",
-            help="A network of the run's own: no other program is on its ROS domain.",
+            help="Own network namespace: no other program is on its ROS domain.",
             rich_help_panel=ROS,
         ),
     ] = False,
@@ -134,7 +132,7 @@ def run(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the ticks of a run in real time as a trace, as bag trace does.",
+            help="Write the ticks of a real-time run as a trace, as bag trace does.",
             rich_help_panel=FILES,
         ),
     ] = None,
@@ -158,7 +156,9 @@ def run(
         if isolated and chosen.mode == "inprocess":
             raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
         if isolated and chosen.device:
-            raise ValueError(f"--isolated must be absent with a device, on another network, got {chosen.device}")
+            raise ValueError(
+                f"--isolated must not be given with a device, which is on another network, got {chosen.device}"
+            )
         if trace is not None:
             check_trace(trace, chosen)
         viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
@@ -175,7 +175,7 @@ def run(
 
 
 def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
-    """In a program that calls code of the user: go on in a process of its own, whose end is watched."""
+    """In a program that calls user code: continue in a supervised child process."""
     if SUPERVISED in os.environ and code:
         del os.environ[SUPERVISED]
         supervise([f"{setting} {name}" for setting, name in code.items()], bag)
@@ -186,7 +186,7 @@ def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace
     if signed:
         raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
     if isolated:
-        raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
+        raise ValueError("--isolated must be given without --only: a single node belongs to a loop over several hosts")
     if trace is not None:
         raise ValueError("--trace must be given without --only: los-testbed bag trace reads the recorder's bag")
     from los_testbed.run.processes.node_launch import run_alone
@@ -202,9 +202,9 @@ def _run_and_tell(
     key: Ed25519PrivateKey | None = None,
     trace: Path | None = None,
 ) -> Summary | None:
-    """Run; print warnings and results; exit codes of a run that was finished in spite of something.
+    """Run; print warnings and results; exit codes of a run that finished with faults.
 
-    Its summary; None where it is too short to be evaluated.
+    Its summary; None if it is too short to be evaluated.
     """
     from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
 
@@ -223,7 +223,7 @@ def _run_and_tell(
     try:
         with Progress("report" if report else "analysis"):
             summaries = summarise_runs([bag], bag / "report.html" if report else None)
-    except ShortRunError as error:  # of what was asked for, or of what a request, a fault or a signal has left
+    except ShortRunError as error:  # as requested, or shortened by a request, a fault or a signal
         if ended is not None:
             raise RunError(f"not evaluated: {error}", ended) from None
         say(console, f"not evaluated: {error}; the bag is whole", "warning")
@@ -232,7 +232,7 @@ def _run_and_tell(
         if not whole:
             raise typer.Exit(ExitCode.FAILED) from None
         return None
-    except ValueError as error:  # no mistake of the user that shows before the work
+    except ValueError as error:  # not a user error that is detected before the run
         code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
         raise RunError(f"not evaluated: {error}", code) from None
     print_summary(console, summaries)
@@ -299,7 +299,7 @@ DISTURBANCE_ON = "on"
 
 
 def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
-    """Settings that ``--disturbance`` and ``--no-disturbance`` stand for."""
+    """Settings of ``--disturbance`` and ``--no-disturbance``."""
     if given and none:
         raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
     if not given:

@@ -14,7 +14,7 @@ from rich.console import Console
 from lftkit.support.atomic_output import write_text
 from lftkit.support.progress import Progress
 from los_testbed.cli.command_group import HelpAll
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.options import Case, Cases, Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.run_settings import SIMULATED
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 STAGES_EXAMPLES = """Compare the four stages: none, isolator, fsm, fsm+pma.
 
-Same seed and disturbance for all, several telescopes of the family, the disturbance and the sensor noise also alone;
-the transmissibility of each stage beside that of the model. In the scenario worst_case each stage has its own worst
-parameters and tones. Writes stages.md, stages.json and one report per scenario. Run the same command again to go on
-after an interrupt: runs in one process whose bags are there are not made again (with --keep-all all of them).
+All stages have the same seed and disturbance and several members of the family; disturbance and sensor noise also act
+alone, and transmissibilities are compared with the model's. In the scenario worst_case each stage has its own worst
+parameters and tones. Writes stages.md, stages.json and one report per scenario. Run the same command again to resume
+after an interrupt: in-process runs with a bag are not repeated (with --keep-all no run is).
 
 **Examples**
 
@@ -49,7 +49,7 @@ after an interrupt: runs in one process whose bags are there are not made again 
 @with_settings(
     [*(name for name in SIMULATED if name not in ("loop", "noise", "disturbance")), "seed", "mode"],
     helps={
-        "scenario": "worst_case, imbalance, both of them, or design; default: the case's, or both.",
+        "scenario": "worst_case, imbalance, both, or design; default: the case's, or both.",
         "mode": "inprocess, lockstep or realtime; default: inprocess.",
     },
 )
@@ -58,12 +58,14 @@ def stages(
     given: dict[str, Any],
     samples: Annotated[
         int | None,
-        typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1."),
+        typer.Option(help="Number of telescopes: nominal and random members; default: 3, or 1 with --case."),
     ] = None,
     designs: Designs = None,
     case: Case = None,
     cases: Cases = None,
-    parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
+    parts: Annotated[
+        bool, typer.Option("--parts/--no-parts", help="Also run disturbance alone and noise alone.")
+    ] = True,
     keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep the bags of all runs.")] = False,
     output: NewFolder = None,
     json_: Json = False,
@@ -94,7 +96,7 @@ def stages(
     names = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
     plan = Plan(base, folder, names, count, tuple(PARTS) if parts else ("all",), keep_all, designs or "")
-    with told_how_to_go_on("bags of finished runs", folder):
+    with resume_hint("bags of finished runs", folder):
         content = _write(Screen(stderr=json_), _perform(plan), plan)
         finish(plan)
     if json_:

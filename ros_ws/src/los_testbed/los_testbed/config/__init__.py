@@ -1,1 +1,1 @@
-"""Settings of a run and what is named in them: topics, members of a family, code of the user, exit codes."""
+"""Settings of a run: topics, members of a family, user code, exit codes."""

@@ -1,4 +1,4 @@
-"""The one table of exit codes of the command line; docs/reference.md has the same."""
+"""Table of the exit codes of the command line, as in docs/reference.md."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 
 class ExitCode(IntEnum):
-    """How a command ended."""
+    """Exit code of a command."""
 
     FINISHED = 0
     FAILED = 1
@@ -36,7 +36,7 @@ MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.INTERRUPTED: "interrupted by SIGINT, SIGTERM or SIGHUP",
     }
 )
-"""What each code says, as the page begins its row."""
+"""Meaning of each code, as in the page."""
 
 COMMANDS: Mapping[ExitCode, str] = MappingProxyType(
     {

@@ -1,4 +1,4 @@
-"""Code of the user by name: ``my.module:Plant``, or an entry point of an installed package."""
+"""User code by name: ``my.module:Plant``, or an entry point of an installed package."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ GROUPS: Mapping[str, str] = MappingProxyType(
 """Groups of entry points by setting: a package that names its class there makes it known by a short name."""
 
 RAISED = (Exception, SystemExit)
-"""What code of the user may raise: `sys.exit` in it ends a run as every other exception does."""
+"""Exceptions of user code: `sys.exit` in it ends a run as any other exception does."""
 
 CALLERS = (
     "<frozen importlib",
     *(f"{Path(str(one.__file__)).parent}{os.sep}" for one in (los_testbed, pointing_analysis, importlib)),
 )
-"""Where files begin that import or call code of the user."""
+"""Folders of the files that import or call user code."""
 
 
 def load(text: str, setting: str = "plant") -> Any:
@@ -111,7 +111,7 @@ def make(config: RunConfig, setting: str = "plant") -> Any:
 
 
 def made_by(build: Callable[[RunConfig], Any], config: RunConfig, what: str) -> Any:
-    """What a function of the user makes for a node.
+    """Object that a user's function makes for a node.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def source_hashes(code: Mapping[str, str]) -> dict[str, str]:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Type and text of an exception; if code of the user raised it, also class and method, file and line.
+    """Type and text of an exception; if user code raised it, also class and method, file and line.
 
     The method is the one that was called from here, the line the last one in its file.
 
@@ -162,7 +162,7 @@ def in_one_line(error: BaseException) -> str:
 
 
 def _place(error: BaseException) -> str:
-    """Place of an exception in code of the user, `` (Law.step, my_module.py:12)``; empty if it came from elsewhere."""
+    """Place of an exception in user code, `` (Law.step, my_module.py:12)``; empty if it came from elsewhere."""
     frames = list(traceback.walk_tb(error.__traceback__))
     users = list(itertools.dropwhile(lambda one: one[0].f_code.co_filename.startswith(CALLERS), frames))
     if not users:

@@ -31,7 +31,7 @@ ACTIVE = "active"
 MODES = ("realtime", "lockstep", "inprocess")
 
 AUTO = "auto"
-"""Mode of the command line: real time where the machine keeps pace, else lockstep; see :mod:`los_testbed.run.modes`."""
+"""Mode of the command line: real time on a fast enough machine, else lockstep; see :mod:`los_testbed.run.modes`."""
 
 PROCESSES = COMPOSED, SEPARATE = ("composed", "separate")
 """Estimator and controller in one process, or each in its own."""
@@ -40,13 +40,13 @@ STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
 OLD_FRAMES = ("correct", "use", "drop")
-"""What is done with an old frame: moved by what the mirror has done since, used as it is, not used."""
+"""Treatment of an old frame: corrected for the mirror's motion since, used unchanged, not used."""
 
 CONTROL, RIG, ROS = "Controllers and actuators", "Your own plant or rig", "ROS 2 and real time"
 """Groups of settings, beside those of the physical ones."""
 
 WORST_OF = ("RPE", "APE", "slow", "fast")
-"""Index that the tone of the scenario worst_case is worst for, see :mod:`los_loop.worst_tone`."""
+"""Index for which the tone of the scenario worst_case is worst, see :mod:`los_loop.worst_tone`."""
 
 
 @settings_class
@@ -73,12 +73,12 @@ class RunConfig(PhysicalSettings):
 
     duration: float = setting(10.0, "length of the run", "s", 1e-3, 86400.0)
     mode: str = setting(MODES[0], "how plant, estimator and controller run", choices=MODES)
-    loop: str = setting(STAGES[-1], "stage, which loops are closed", choices=STAGES)
+    loop: str = setting(STAGES[-1], "stage, the loops that are closed", choices=STAGES)
     worst_of: str = grouped(
-        DISTURBANCES, setting(WORST_OF[0], "what the scenario worst_case is worst for", choices=WORST_OF)
+        DISTURBANCES, setting(WORST_OF[0], "index for which the scenario worst_case is worst", choices=WORST_OF)
     )
     start: str = grouped(
-        CONTROL, setting(STARTS[0], "start in the steady state of the loop that runs, or at rest", choices=STARTS)
+        CONTROL, setting(STARTS[0], "start in the steady state of the running loop, or at rest", choices=STARTS)
     )
     fsm_authority: float | None = grouped(
         CONTROL, setting(None, "largest mirror angle per axis", "rad", 0.0, 1.0, absent="the telescope's own")
@@ -93,20 +93,20 @@ class RunConfig(PhysicalSettings):
         RIG, setting(None, "plant of your own, MODULE:NAME or entry point", absent="the telescope")
     )
     device: str | None = grouped(
-        RIG, setting(None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none")
+        RIG, setting(None, "rig instead of the telescope, MODULE:NAME or entry point", absent="none")
     )
     device_address: str = grouped(
         RIG, setting("127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver")
     )
     device_key: str | None = grouped(
-        RIG, setting(None, "file with the key of a rig, needed for one on another machine", absent="none is asked for")
+        RIG, setting(None, "key file of a rig, required for one on another machine", absent="no key")
     )
     disturbance_source: str | None = grouped(
         DISTURBANCES,
         setting(None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"),
     )
     disturbance_files: str | None = grouped(
-        DISTURBANCES, setting(None, "files of disturbances, apart by ;", absent="none")
+        DISTURBANCES, setting(None, "disturbance files, separated by semicolons", absent="none")
     )
     k_fsm: str | None = grouped(
         CONTROL, setting(None, "observer: file, MODULE:NAME or entry point", absent="the stored design")
@@ -114,36 +114,38 @@ class RunConfig(PhysicalSettings):
     k_pma: str | None = grouped(
         CONTROL, setting(None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design")
     )
-    hold_ticks: int = grouped(CONTROL, setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000))
+    hold_ticks: int = grouped(
+        CONTROL, setting(20, "ticks without a valid command before the command fades out", "ms", 1, 1000)
+    )
     fade_ticks: int = grouped(CONTROL, setting(20, "ticks of the fade to zero and back", "ms", 1, 10000))
     old_frames: str = grouped(
-        CONTROL, setting(OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES)
+        CONTROL, setting(OLD_FRAMES[0], "treatment of an old camera frame in the observer", choices=OLD_FRAMES)
     )
     lost_samples: str = grouped(
-        CONTROL, setting(FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS)
+        CONTROL, setting(FILLS[0], "replacement for the samples of lost ticks in observer and law", choices=FILLS)
     )
     camera_latency: float = grouped(
-        CONTROL, setting(0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0)
+        CONTROL, setting(0.0, "age up to which a camera frame is not late", "ms", 0.0, 60.0)
     )
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
-    namespace: str = grouped(ROS, setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE"))
+    namespace: str = grouped(ROS, setting(NAMESPACE, "namespace of nodes and topics; manually: -r __ns:=NAMESPACE"))
     domain: int | None = grouped(ROS, setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0"))
     processes: str = grouped(
         ROS, setting(PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES)
     )
     priority: bool = grouped(ROS, setting(True, "ask for real-time scheduling and locked memory"))
-    pin: bool = grouped(ROS, setting(True, "keep each node on one processor, if real-time scheduling is permitted"))
-    wait_for_recorder: bool = grouped(ROS, setting(False, "begin only when a recorder sees every topic"))
-    wait_for_start: bool = grouped(ROS, setting(False, "begin only when the service plant/start is called"))
-    start_timeout: float = grouped(ROS, setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0))
+    pin: bool = grouped(ROS, setting(True, "pin each node to one processor, if real-time scheduling is permitted"))
+    wait_for_recorder: bool = grouped(ROS, setting(False, "start only when a recorder has matched every topic"))
+    wait_for_start: bool = grouped(ROS, setting(False, "start only when the service plant/start is called"))
+    start_timeout: float = grouped(ROS, setting(60.0, "longest wait for the other nodes", "s", 0.1, 3600.0))
     hang_timeout: float = grouped(
-        ROS, setting(60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400)
+        ROS, setting(60.0, "time without a report of a node or a tick after which the run ends", "s", 5, 86400)
     )
     exercise: float = grouped(
-        ROS, setting(0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60)
+        ROS, setting(0.0, "length of the trial before a real-time run; a slow trial ends the run", "s", 0, 60)
     )
-    max_missed: float = grouped(ROS, setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0))
-    mode_choice: str | None = grouped(ROS, setting(None, "why the program chose the mode", absent="it was asked for"))
+    max_missed: float = grouped(ROS, setting(0.5, "largest share of missed ticks in real time", "%", 0.0, 100.0))
+    mode_choice: str | None = grouped(ROS, setting(None, "reason for the mode", absent="requested"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,7 +156,7 @@ class RunConfig(PhysicalSettings):
             raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
 
     def _check_code(self) -> None:
-        """Refuse settings that do not go with a plant, a controller or a disturbance of the user."""
+        """Reject settings that are incompatible with a user's plant, controller or disturbance."""
         if self.device and (self.plant or self.mode != "realtime" or self.start != "rest"):
             got = f"plant {self.plant}, mode {self.mode}, start {self.start}"
             raise ValueError(f"device must be given with mode realtime, start rest and no plant, got {got}")
@@ -173,7 +175,7 @@ class RunConfig(PhysicalSettings):
 
     @property
     def other_plant(self) -> str | None:
-        """Plant of the user, or device, in place of the telescope; None where it is the telescope."""
+        """User's plant, or device, instead of the telescope; None for the telescope."""
         return self.plant or self.device
 
     @property
@@ -194,7 +196,7 @@ class RunConfig(PhysicalSettings):
 
     @property
     def code_of_user(self) -> dict[str, str]:
-        """Settings that name code of the user, with their values.
+        """Settings that name user code, with their values.
 
         Examples
         --------
@@ -224,11 +226,11 @@ class RunConfig(PhysicalSettings):
         return Path(self.output)
 
     def at_rest(self) -> RunConfig:
-        """The configuration of a run with another plant: of the telescope only is it known what is steady."""
+        """Configuration of a run with another plant: only the telescope has a known steady state."""
         return replace(self, start="rest")
 
     def emulated(self) -> RunConfig:
-        """That of the telescope that an emulator of a rig simulates: of no run, and so of no duration."""
+        """Configuration of the telescope that a rig emulator simulates, which has no duration."""
         return replace(self, device=None, start="rest", duration=RunConfig.SETTINGS["duration"].default)
 
     @classmethod
@@ -299,9 +301,9 @@ def physical_hash(config: RunConfig) -> str:
     plain = config.to_plain()
     changed = [name for name in CHANGED if getattr(config, name)]
     values = {name: plain[name] for name in (*PhysicalSettings.SETTINGS, "worst_of", *changed)}
-    if config.profile == RunConfig.SETTINGS["profile"].default:  # bags from before there were profiles keep their hash
+    if config.profile == RunConfig.SETTINGS["profile"].default:  # bags older than profiles keep their hash
         del values["profile"]
-    if config.frequencies is None:  # nor were there these
+    if config.frequencies is None:  # nor did these exist
         del values["frequencies"]
     del values["tau"]
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"

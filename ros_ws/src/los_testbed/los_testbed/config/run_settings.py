@@ -1,6 +1,6 @@
-"""Settings of a run from what names several of them: folder of designs, member of the family, scenario.
+"""Settings of a run from sources of several settings: folder of designs, member of the family, scenario.
 
-A later layer wins over an earlier one: folder of designs, file, named case, random member, single settings.
+A later layer overrides an earlier one: folder of designs, file, named case, random member, single settings.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_designs(designs: str) -> dict[str, Any]:
-    """Settings that a folder of designs stands for: its controllers, and its telescope where it holds one.
+    """Settings of a folder of designs: its controllers, and its telescope if it has one.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def with_stage(settings: Mapping[str, Any]) -> dict[str, Any]:
 def chosen_member(
     case: str | None, cases: Path | None, sample: str | None, before: Mapping[str, Any], after: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Settings that ``--case`` and ``--sample`` stand for.
+    """Settings of ``--case`` and ``--sample``.
 
     The ranges of a random member are those of the parameter file that the rest of the configuration names.
 
@@ -134,7 +134,7 @@ def chosen_member(
 
 
 def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
-    """The scenario where the settings name none, and the member of the family that it asks for where they name none.
+    """Default scenario, and the member of the family that it selects, for settings without them.
 
     The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
     at structural modes. Sources of the user without a scenario: none.

@@ -1,4 +1,4 @@
-"""The one table of topics: name, type, rate, frame, columns in the loop's vectors.
+"""Table of the topics: name, type, rate, frame, columns in the loop's vectors.
 
 Everything that publishes, records, checks or documents a topic reads this table.
 """
@@ -209,21 +209,21 @@ def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
 
 DEPTH = 100
 """Messages that a writer keeps for reliable readers: 0.1 s at the tick rate. A lost packet is asked for
-again after the next heartbeat, 20 ms later; with the usual depth of 10 it would be gone by then. With 1000, a recorder
-that was stopped for half a second made the plant send so much again that it missed 200 ticks."""
+again after the next heartbeat, 20 ms later; with the usual depth of 10 it would be lost. With 1000, a recorder that
+was stopped for half a second made the plant resend so much that it missed 200 ticks."""
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 OWN_DIAGNOSTICS = "diagnostics"
-"""Topic of one node, below its name: what it publishes on /diagnostics, where anybody publishes."""
+"""Topic of one node, below its name: its messages on /diagnostics, which any node may publish."""
 
 REPORT_DEADLINE_S = 3.0
-"""A node reports once a second on its own topic; the recorder counts where it does not for longer than this [s]."""
+"""A node reports once a second on its own topic; the recorder counts longer intervals [s]."""
 
 LATE_REPORTS, LIVELINESS_LOST = "late_reports_", "liveliness_lost_"
 """Names of these counts in the statistics of the recorder, with the node behind."""
 
 UNSENT_TICKS = "ticks"
-"""What is behind :data:`~pointing_analysis.read.unsent.UNSENT` in the plant's count of lost periods between samples; of
+"""Suffix of :data:`~pointing_analysis.read.unsent.UNSENT` in the plant's count of lost periods between samples; of
 a topic that does not come at every tick its name is."""
 
 PROGRESS_TOPIC = "recorder/progress"

@@ -1,1 +1,1 @@
-"""The laws that fly as C99: observer, mirror law, proof-mass law and command gates, with the bits of the testbed."""
+"""Flight code in C99, bit-identical to the testbed: observer, mirror law, proof-mass law and command gates."""

@@ -40,7 +40,7 @@ from titop_plant.interface import (
 TEMPLATES = Path(__file__).with_name("templates")
 
 FILES = (HEADER, *(f"{unit}.c" for unit in UNITS), "self_test.c", "Makefile", "CMakeLists.txt")
-"""What is written."""
+"""Files of the export."""
 
 SOURCES = (*(f"{unit}.c" for unit in UNITS), "self_test.c")
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
@@ -52,7 +52,7 @@ LONGEST_ENTRY, LONGEST_TEXT = 200, 3000
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What became of the self test.
+    """Result of the self test.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class SelfTest:
 
 
 def provenance(law: SampledSystem) -> dict[str, str]:
-    r"""Where a law comes from, names to JSON without what C comments and strings would take for their own.
+    r"""Provenance of a law, names to JSON, escaped for C comments and strings.
 
     Entries that are lists or objects are left out, long texts are cut.
 

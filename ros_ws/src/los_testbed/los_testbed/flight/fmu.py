@@ -165,7 +165,7 @@ def plant_model(plant: object) -> Model:
 
 
 def _kind_of(plant: object) -> str:
-    """What a plant is, for an error: its class, or how it is no telescope with constant parameters alone."""
+    """Description of a plant for an error: its class, or its difference from a telescope with constant parameters."""
     if not isinstance(plant, Plant):
         return type(plant).__name__
     return "one with further inputs, sensors or limits" if not plant.is_plain else "one whose parameters change"

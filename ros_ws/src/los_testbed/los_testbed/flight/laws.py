@@ -1,4 +1,4 @@
-"""What is exported: the laws of a pair of designs, as the testbed runs them."""
+"""Exported laws: those of a pair of designs, as the testbed runs them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FlightLaws:
     hold_ticks, fade_ticks : int
         Of the gates.
     warnings : tuple of str
-        What the designs were made for and the telescope is not.
+        Differences between the design basis and the telescope.
     """
 
     k_fsm: SampledSystem
@@ -125,7 +125,7 @@ def laws_of(designs: str | None = None) -> FlightLaws:
 
 
 def laws_of_bundle(path: Path) -> FlightLaws:
-    """The laws that a bundle of proofs is about; its proofs are not checked here.
+    """The laws of a bundle of proofs; its proofs are not checked here.
 
     Raises
     ------

@@ -93,14 +93,14 @@ def _lines(values: FloatArray, indent: int) -> str:
 
 @dataclass(frozen=True)
 class Checked:
-    """A folder of flight code beside a pair of designs.
+    """Comparison of a folder of flight code with a pair of designs.
 
     Parameters
     ----------
     found, expected : str
         Hash of the tables in the C files, and of those of the designs.
     faults : tuple of str
-        What differs; empty if nothing does.
+        Differences; empty without any.
     """
 
     found: str
@@ -142,7 +142,7 @@ def check_tables(folder: Path, expected: Mapping[str, Tables]) -> Checked:
         if stated != tables.sha256:
             faults.append(f"{path.name} states {stated[:12]}, its tables are {tables.sha256[:12]}")
         if tables.sha256 != expected[unit].sha256:
-            faults.append(f"{path.name} has other tables than the designs")
+            faults.append(f"tables of {path.name} differ from the designs")
     header = folder / HEADER
     stated, common = _stated(_text(header), header), common_hash(found)
     if stated != common:

@@ -1,4 +1,4 @@
-"""Vectors of the self test: seeded inputs, and what the laws of the testbed answer.
+"""Vectors of the self test: seeded inputs, and the outputs of the testbed's laws.
 
 The inputs are made by operations whose rounding is defined, so that every computer writes the same file.
 """
@@ -29,7 +29,7 @@ VERDICTS = ("", "not_finite", "limit", "off_grid", "future", "duplicate", "late"
 
 @dataclass(frozen=True)
 class LawTick:
-    """Inputs of a tick and what the laws make of them.
+    """Inputs of a tick and outputs of the laws.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class LawTick:
 
 @dataclass(frozen=True)
 class GateTick:
-    """What is offered to a gate in a tick, its verdict, and what it applies.
+    """Command offered to a gate in a tick, its verdict, and the applied command.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""A run for viewers while it goes on: recent samples, a Foxglove server, a page for browsers."""
+"""Live view of a run: recent samples, a Foxglove server, a page for browsers."""

@@ -1,9 +1,9 @@
-"""Who may ask a server of a run: names in the header Host, sites in the header Origin, certificate.
+"""Access control of a server of a run: header Host, header Origin, certificate.
 
 A page of another site can reach a server on 127.0.0.1 through the browser of the user in two ways. It gives its own
 name the address 127.0.0.1 (DNS rebinding): then Host has that name. Or it opens a web socket to 127.0.0.1, which a
-browser permits to every site: then Origin has its name. Programs that are no browsers send any header; against them
-neither check protects.
+browser permits to every site: then Origin has its name. Programs other than browsers can send any header; neither
+check protects against them.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def check_origin(origin: str) -> None:
-    """Refuse what no browser sends as Origin of a page.
+    """Reject an invalid Origin of a page.
 
     Raises
     ------

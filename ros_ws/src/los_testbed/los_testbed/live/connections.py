@@ -1,4 +1,4 @@
-"""Connections that have not yet done anything: their number is limited, the oldest is closed for a new one."""
+"""Idle connections: their number is limited, the oldest is closed for a new one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def place_is_free(
     Parameters
     ----------
     viewers : list or set
-        Those that are served; the one that is closed is taken out.
+        Those that are served; the closed one is removed.
     active : callable
         Time at which a viewer gave its last sign of life, of `time.monotonic` [s].
     stale_s : float

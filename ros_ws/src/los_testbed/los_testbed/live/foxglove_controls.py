@@ -1,7 +1,7 @@
-"""What the page can do, by Foxglove's protocol: settings as parameters, the rest as services.
+"""Actions of the page by Foxglove's protocol: settings as parameters, the rest as services.
 
-A connection may act when it has set the parameter ``token`` to the token of the page's address; before that it can
-look only, as who opens the page without the token.
+A connection may act after setting the parameter ``token`` to the token of the page's address; before that it is
+read-only, as is the page without the token.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from los_testbed.live.frames import CHANGING
 
 ENCODING = "json"
 TOKEN = "token"
-NO_TOKEN = "the parameter token must first be set to the token of the page's address, by this connection"
+NO_TOKEN = "the parameter token must first be set to the token of the page's address on this connection"
 SERVICES = {
     **{f"plant/{name}": (name, True) for name in ("start", "stop", "reset")},
     **{f"{node}/{name}": (name, node) for node in ("estimator", "controller") for name in ("activate", "deactivate")},
@@ -49,7 +49,7 @@ class FoxgloveControls(ServerListener):  # type: ignore[misc, unused-ignore]
     token : str
         That of the page.
     tell : callable
-        Told why a parameter was not set.
+        Receives the reason why a parameter was not set.
     """
 
     def __init__(
@@ -131,5 +131,5 @@ class FoxgloveControls(ServerListener):  # type: ignore[misc, unused-ignore]
                 yield Parameter(full, value=float(value), type=ParameterType.Float64)
 
     def _parameters(self, values: dict[str, Any]) -> list[Parameter]:
-        """All; the token is told to nobody."""
+        """All; the token is never sent."""
         return [Parameter(TOKEN, value=""), *self._of_settings(values)]

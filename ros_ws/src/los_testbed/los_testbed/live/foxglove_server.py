@@ -17,10 +17,10 @@ from los_testbed.live.gate import Gate
 from los_testbed.run.processes.viewers import listening_sockets
 
 BACKLOG = 16_384
-"""Messages that are kept for a viewer that is slow, about 2 s or 3 MB; of older ones it gets none."""
+"""Messages buffered for a slow viewer, about 2 s or 3 MB; older ones are dropped."""
 
 REFUSED = "refused"
-"""Name of the status that says why a parameter was not set; the next one takes its place."""
+"""Name of the status with the reason why a parameter was not set; the next one replaces it."""
 
 
 class FoxgloveServer:
@@ -37,13 +37,13 @@ class FoxgloveServer:
     host, port : str, int
         Where to listen; port 0 takes a free one.
     origins : tuple of str
-        Sites whose pages may connect, beside those of this machine and of Foxglove.
+        Origins whose pages may connect, besides those of this machine and of Foxglove.
     tls : ssl.SSLContext, optional
         The certificate; then the address begins with wss.
     inherited : sequence of int
         Descriptors of sockets that listen already; empty: it opens its own.
     controls : FoxgloveControls, optional
-        Parameters and services; without them viewers can look only.
+        Parameters and services; without them viewers are read-only.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class FoxgloveServer:
         }
 
     def send(self, topic: str, data: bytes, time_ns: int) -> None:
-        """Give a serialised message to those who have subscribed."""
+        """Send a serialised message to the subscribers."""
         self._channels[topic].log(data, log_time=time_ns)
 
     def tell_changes(self) -> None:

@@ -1,4 +1,4 @@
-"""Frames of the page: what a viewer has not yet seen of a run."""
+"""Frames of the page: new data of a run for each viewer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHANGING = {"loop": "controller", "noise": "plant", "disturbance": "plant", "cam
 
 
 class ViewerFrames:
-    """What is known of a run, and the part of it that a viewer gets next.
+    """State of a run, and the next part for a viewer.
 
     Parameters
     ----------
@@ -72,14 +72,14 @@ class ViewerFrames:
         }
 
     def clear(self) -> None:
-        """Another run begins: the plant was reset or started again."""
+        """Start of another run: the plant was reset or restarted."""
         self.history.clear()
         self._run += 1
         self._indices, self._spectrum, self._next = [], None, 0.0
         self._exposed = -1
 
     def put(self, name: str, data: bytes) -> None:
-        """Take in a message of a topic by its relative name."""
+        """Process a message of a topic by its relative name."""
         if name == IMAGE_NAME:
             self._exposed = self._codec.decode(data, self._counts)
         else:
@@ -131,7 +131,7 @@ class ViewerFrames:
         return frame
 
     def _compute(self) -> None:
-        """Indices and spectrum, when some viewer asks for a frame and the last ones are old."""
+        """Indices and spectrum, recomputed if a viewer requests a frame and the last ones are old."""
         now = time.monotonic()
         if now < self._next or self.history.tick < 0:
             return

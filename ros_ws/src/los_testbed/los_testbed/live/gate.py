@@ -1,4 +1,4 @@
-"""Entrance of a web socket server that is not ours: it hears only of requests that may reach it."""
+"""Access gate of a third-party web socket server: it forwards permitted requests only."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ MAX_SILENT = 64
 """Connections that have subscribed to nothing."""
 
 STALE_S = 5.0
-"""A viewer that has taken nothing for this long is closed for another one."""
+"""A viewer that has received nothing for this long is closed for another one."""
 
 TAKEN_S = 30.0
-"""A viewer that has taken nothing of what is to be sent for this long is closed."""
+"""A viewer that has received none of its pending data for this long is closed."""
 
 
 @dataclass(eq=False)
@@ -81,7 +81,7 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
         self._silent.remove(stream)
 
     def _refusal(self, head: bytes) -> bytes:
-        """Answer to a request that may not be passed on; empty for others."""
+        """Response to a rejected request; empty for others."""
         try:
             first, _, rest = head.decode("latin-1").partition("\r\n")
             parse_request_start_line(first)
@@ -92,9 +92,9 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
         if len(hosts) != 1 or not self._access.host(hosts[0]):
             return _answer("403 Forbidden", "Host must be a name of this server (--live-host)")
         if not all(self._access.origin(origin, hosts[0]) for origin in origins):
-            return _answer("403 Forbidden", "Origin must be a site that is permitted (--live-origin)")
+            return _answer("403 Forbidden", "Origin must be permitted (--live-origin)")
         if not self._place_is_free():
-            return _answer("503 Service Unavailable", f"there are {MAX_VIEWERS} viewers already")
+            return _answer("503 Service Unavailable", f"viewers must be at most {MAX_VIEWERS}, got one more")
         return b""
 
     def _place_is_free(self) -> bool:

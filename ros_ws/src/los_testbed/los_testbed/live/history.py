@@ -1,4 +1,4 @@
-"""The last seconds of a run as arrays, and what is computed of them for a viewer."""
+"""The last seconds of a run as arrays, and their indices and spectrum for a viewer."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pointing_analysis.spectra.spectra import psd
 from titop_plant.interface import TICK_NS
 
 CAPACITY = 16_384
-"""Ticks that are kept."""
+"""Ticks that are stored."""
 
 SPAN_TICKS = 5_000
-"""Ticks that the indices are computed of."""
+"""Ticks over which the indices are computed."""
 
 SEGMENT_S = 0.5
 """Segment of the spectrum [s]."""
@@ -77,7 +77,7 @@ class History:
             values[:] = np.nan
 
     def put(self, name: str, data: bytes) -> None:
-        """Take in a message of a topic by its relative name; topics that are not shown are left out."""
+        """Process a message of a topic by its relative name; topics that are not shown are ignored."""
         if name not in self._signals:
             return
         signal, codec = self._signals[name]

@@ -85,7 +85,7 @@ class _Files(_OwnName, StaticFileHandler):  # type: ignore[misc, unused-ignore]
 
 
 class _Data(_OwnName, WebSocketHandler):  # type: ignore[misc, unused-ignore]
-    """A viewer: it gets the next frame when it has taken the one before."""
+    """A viewer: it gets the next frame after receiving the last one."""
 
     answered = 0.0
     """Time of the last answer to a ping; 0 before the first."""
@@ -104,7 +104,7 @@ class _Data(_OwnName, WebSocketHandler):  # type: ignore[misc, unused-ignore]
         if not first:
             return
         if not self._server.place_is_free():
-            self.close(1013, f"there are {MAX_VIEWERS} viewers already")
+            self.close(1013, f"viewers must be at most {MAX_VIEWERS}, got one more")
             return
         self._server.viewers.add(self)
         self._server.silent.remove(self._stream)
@@ -209,11 +209,11 @@ class PageServer:
             self.viewers,
             lambda viewer: viewer.answered,
             STALE_S,
-            lambda viewer: viewer.close(1013, "it did not answer"),
+            lambda viewer: viewer.close(1013, "no response"),
         )
 
     async def stop(self, frames: int = 3) -> None:
-        """Let the viewers take some more frames, then close."""
+        """Send the viewers some more frames, then close."""
         await asyncio.sleep(frames * FRAME_S)
         for viewer in list(self.viewers):
             viewer.close(1000, "the run is over")

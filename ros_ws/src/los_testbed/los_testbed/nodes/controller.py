@@ -69,7 +69,7 @@ class ControllerLaw:
     Attributes
     ----------
     further : tuple of TopicDefinition
-        Further sensors whose values it takes in behind estimate and platform acceleration.
+        Further sensors that it reads after estimate and platform acceleration.
     size : int
         Number of its inputs.
     command : ndarray, shape (8 or more,)
@@ -104,7 +104,7 @@ class ControllerLaw:
         self.changes = context.allow_changes(changing, _limits(run.basis))
 
     def compose(self, estimate: FloatArray, columns: IntArray, bundle: TickBundle) -> None:
-        """Take the estimate from an observer of this process, and send the commands in one message before their topics.
+        """Read the estimate of an observer in this process; publish the commands in one message before their topics.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class ControllerLaw:
             publisher.publish(codec.encode(stamp, values))
 
     def settle(self) -> None:
-        """Let the readers take in what was sent last."""
+        """Wait until the subscribers have received the last messages."""
         settle([publisher for publisher, _, _ in self._outputs])
 
 

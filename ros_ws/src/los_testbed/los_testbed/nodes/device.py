@@ -1,7 +1,7 @@
-"""Loop of the plant node with a device in the place of the simulated telescope.
+"""Loop of the plant node with a device instead of the simulated telescope.
 
-Tick k: at the deadline, and never before it, the commands of tick k - 1 pass the gates and are written to the device,
-what has come from it since is read and sent. A lost period is lost: nothing is made up for.
+Tick k: at the deadline, never earlier, the commands of tick k - 1 pass the gates and are written to the device, and its
+new samples are read and published. A lost period is not made up for.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import TICK_NS
 
 FIRST_NS, DRAIN_NS = 2 * TICK_NS, 5 * TICK_NS
-"""Before the first tick what came up to so long before it is left out, and it is read so often."""
+"""Before the first tick the device is polled at this interval; samples older than it at that tick are discarded."""
 
 
 HELD_WITHOUT = "held_without_samples"
 """Statistic: ticks that held their command since the one before had no samples of all sensors. The loop has not missed
-them: there was nothing to answer."""
+them: there was no trigger."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +69,7 @@ class DeviceLoop(PlantLoop):
         self.device = device
 
     def run(self, others: OtherPlants) -> int:
-        """Run; whatever happens, the actuators are at zero afterwards, or the error says that they are not."""
+        """Run; afterwards the actuators are at zero in any case, or the error says that they are not."""
         try:
             return super().run(others)
         except DeviceError:
@@ -82,13 +82,13 @@ class DeviceLoop(PlantLoop):
         try:
             super()._run_once()
         finally:
-            told = refused_in_words(self.device.counts)
-            for message in told:
+            texts = refused_in_words(self.device.counts)
+            for message in texts:
                 self.context.event("warning", message=message)
-            self.context.warn_alone(told)
+            self.context.warn_alone(texts)
 
     def _meanwhile(self) -> None:
-        """The rig sends before the run, too: what nobody reads would be lost, and its clock would not be followed."""
+        """Read the rig before the run: unread samples would be lost, and its clock would not be tracked."""
         self.device.drain()
 
     def _await_first(self) -> None:
@@ -123,7 +123,7 @@ class DeviceLoop(PlantLoop):
             frames = {
                 sample.port: (as_stamp(sample.acquired_ns, clock.first, start), sample.values)
                 for sample in device.frames
-                if sample.acquired_ns >= clock.first  # what was acquired before the run is no part of its record
+                if sample.acquired_ns >= clock.first  # samples acquired before the run are not recorded
             }
             io.publish_samples(now, device.measurement if complete else None, frames, TRUTH_PORT)
             self._frames += len(frames.keys() - {TRUTH_PORT})
@@ -138,7 +138,7 @@ class DeviceLoop(PlantLoop):
         if self._again and not context.stop:
             device.write(np.zeros_like(self._command), time.monotonic_ns())
         else:
-            device.finish()  # before the last report: what it says of mirror and forces has happened
+            device.finish()  # before the last report, which states mirror and forces
 
     def _begin_counts(self) -> None:
         super()._begin_counts()

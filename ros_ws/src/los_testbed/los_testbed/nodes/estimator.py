@@ -75,7 +75,7 @@ class EstimatorLaw:
     Attributes
     ----------
     further : tuple of TopicDefinition
-        Further sensors whose values it takes in behind the measurement.
+        Further sensors that it reads after the measurement.
     size : int
         Number of its inputs.
     los : ndarray, shape (2,)
@@ -115,7 +115,7 @@ class EstimatorLaw:
         self._publisher.publish(self._codec.encode(stamp, self.los))
 
     def settle(self) -> None:
-        """Let the readers take in what was sent last."""
+        """Wait until the subscribers have received the last messages."""
         settle([self._publisher])
 
 

@@ -1,8 +1,8 @@
 """Estimator and controller as two nodes of one process.
 
 All samples of a tick come in one message of the plant, the estimate goes from one to the other by a function call, and
-all commands leave in one message; then the topics of both nodes are published for everybody else. Each node has its own
-parameters, services, life cycle and diagnostics, as where it runs alone.
+all commands leave in one message; then the topics of both nodes are published for other subscribers. Each node has its
+own parameters, services, life cycle and diagnostics, as in a process of its own.
 """
 
 from __future__ import annotations

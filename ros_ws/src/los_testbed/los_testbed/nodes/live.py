@@ -1,6 +1,6 @@
-"""Live node: the topics of a run for viewers, by Foxglove's protocol and as a page; it comes after the loop.
+"""Live node: the topics of a run for viewers, by Foxglove's protocol and as a page, with lower priority than the loop.
 
-In real time it reads best effort: a viewer, or this node, that is slow does not make the others send anything again.
+In real time its subscriptions are best effort: a slow viewer or node causes no retransmission.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from los_testbed.run.processes.viewers import Live
 DEPTH = 1000
 PERIOD_S = 0.02
 NICE = -10
-"""What the loop leaves of two processors goes to viewers before the programs beside it."""
+"""Niceness: viewers precede other programs in the time that the loop leaves of two processors."""
 SERVICE_S = 0.05
 LOOK_NS = 20_000_000
 LIFE_CYCLE = ("activate", "deactivate")
@@ -46,13 +46,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     parser = argparse.ArgumentParser(prog="live", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    parser.add_argument("--port", type=int, default=8765, help="port of Foxglove's protocol; the page has the next one")
-    parser.add_argument("--origin", action="append", default=[], help="site whose pages may connect; repeatable")
-    parser.add_argument("--topic", action="append", default=[], help="topic that is served; repeatable; default: all")
+    parser.add_argument(
+        "--port", type=int, default=8765, help="port of Foxglove's protocol; the page has the next port"
+    )
+    parser.add_argument("--origin", action="append", default=[], help="origin whose pages may connect; repeatable")
+    parser.add_argument(
+        "--topic", action="append", default=[], help="topic served to viewers; repeatable; default: all"
+    )
     parser.add_argument("--tls-cert", default="", help="certificate (PEM)")
     parser.add_argument("--tls-key", default="", help="its private key (PEM)")
     for name in ("--foxglove-socket", "--page-socket"):
-        parser.add_argument(name, action="append", type=int, default=[], help="descriptor of a socket that listens")
+        parser.add_argument(name, action="append", type=int, default=[], help="descriptor of a listening socket")
     own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
 
     live = Live(
@@ -73,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class LiveNode:
-    """Takes what came every 20 ms and hands it to the servers; made inside the event loop.
+    """Passes new messages to the servers every 20 ms; created inside the event loop.
 
     Parameters
     ----------
@@ -140,7 +144,7 @@ class LiveNode:
         return 0
 
     def _drain(self) -> None:
-        """Take everything that waits."""
+        """Take all waiting messages."""
         tracks, now = self.tracks, time.monotonic_ns()
         for track in (*tracks, *self.reports.values()):
             track.drain()

@@ -1,11 +1,10 @@
 """Plant node: keeps the time, publishes sensors and truth, applies the commands of the previous tick.
 
-Tick k of the real-time loop: take the commands that were computed from tick k - 1, pass them through the gates, step
-the plant, and publish at the deadline. Commands that come a little before the deadline are taken then, and if both are
-there the plant is stepped then, too; else at the deadline. Tick k is k ms of the steady clock after the first one, for
-good: over periods that the node has lost the plant is integrated with the command that it has, and their samples are
-not sent. In lockstep the wait for the clock is replaced by a wait for both commands of the tick just published, and
-``/clock`` follows the ticks.
+Tick k of the real-time loop: take the commands computed from tick k - 1, pass them through the gates, step the plant,
+and publish at the deadline. Commands shortly before the deadline are taken early; if both have arrived, the plant is
+stepped early, too, else at the deadline. Tick k is always k ms of the steady clock after the first one: over lost
+periods the plant is integrated with its last command, and their samples are not sent. In lockstep the node waits for
+both commands of the published tick instead of the clock, and ``/clock`` follows the ticks.
 """
 
 from __future__ import annotations
@@ -50,17 +49,16 @@ from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 RING = 64
 
 TRIALS = 2
-"""The loop is tried so often before it is found to be too slow."""
+"""Trials of the loop before it is considered too slow."""
 
-OWN_PLANT = "start must be rest, in every node, for another plant than the telescope, got steady"
+OWN_PLANT = "start must be rest in every node for a plant other than the telescope, got steady"
 
 EARLY_NS = 250_000, 120_000
-"""So long before the deadline of a tick the commands that have come are taken. Once both have, the plant is stepped:
-the simulation is no part of the loop, and the sensors' samples go out at the deadline."""
+"""Lead before the deadline of a tick at which commands are taken. With both, the plant is stepped: the simulation is
+not part of the loop, and the sensors' samples are sent at the deadline."""
 
 BREATH, SLOW_STEPS = 100, 1000
-"""Steps over lost periods after which the processor is given away for a moment, and after which the plant must have
-come nearer to the present."""
+"""Steps over lost periods after which the processor is yielded, and after which the backlog must have decreased."""
 
 CLOCK_TICKS = 10
 """Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
@@ -78,7 +76,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
         own, command = build is not build_plant, None
         if context.config.device:
             raise ValueError(
-                f"device must be absent for the node plant, got {context.config.device}: node device has it"
+                f"device must be absent for the node plant, got {context.config.device}: use the node device"
             )
         parts = RunParts(context.config)
         plant = made_by(build, context.config, "plant") if own else parts.plant()
@@ -153,7 +151,7 @@ class PlantLoop:
         self._second = ""
 
     def run(self, others: OtherPlants) -> int:
-        """Run, unless another plant does, and once more after every reset."""
+        """Run, unless another plant is active, and again after every reset."""
         context = self.context
         context.become_real_time()
         context.all_listed()
@@ -182,12 +180,12 @@ class PlantLoop:
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
-        if not context.process.tells:  # a runner, where there is one, judges the run by its record
+        if not context.process.tells:  # a runner judges the run by its record
             check_missed(missed_share(self.statistics()), context.config)
         return 0
 
     def _keeps_pace(self) -> bool:
-        """Whether the loop, which is tried, answers in time; a single stall of the machine is not its pace."""
+        """Whether the loop under trial meets its deadlines; a single stall of the machine does not count."""
         config = self.context.config
         for trial in range(TRIALS):
             self._exercised = found = exercise(self.context, self.io, config.exercise)
@@ -201,7 +199,7 @@ class PlantLoop:
         self._again = True
 
     def _meanwhile(self) -> None:
-        """What is done every 20 ms before a run: nothing, of a simulated telescope."""
+        """Work every 20 ms before a run: none for a simulated telescope."""
 
     @property
     def _ended(self) -> bool:
@@ -229,7 +227,7 @@ class PlantLoop:
 
     @property
     def missed(self) -> int:
-        """Ticks that were sent with an older command, and periods that were lost altogether: at most all ticks."""
+        """Ticks sent with an older command, and lost periods; at most all ticks."""
         return self.held + self.lost
 
     def _real_time(self, start: int) -> None:
@@ -272,12 +270,12 @@ class PlantLoop:
             self._background(now)
 
     def _catch_up(self, start: int) -> None:
-        """Integrate over lost periods, up to the one that is now; what is stepped last can be sent, unless it is over.
+        """Integrate over lost periods up to the current one; the last step can be published unless its period is over.
 
         Raises
         ------
         RunFailedError
-            Steps take longer than ticks: the plant would fall behind for good.
+            Steps take longer than ticks: the plant would never catch up.
         """
         clock, total, steps = self.clock, self.context.config.ticks, 0
         entered, behind = time.monotonic_ns(), clock.present() - self.ticks
@@ -290,7 +288,7 @@ class PlantLoop:
                 time.sleep(1e-6)  # the kernel ends a process of real-time priority that never blocks
             if steps % SLOW_STEPS == 0 and clock.present() - self.ticks >= behind:
                 spent = (time.monotonic_ns() - entered) / steps / 1e6
-                raise RunFailedError(f"a step of the plant takes {spent:.2g} ms, must be below 1 ms in real time")
+                raise RunFailedError(f"a plant step must take less than 1 ms in real time, got {spent:.2g} ms")
         clock.resume_at(self.ticks + 1)
 
     def _lose(self, now: int) -> None:
@@ -327,7 +325,7 @@ class PlantLoop:
             io.apply(now, command)
             self.plant.step(command, self._measurement, self._truth)
             io.pack(now, self._measurement, self._further)
-        except BlockFailedError:  # says itself what failed
+        except BlockFailedError:  # its message has the cause
             raise
         except RAISED as error:
             raise RunFailedError(f"failed at tick {self.ticks}: {in_one_line(error)}") from error
@@ -339,7 +337,7 @@ class PlantLoop:
         self._count_sent()
 
     def _count_sent(self) -> None:
-        """A tick whose samples were sent: what was lost before it is missing between samples."""
+        """A tick whose samples were sent: periods lost before it are missing between samples."""
         if self._pending:
             if self.sent:  # no sample is missing before the first one
                 self.unsent.update(self._pending)
@@ -347,7 +345,7 @@ class PlantLoop:
         self.sent += 1
 
     def _background(self, now: int) -> None:
-        """Work that is not urgent, one kind for each tick that was sent, after its work."""
+        """Background work, one kind per published tick, after its urgent work."""
         phase = (self.sent - 1) % 200
         if self.context.work():
             return
@@ -430,7 +428,7 @@ class PlantLoop:
         level, message, values = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         self._faded = self.io.fading()
         if self._faded:
-            level, message = ERROR, "no valid commands: actuators brought to zero"
+            level, message = ERROR, "no valid commands: actuators set to zero"
         elif self._second:
             level, message, self._second = ERROR, self._second, ""
         elif news[1]:

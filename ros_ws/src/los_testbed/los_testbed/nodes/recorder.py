@@ -1,4 +1,4 @@
-"""Recorder node: every topic of the table, as bytes, into a bag."""
+"""Recorder node: writes every topic of the table, serialised, to a bag."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ PERIOD_S = 0.01
 QUIET_S = 0.2
 CHUNK_S = 1.0
 BUFFER_BYTES = 4 << 20
-"""Receive buffer of each socket. The kernel's default of 208 KiB is 30 ms of a run: after a pause as long samples are
-lost, and those that are asked for fill the buffer anew. The nodes of the loop keep the default: what they have no time
-for is better lost than late."""
+"""Receive buffer of each socket. The kernel's default of 208 KiB is 30 ms of a run: after such a pause samples are
+lost, and retransmitted ones fill the buffer again. The nodes of the loop keep the default: for them a lost sample is
+better than a late one."""
 LOOK_NS = 20_000_000
 """Time between looks at the publishers of the topics."""
 
@@ -59,7 +59,7 @@ def default_bag() -> Path:
 
 
 class Recorder:
-    """Loop of the recorder: every 10 ms take what came, once a second write a chunk."""
+    """Loop of the recorder: take messages every 10 ms, write a chunk every second."""
 
     def __init__(self, context: NodeContext) -> None:
         config, node = context.config, context.node
@@ -68,7 +68,7 @@ class Recorder:
         check_new_bag(self.path)
         self._base = self.path
         self.parts = RunParts(config)
-        final_metadata(self.parts, {})  # what it imports takes most of a second: not at real-time priority
+        final_metadata(self.parts, {})  # its imports take most of a second: not at real-time priority
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else self.parts.start
         self._reported: dict[str, int] = {}
@@ -123,7 +123,7 @@ class Recorder:
         return 0
 
     def _look(self) -> None:
-        """Match publishers; report at once where there is a second one."""
+        """Match publishers; report a second one immediately."""
         now = time.monotonic_ns()
         waiting = any(track.waiting for track in (*self.tracks, *self.reports.values()))
         if now < self._next_look and not waiting:
@@ -136,10 +136,10 @@ class Recorder:
             self._report()
 
     def _look_for_names(self, now: int) -> None:
-        """While the plant holds: whether the graph knows whose each publisher is, or has had its time for that.
+        """While the plant holds: whether the graph knows the node of each publisher, or the time for it has passed.
 
-        What it tells of a node comes later than the node's samples, by seconds where the processor is taken away; a
-        report is only taken from a node that is known.
+        The graph learns a node later than its samples arrive, by seconds on a busy machine; a report is only accepted
+        from a known node.
         """
         if not all(track.held for track in self.tracks):
             self._held_since, self._named = 0, False
@@ -150,7 +150,7 @@ class Recorder:
             self._named = all(nodes) or now - self._held_since > UNKNOWN_NS
 
     def _tell_progress(self) -> None:
-        """Stamp of the newest tick that is here of every topic; zero while the plant holds and all nodes are known."""
+        """Stamp of the newest tick received on every topic; zero while the plant holds and all nodes are known."""
         ticks = [track.last for track in self.tracks if track.period_ns == TICK_NS]
         if any(ticks):
             stamp = min(ticks)
@@ -163,7 +163,7 @@ class Recorder:
         self.progress.publish(self._header.encode(stamp))
 
     def _another_run(self) -> bool:
-        """Whether the plant holds after a run: it was started again, and what comes now is another run.
+        """Whether the plant holds after a run: it was restarted, and the next messages are of another run.
 
         One topic is not enough: a message with stamp zero from a foreign publisher must not end the bag. Those of the
         other nodes do not count: at the start the answer to a tick may be taken before the tick itself, whose topics
@@ -172,7 +172,7 @@ class Recorder:
         return any(track.first for track in self._from_plant) and all(track.held for track in self._from_plant)
 
     def _begin_again(self) -> None:
-        """Close the bag of the run that broke off; the next one gets a name of its own."""
+        """Close the bag of the aborted run; the next one gets another name."""
         self._write_chunk()
         self._finish_bag()
         self.finished += 1
@@ -205,7 +205,7 @@ class Recorder:
         self.bag.end_chunk()
 
     def _remapped(self) -> dict[str, str]:
-        """What the bag says of topics that have another name."""
+        """Metadata of remapped topics."""
         return {REMAPPED: json.dumps(self._sent_as)} if self._sent_as else {}
 
     def _write(self, bag: BagWriter, track: Track) -> None:
@@ -245,8 +245,8 @@ class Recorder:
     def _unsent(self, missing: dict[str, int], span: int) -> dict[str, int]:
         """Of the samples that are missing in a span of ticks those that the plant did not send, by topic.
 
-        The plant counts for its whole run: of a part of it, which a recorder that was started again has, nothing is
-        known, and what is missing counts as lost.
+        The plant counts for its whole run: for the part that a restarted recorder has, nothing is known, and missing
+        samples count as lost.
         """
         plant = self.statistics.get("plant", {})
         ticks, outside, between = (int(plant.get(n, "0")) for n in ("ticks", UNSENT + "outside", UNSENT + UNSENT_TICKS))
@@ -259,7 +259,7 @@ class Recorder:
         return {name: min(count, most) for (name, count), most in zip(missing.items(), counts)}
 
     def _report(self) -> None:
-        if self._late is not None and self._moving:  # after the last sample nobody needs to report
+        if self._late is not None and self._moving:  # after the last sample no report is due
             self._late.look()
         self._moving = False
         values = self.own_statistics()
@@ -282,7 +282,7 @@ class Recorder:
             self.bag.close({METADATA_NAME: final_metadata(self.parts, final, self.start)})
 
     def _take_last_statistics(self) -> None:
-        """Those that the runner has of each node, where there is one: of a report that was lost they are not."""
+        """Statistics that the runner has of each node: they do not depend on lost reports."""
         path = os.environ.get(STATISTICS_VARIABLE, "")
         text = Path(path).read_text() if path else ""
         for name, values in (json.loads(text) if text else {}).items():
@@ -296,7 +296,7 @@ class Recorder:
         path = str(self.path) if self.bag is not None else None
         self.context.event("done", statistics=self.own_statistics(), bag=path)
         if self.bag is None and not self.finished:
-            raise ValueError("a plant must run on this domain, got no message before the recorder was ended")
+            raise ValueError("a plant must run on this domain, got no message before the recorder ended")
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -106,7 +106,7 @@ class RemoteControl:
         try:
             end = time.monotonic() + self._timeout
             if not client.wait_for_service(self._timeout):
-                raise NoAnswerError(f"a run must be going on, got no service {service} within {self._timeout:g} s")
+                raise NoAnswerError(f"a run must be active, got no service {service} within {self._timeout:g} s")
             future = client.call_async(request)
             self._executor.spin_until_future_complete(future, max(0.1, end - time.monotonic()))
             if not future.done():

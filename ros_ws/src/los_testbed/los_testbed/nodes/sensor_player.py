@@ -1,7 +1,7 @@
-"""Replaces the plant: publishes the sensors of a bag at their own times and keeps the answers of the nodes.
+"""Replaces the plant: publishes the sensors of a bag at their own times and stores the outputs of the nodes.
 
-The stamps are those of the bag, so the answers carry them too and can be compared with the recorded ones tick by tick.
-Nothing that is commanded changes what is sent.
+The stamps are those of the bag, so the outputs have them, too, and are compared with the recorded ones tick by tick.
+Commands have no effect on the sensors.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from titop_plant.interface import TICK_NS
 ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 ANSWER_DEPTH = 1000
 DISCOVERY_S = 1.5
-"""A node that runs is discovered within this time; a topic without a writer then has none to wait for."""
+"""A running node is discovered within this time; a topic without a publisher by then is not waited for."""
 LAST_ANSWERS_S = 0.5
 
 Signal = tuple[NDArray[np.int64], FloatArray]
@@ -52,7 +52,7 @@ Signal = tuple[NDArray[np.int64], FloatArray]
 
 @dataclass(frozen=True)
 class Played:
-    """What was sent and what came back.
+    """Published ticks and received outputs.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, 
     domain : int, optional
         ROS domain; default: that of the environment.
     timeout : float
-        Wait for listeners at most this long [s].
+        Longest wait for subscribers [s].
     progress : callable
         Called with ticks done and all ticks.
 
@@ -144,7 +144,7 @@ class _Player:
 
     def play(self, timeout: float, progress: Callable[[int, int], None]) -> Played:
         answered = self._handshake(timeout)
-        self._others.close()  # its subscription is none of a node that listens
+        self._others.close()  # its subscription is not one of a listening node
         warnings = () if answered else self._without_answer(timeout)
         late, total, first = 0, len(self.stamps), int(self.stamps[0])
         start_time = time.monotonic_ns() + 20_000_000
@@ -173,7 +173,7 @@ class _Player:
         return Played(self.sent, done, late, self._answers(), warnings)
 
     def _handshake(self, timeout: float) -> bool:
-        """Send hold ticks (stamp zero), which reset the nodes, until every answering one has answered; whether so."""
+        """Send hold ticks (stamp zero), which reset the nodes, until every responding node responds; whether all do."""
         node, start_time = self.context.node, time.monotonic()
         pending = {topic.name for topic in ANSWERS}
         while not self.context.stop:
@@ -201,11 +201,11 @@ class _Player:
         return True
 
     def _without_answer(self, timeout: float) -> tuple[str, ...]:
-        """Go on without an answer if a node subscribes to the sensors."""
+        """Continue without a response if a node subscribes to the sensors."""
         node = self.context.node
         if not any(node.count_subscribers(node.resolve_topic_name(topic.name)) for topic in SENSORS):
             raise BagError(f"a node must subscribe to {node.get_namespace()}/... within {timeout:g} s, got none")
-        return (f"no answer to the hold ticks within {timeout:g} s: the nodes may not start from their zero state",)
+        return (f"no response to the hold ticks within {timeout:g} s: the nodes may not start from zero state",)
 
     def _drain(self) -> None:
         for name, subscription in self._inputs.items():
@@ -213,7 +213,7 @@ class _Player:
                 self._taken[name].append(bytes(taken[0]))
 
     def _answers(self) -> dict[str, Signal]:
-        """Answers by topic, sorted by stamp; hold ticks and unreadable messages are left out."""
+        """Answers by topic, sorted by stamp; hold ticks and unreadable messages are excluded."""
         found = {}
         for topic in ANSWERS:
             codec, out = codec_for(topic), np.zeros(topic.size)

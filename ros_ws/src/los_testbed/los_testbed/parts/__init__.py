@@ -1,1 +1,1 @@
-"""What a run is made of: telescope, controllers, start, sources of disturbance, plant."""
+"""Parts of a run: telescope, controllers, start, disturbance sources, plant."""

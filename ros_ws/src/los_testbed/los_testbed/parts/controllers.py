@@ -1,4 +1,4 @@
-"""The controllers of a run beside its telescope: what they were made for, and the laws that are made of them."""
+"""Controllers of a run: comparison of their design basis with the telescope, and the laws built from them."""
 
 from __future__ import annotations
 

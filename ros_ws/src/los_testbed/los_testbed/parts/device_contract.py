@@ -1,4 +1,4 @@
-"""What the loop needs of a device: a mirror, actuators, sensors and their clock, behind five methods."""
+"""Interface of a device: a mirror, actuators, sensors and their clock, behind five methods."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRUTH_PORT = "los_controlled"
 
 
 class DeviceError(RuntimeError):
-    """A device failed, or said nothing for too long: the run is over. The text says whether it is at zero."""
+    """A device failed or was silent too long: the run ends. The message says whether its actuators are at zero."""
 
     code = ExitCode.DEVICE
 
@@ -46,28 +46,28 @@ class Device(Protocol):
     """A rig.
 
     It is opened once, before the run begins, and never stepped for a trial; it need not be copied and need not know the
-    truth. In each tick `write` and then `read` are called once, at the deadline and never before it. Both return at
-    once: a `read` gives what has come since the last one, which may be nothing. Between `open` and the run only `read`
+    truth. In each tick `write` and then `read` are called once, at the deadline and never before it. Both return
+    immediately: `read` returns the samples since the last call, possibly none. Between `open` and the run only `read`
     is called, every 20 ms. **Signs and units are those of :mod:`titop_plant.interface`.**
 
-    Two further methods may be there. ``notes()`` returns what the device says of itself, names and texts for the
-    statistics; it is called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run.
+    Two further methods are optional. ``notes()`` returns the device's own names and texts for the statistics; it is
+    called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run.
     """
 
     def open(self, config: RunConfig) -> None:
         """Connect; the actuators stay at zero."""
 
     def read(self, now_ns: int) -> Sequence[Sample]:
-        """What has come since the last call; `now_ns` is the deadline (steady clock)."""
+        """Samples since the last call; `now_ns` is the deadline (steady clock)."""
 
     def write(self, command: FloatArray, now_ns: int) -> None:
         """Apply mirror angles [rad] and forces [N], (8,), until the next call."""
 
     def safe(self) -> None:
-        """Bring mirror and forces to zero, in whatever state; it may be called more than once."""
+        """Set mirror and forces to zero in any state; may be called repeatedly."""
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
 
 
 def make_device(config: RunConfig) -> Any:

@@ -58,7 +58,7 @@ def entries_of(items: Sequence[str]) -> list[DisturbanceTable]:
         path = Path(name)
         if path.suffix.lower() == ".toml":
             if place:
-                raise ValueError(f"place must be in the file {path}, got {item!r}")
+                raise ValueError(f"place must be given in the file {path}, got {item!r}")
             found += entries_in(path, _toml(path))
         else:
             table: dict[str, Any] = {"name": path.stem, "file": path.name, **({"place": place} if place else {})}
@@ -140,10 +140,10 @@ def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -
         raise entry.error("name must be a text, got none")
     if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    entry = replace(entry)  # without what an earlier run has noted of its files
+    entry = replace(entry)  # without the remarks of an earlier run
     make, keys = KINDS[kind]
     if unknown := sorted(set(table) - COMMON - keys):
-        raise entry.error(f"keys must be of {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
+        raise entry.error(f"keys must be among {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
     offset = entry.vector("offset") if "offset" in table else None
     try:
         matrix = place_matrix(place, telescope, _frame(table.get("frame", "own")), offset)

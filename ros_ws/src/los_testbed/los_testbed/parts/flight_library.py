@@ -1,4 +1,4 @@
-"""Laws of a compiled flight library (``liblos_flight.so``) in the places of the laws of a file."""
+"""Laws of a compiled flight library (``liblos_flight.so``) instead of the laws of a file."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ SIZES: Mapping[str, tuple[int, ...]] = MappingProxyType(
         "k_pma": (PLATFORM.stop - PLATFORM.start, FORCES.stop - FORCES.start),
     }
 )
-"""What follows the order in ``los_k_fsm_sizes`` and ``los_k_pma_sizes``: inputs, held values, outputs."""
+"""Entries after the order in ``los_k_fsm_sizes`` and ``los_k_pma_sizes``: inputs, held values, outputs."""
 
 LARGEST_ORDER = 10_000
 
 
 class FlightLibraryError(ValueError):
-    """A file that is no flight library of this telescope's ports and this processor."""
+    """Not a flight library for the ports of this telescope and this processor."""
 
 
 class LibraryLaw:
@@ -90,7 +90,7 @@ class LibraryLaw:
         """Nothing: the sizes were compared when the library was loaded."""
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
-        """Say where the next reset of K_FSM leads to: `state` (order,), held values `camera` (h,)."""
+        """Set the state of the next reset of K_FSM: `state` (order,), held values `camera` (h,)."""
         for given, kept in zip((state, camera), (self._start, *self._held)):
             if np.shape(given) != kept.shape:
                 raise FlightLibraryError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
@@ -105,7 +105,7 @@ class LibraryLaw:
         self._reset_to(_pointer(self._self), _pointer(start), *map(_pointer, kept))
 
     def system(self) -> SampledSystem:
-        """The sampled system that it is: a tick from each unit state and with each unit input gives its matrices."""
+        """Its sampled system, identified by one tick from each unit state and with each unit input."""
         n = self.order
         columns = []
         for j in range(n + self._inputs):

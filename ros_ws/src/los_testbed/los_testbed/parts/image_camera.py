@@ -6,9 +6,9 @@ tick k - d; its centroid takes the place of the measurement of the camera at tic
 whole pixels**: its middle is the pixel of the last angles. After `SEARCH_AFTER` frames in a row without angles the star
 is searched in the whole field, which puts the window at the pixel of its true mean place.
 
-Frame and centroid take longer than a tick of the telescope. **`after` leaves them until the angles are due**; who has
-time between two ticks does one of them with `work`. What they give depends on what `after` kept for them alone, so it
-is the same whenever they are done.
+Frame and centroid take longer than a tick of the telescope. **`after` defers them until the angles are due**; `work`
+computes one of them between two ticks. The result depends only on the data stored by `after`, not on when it is
+computed.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class ImageCamera:
         self.reset()
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
+        """Return to tick 0: same seed, bit-identical frames."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._noisy = self._with_noise
         self.tick = 0
@@ -114,7 +114,7 @@ class ImageCamera:
             more = self._go_on()
 
     def _go_on(self) -> bool:
-        """Make the next frame or find the star in it: whether there was something to do."""
+        """Make the next frame or locate the star in it; whether there was work to do."""
         for frame in self._read:  # random numbers are taken in the order of the frames
             if frame.counts is None:
                 expected = self.camera.expected(frame.path)
@@ -135,7 +135,7 @@ class ImageCamera:
         self._read.append(_Frame(self.tick + self._delay, self._middle, self._path - self._middle, self._noisy))
 
     def _angles(self, dropped: bool) -> FloatArray:
-        """Angles of the frame that is there at this tick [rad], NaN where it has none."""
+        """Angles of the frame due at this tick [rad], NaN if it has none."""
         pixel = self.camera.optics.pixel
         self.frames += 1
         if not self._read or self._read[0].due != self.tick:

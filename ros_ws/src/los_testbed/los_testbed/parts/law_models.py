@@ -1,4 +1,4 @@
-"""The model of a controller that is code of the user: what its method ``system()`` returns, and whether it is true."""
+"""Model of a controller in user code: the result of its method ``system()``, and its check."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def element(ports: Iterable[Port], where: BoolArray) -> str:
 
 
 def told_model(block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> SampledSystem | None:
-    """What a method ``system`` of a block returns, with these ports; None of a block without one.
+    """Result of the method ``system`` of a block, with these ports; None for a block without one.
 
     Raises
     ------
     ValueError
-        It is no sampled system, or one with other ports or another period.
+        Not a sampled system, or one with other ports or another period.
     """
     if not inputs or not callable(getattr(type(block), "system", None)):
         return None

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from titop_plant.telescope.telescope import Telescope
 
 
-SWITCHED_ON = "no model of {} is known (a method system() gives one): the controllers are switched on at the start"
+SWITCHED_ON = "no model of {} is known (define a method system()): the controllers are switched on at the start"
 TONE_WITHOUT = ", under the worst tone of the stage {}"
 
 
@@ -106,13 +106,13 @@ class RunParts:
 
     @cached_property
     def basis(self) -> DesignBasis:
-        """What the controllers must have been made for: the telescope's values, with the limits of the run."""
+        """Required design basis of the controllers: the telescope's values, with the limits of the run."""
         limits = {name: getattr(self.config, name) for name in ("fsm_authority", "pma_authority")}
         return replace(self.telescope.design_basis, **{k: v for k, v in limits.items() if v is not None})
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Names of the controllers that are code of the user."""
+        """Names of the controllers in user code."""
         if self.recorded is not None:
             return {}
         named = {name: text for name in LAWS if (text := getattr(self.config, name))}
@@ -120,7 +120,7 @@ class RunParts:
 
     @cached_property
     def files(self) -> dict[str, Path]:
-        """Files of the controllers, the named ones, else the stored designs; those aside that are code of the user."""
+        """Files of the controllers, the named ones, else the stored designs; without those in user code."""
         return {
             name: Path(getattr(self.config, name) or Path(str(package.__file__)).parent / "designs" / f"{name}.json")
             for name, package in (("k_fsm", los_estimator), ("k_pma", fsm_pma_controller))
@@ -129,7 +129,7 @@ class RunParts:
 
     @cached_property
     def k_fsm(self) -> SampledSystem | UserBlock:
-        """Observer: of a record, of a file, or code of the user.
+        """Observer: of a record, of a file, or user code.
 
         Raises
         ------
@@ -157,7 +157,7 @@ class RunParts:
 
     @property
     def model_files(self) -> dict[str, Path]:
-        """Files of the controllers; ValueError: one of them is code of the user, of which no model is known."""
+        """Files of the controllers; ValueError: one of them is user code, without a known model."""
         for name, text in self.code.items():
             raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
         return self.files
@@ -178,8 +178,8 @@ class RunParts:
         """
         config = self.config
         check_ranges(config, self.telescope)
-        told = config.scenario_acts and config.scenario != "worst_case"
-        return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
+        acts = config.scenario_acts and config.scenario != "worst_case"
+        return PlantConfig.of(config, isolated=config.loop != "none", disturbance=acts)
 
     @cached_property
     def family(self) -> PlantFamily:
@@ -257,7 +257,7 @@ class RunParts:
         ------
         ValueError
             A file that is no controller, or one with other ports or another period; one that would close a loop and was
-            made for another sensitivity of the mirror; code of the user that breaks its contract.
+            made for another sensitivity of the mirror; user code that violates its contract.
         """
         if isinstance(self.k_fsm, SampledSystem):
             LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
@@ -266,7 +266,7 @@ class RunParts:
         return self.compare()
 
     def _check_commanded(self) -> None:
-        """Refuse an actuator that a source drives and a controller commands."""
+        """Reject an actuator that a source drives and a controller commands."""
         commanded = [row.name for row in self._used("k_pma").further_actuators]
         for source in self.sources if commanded else ():
             if source.place in commanded:
@@ -393,7 +393,7 @@ class RunParts:
         return plant
 
     def _with_limits(self, plant: Plant) -> Plant:
-        """The telescope with limits of its devices, where the configuration asks for them."""
+        """The telescope with limits of its devices, if configured."""
         if not self.config.nonlinear:
             return plant
         from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
@@ -402,7 +402,7 @@ class RunParts:
         return replace(plant, devices=devices)
 
     def _with_images(self, plant: Plant) -> Plant:
-        """The telescope with the camera that takes images, where the parameter file asks for it."""
+        """The telescope with the image camera, if the parameter file has one."""
         if self.star_camera is None:
             return plant
         camera = ImageCamera(self.star_camera, plant.frame_ticks, self.config.seed, self.config.noise)
@@ -502,7 +502,7 @@ class RunParts:
         Raises
         ------
         ValueError
-            A telescope outside its family, a file that is missing or no controller, code of the user.
+            A telescope outside its family, a file that is missing or not a controller, user code.
         """
         from los_loop.sampled_loop import NONE
         from los_loop.tone_model import ToneModel
@@ -527,7 +527,7 @@ def _user_plant(config: RunConfig) -> SteppedPlant:
     try:
         own.reset()
     except RAISED as error:
-        raise ValueError(f"plant {config.plant} must have a reset that works, got {in_one_line(error)}") from error
+        raise ValueError(f"plant {config.plant}: reset must succeed, got {in_one_line(error)}") from error
     return own
 
 

@@ -1,8 +1,7 @@
-"""How a run starts: its worst-case tone, and the states of plant and controllers at tick 0.
+"""Start of a run: its worst-case tone, and the states of plant and controllers at tick 0.
 
-Every process can compute this from the configuration alone, the same bits on the same machine. The runner does it once
-and hands it to its nodes (:func:`for_nodes`); the bag holds it as ``start.json``, so that replay and report need no
-second computation.
+Every process can compute this from the configuration alone, bit-identically on the same machine. The runner computes it
+once and passes it to its nodes (:func:`for_nodes`); the bag holds it as ``start.json`` for replay and report.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class RunStart:
     states : LoopStart or None
         States in which the loop starts; None: at rest, all states zero.
     note : str
-        Why it is not as the configuration asks for; empty otherwise.
+        Why it differs from the configuration; else empty.
     switched_on : bool
         Whether the states are those of the telescope without its controllers, which are switched on at tick 0.
     """
@@ -96,7 +95,7 @@ class RunStart:
         try:
             content = load_json(data.decode("utf-8"), START_FILE)
         except UnicodeDecodeError:
-            raise ValueError(f"{START_FILE} must be JSON, got no text in UTF-8") from None
+            raise ValueError(f"{START_FILE} must be JSON, got text that is not UTF-8") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'{START_FILE} must have "format": "{FORMAT}"')
         tone, states = content.get("tone"), content.get("states")
@@ -147,7 +146,7 @@ def from_runner(settings: Mapping[str, Any]) -> RunStart | None:
 
 
 def _identity(settings: Mapping[str, Any]) -> Any:
-    """What a start depends on, as it comes back from JSON; the name of the bag is no part of it."""
+    """Settings that a start depends on, as read from JSON; the name of the bag is not among them."""
     return json.loads(json.dumps({**settings, "output": None}))
 
 
@@ -160,7 +159,7 @@ def find_run_start(
     ports: LoopPorts = REFERENCE_PORTS,
     tone: WorstTone | None = None,
 ) -> RunStart:
-    """Tone and states of a run; what was computed last is kept.
+    """Tone and states of a run; the last result is cached.
 
     A loop that is not stable has neither: its tone is that of the telescope without fine control, and it starts at
     rest (`RunStart.note` says so).
@@ -180,7 +179,7 @@ def find_run_start(
     ports : LoopPorts
         Rows that the loop has, see :meth:`los_loop.tone_model.ToneModel.of`.
     tone : WorstTone, optional
-        In the place of the one that is worst, of a run whose disturbance is such a tone.
+        Instead of the worst one, of a run whose disturbance is such a tone.
     """
     if tone is not None and needs_tone(config):
         with one_thread():

@@ -1,4 +1,4 @@
-"""What the loop asks of a plant, and what a bag says of one."""
+"""Interface of a plant, and its metadata in a bag."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from lftkit.arrays import FloatArray
 
 
 class SteppedPlant(Protocol):
-    """What the loop needs of a plant: commands in, measurements and truth out, one step per tick.
+    """Interface of a plant: commands in, measurements and truth out, one step per tick.
 
     **Contract.** The vectors are those of :mod:`titop_plant.interface`. `step` number k applies the command that was
     computed from the measurement of step k - 1 and holds it until step k + 1; it limits the command to what its
-    actuators can do. It overwrites all of `measurement` and `truth`, leaves `command` alone, and raises nothing: a
+    actuators can do. It overwrites all of `measurement` and `truth`, does not change `command`, and raises nothing: a
     plant that diverges returns values that are not finite. It takes well under a tick. After `reset` the same commands
-    give the same bits.
+    give bit-identical outputs.
 
     Three further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
     ``motion``, what moves, as a mapping (:attr:`titop_plant.simulation.ramped_step.RampedStep.motion`), and
@@ -34,7 +34,7 @@ class SteppedPlant(Protocol):
         """
 
     def reset(self) -> None:
-        """Back to the state before the first step, noise included."""
+        """Return to the state before the first step, noise included."""
 
 
 def plant_notes(plant: SteppedPlant) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Observer, proof-mass law and disturbance of the user: their contract, checked before a run and at every tick.
 
-A block is any object with ``reset`` and ``step``. `step` writes all of `out` and leaves its input alone; after
-`reset` it gives the same values again, to the last bit.
+A block is any object with ``reset`` and ``step``. `step` writes all of `out` and does not change its input; after
+`reset` its outputs are bit-identical.
 
 ==================  ============================  ==========================================================
 setting             step                          content
@@ -15,9 +15,9 @@ A controller that names sensors and actuators of the telescope's file, a class i
 ``actuators``, a linear system in its ports, has their values behind these inputs and outputs
 (:mod:`titop_plant.telescope.loop_ports`). An observer reads only; the proof-mass law reads and commands.
 
-A controller may have a model: a method ``system()`` returns the sampled system that it is, of python-control or of
-lftkit. Its ``reset(state)`` leads to a state of this system, ``reset(state, held)`` of an observer with the values that
-a camera had last. A run with it starts in the steady state of its loop, as one with a file does.
+A controller may have a model: a method ``system()`` returns its sampled system, of python-control or lftkit. Its
+``reset(state)`` sets a state of this system, ``reset(state, held)`` of an observer also the last values of the camera.
+A run with it starts in the steady state of its loop, as one with a file does.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_I
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 UNTOUCHED = -1.2345678901234567e-300
-"""Value that no block writes: what still has it after a step was not written."""
+"""Fill value that no block writes: an element with it after a step was not written."""
 
 LARGEST = 1e30
 """No rad, N, Nm, m/s2 or rad/s2 of a telescope is larger; beyond it the next products are no longer finite."""
@@ -54,15 +54,15 @@ LAWS: Mapping[str, tuple[Sequence[Port], Sequence[Port]]] = MappingProxyType(
 
 
 class ContractError(ValueError):
-    """An object of the user that is not what the loop needs; the message says what it must be and what it is."""
+    """A user's object that violates its contract; the message says what it must be and what it is."""
 
 
 class BlockFailedError(RuntimeError):
-    """A block of the user failed during a run; the message says which, at which tick and how."""
+    """A user's block failed during a run; the message says which, at which tick and how."""
 
 
 def beyond(values: FloatArray) -> BoolArray:
-    """Where values are NaN, infinite or larger than `LARGEST`.
+    """Mask of the values that are NaN, infinite or larger than `LARGEST`.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def beyond(values: FloatArray) -> BoolArray:
 
 
 class UserBlock:
-    """A block of the user, watched: it stands where a controller of a file stands.
+    """Checked wrapper of a user's block, with the interface of a controller from a file.
 
     Parameters
     ----------
@@ -123,22 +123,24 @@ class UserBlock:
         """Nothing: code has no ports of its own, `check` tries the step."""
 
     def _told_model(self) -> SampledSystem | None:
-        """What a method ``system`` of code of the user returns; None without one."""
+        """Result of the method ``system`` of user code; None without one."""
         try:
             return told_model(self.block, self.inputs, self.outputs)
         except RAISED as error:
             what = error if isinstance(error, ValueError) else in_one_line(error)
-            raise ContractError(f"{self.name}: system must return the sampled system that it is, got {what}") from error
+            raise ContractError(
+                f"{self.name}: system must return the sampled system of the block, got {what}"
+            ) from error
 
     @property
     def linear(self) -> SampledSystem | None:
-        """The linear system that it is, or says to be; None of other code."""
+        """Its linear system or model; None for other code."""
         found = self.block.k_fsm if type(self.block) is LosEstimator else self.block
         return found if isinstance(found, SampledSystem) else self._told
 
     @property
     def is_linear(self) -> bool:
-        """Whether it is a linear system itself, and no class that says to be one."""
+        """Whether it is a linear system itself, not a class with a model."""
         return self.linear is not None and self._told is None
 
     @property
@@ -147,14 +149,14 @@ class UserBlock:
         return 0 if self.linear is None else self.linear.order
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
-        """Say where the next reset of an observer leads to; nothing for code without a model, which starts at rest."""
+        """Set the state of the next reset of an observer; no effect on code without a model, which starts at rest."""
         if type(self.block) is LosEstimator:
             self.block.start_at(state, camera)
         elif self._told is not None:
             self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
     def reset(self, state: FloatArray | None = None) -> None:
-        """Back to the first tick; to `state` (order,) where there is a model."""
+        """Return to the first tick; with a model, to `state` (order,)."""
         self.tick = 0
         try:
             if self._told is not None:
@@ -205,19 +207,21 @@ class UserBlock:
             tick, index = np.argwhere(first != second)[0]
             where = element(self.outputs, np.arange(first.shape[1]) == index)
             pair = f"{first[tick, index]:g} and {second[tick, index]:g}"
-            raise ContractError(f"{self.name} must repeat itself after reset, got {pair} in {where} at tick {tick}")
+            raise ContractError(
+                f"{self.name} must give the same outputs after reset, got {pair} in {where} at tick {tick}"
+            )
         if self._told is not None:
             trial._check_model(self._told)
 
     def _check_model(self, model: SampledSystem) -> None:
-        """Compare code of the user with the model that it says to be."""
+        """Compare user code with its model."""
         try:
             found = difference(self.block.reset, self.block.step, model)
         except RAISED as error:
             what = in_one_line(error)
-            raise ContractError(f"{self.name}: reset and step must work from a state, got {what}") from error
+            raise ContractError(f"{self.name}: reset and step must accept a state, got {what}") from error
         if found:
-            raise ContractError(f"{self.name}: step must do what system() does from a state, got {found}")
+            raise ContractError(f"{self.name}: step must agree with system() from a state, got {found}")
 
     def _trial(self) -> Iterable[FloatArray]:
         """Outputs of the first ticks after a reset, with zeros as input; held values are NaN from the second tick."""
@@ -235,9 +239,9 @@ class UserBlock:
             try:
                 self.block.step(*((given, out) if size else (out,)))
             except RAISED as error:
-                raise ContractError(f"{self.name}: step must work with {shapes}, got {in_one_line(error)}") from error
+                raise ContractError(f"{self.name}: step must accept {shapes}, got {in_one_line(error)}") from error
             if not np.array_equal(given, kept, equal_nan=True):
-                raise ContractError(f"{self.name}: step must leave its input alone, got another one after the step")
+                raise ContractError(f"{self.name}: step must not change its input, got another one after the step")
             if (untouched := out == UNTOUCHED).any():
                 where = element(self.outputs, untouched)
                 raise ContractError(f"{self.name}: step must write all of out, got nothing in {where}")
@@ -253,7 +257,7 @@ def watched(method: Callable[..., None], name: str) -> Callable[..., None]:
     def call(*vectors: FloatArray) -> None:
         try:
             method(*vectors)
-        except BlockFailedError:  # says itself what failed
+        except BlockFailedError:  # its message has the cause
             raise
         except RAISED as error:
             raise BlockFailedError(f"{name} failed: {in_one_line(error)}") from error
@@ -349,7 +353,7 @@ def linear_law(setting: str, text: str) -> SampledSystem | None:
 
 
 def check_controller_file(path: Path | str) -> None:
-    """Refuse a file of another kind by its name; ValueError."""
+    """Reject a file of another type by its name; ValueError."""
     kind = kind_of_file(path)
     if kind not in (None, "JSON", "a MATLAB file"):
         raise ValueError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
@@ -382,7 +386,7 @@ def _named(setting: str, text: str, block: Any, ports: LoopPorts) -> LoopPorts:
 def _refuse_commands(setting: str, text: str, ports: LoopPorts) -> None:
     if setting == "k_fsm" and ports.further_actuators:
         names = ", ".join(port.name for port in ports.further_commanded)
-        raise ContractError(f"{setting} {text}: an observer must command no actuator, that is for k_pma, got {names}")
+        raise ContractError(f"{setting} {text}: an observer must command no actuator (k_pma does), got {names}")
 
 
 def make_disturbance(config: RunConfig, ports: Sequence[Port]) -> UserBlock:

@@ -1,1 +1,1 @@
-"""A rig in the place of the simulated telescope: contract, supervision, the reference driver over UDP, its emulator."""
+"""A rig instead of the simulated telescope: contract, supervision, the reference driver over UDP, its emulator."""

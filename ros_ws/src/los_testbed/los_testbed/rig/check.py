@@ -1,8 +1,7 @@
-"""Directions, gains, delays and noise of a rig from small test motions, against the model: what is wrong, in words.
+"""Directions, gains, delays and noise of a rig from small test motions, against the model: faults in words.
 
-At the lines of :mod:`los_testbed.rig.motions` the model says what each sensor sees of each actuator. A sensor that
-sees its values exchanged, negative, smaller, later or not at all is at fault; an actuator is, where all sensors that
-see it say the same of it.
+At the lines of :mod:`los_testbed.rig.motions` the model has the response of each sensor to each actuator. A sensor with
+exchanged, negative, smaller, later or no values is at fault; an actuator is if all its sensors have the same deviation.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class DeviceCheckRow:
     delay_ms : behind the model, by the times of acquisition; nan: not known
     noise, expected_noise : of a sample [SI]; nan for a command
     age_ms : median, when it was read; nan for a command
-    fault : what is wrong, empty: nothing
+    fault : description; empty: none
     """
 
     part: str
@@ -61,7 +60,7 @@ class DeviceCheckRow:
 
 @dataclass(frozen=True)
 class _Match:
-    """What explains some amplitudes best: which of the models, with which gain; the share that it leaves."""
+    """Best match of some amplitudes: index of the model, its gain, unexplained share."""
 
     index: int
     gain: float
@@ -113,13 +112,13 @@ def judge(found: MotionRecord, model: ModelResponse) -> tuple[DeviceCheckRow, ..
 
 def faults(rows: Sequence[DeviceCheckRow]) -> tuple[str, ...]:
     """One line for each fault of each part."""
-    said: dict[tuple[str, str], list[DeviceCheckRow]] = {}
+    by_fault: dict[tuple[str, str], list[DeviceCheckRow]] = {}
     for row in rows:
         if row.fault:
-            said.setdefault((row.part, NUMBER.sub("{}", row.fault)), []).append(row)
+            by_fault.setdefault((row.part, NUMBER.sub("{}", row.fault)), []).append(row)
     sizes = {part: COLUMNS[part].stop - COLUMNS[part].start for part in (*MEASURED, *COMMANDED)}
     lines = []
-    for (part, text), found in said.items():
+    for (part, text), found in by_fault.items():
         columns = zip(*(NUMBER.findall(row.fault) for row in found))
         numbers = [", ".join(column if len(set(column)) > 1 else column[:1]) for column in columns]
         which = "" if len(found) == sizes[part] else f"[{', '.join(str(row.value) for row in found)}]"
@@ -143,7 +142,7 @@ def _expected(sensor: _Seen, commanded: ComplexArray) -> ComplexArray:
 
 
 def _quiet(sensor: _Seen, commanded: ComplexArray) -> bool:
-    """Whether it sees no more than without motion."""
+    """Whether its response is not above that without motion."""
     lines = sensor.lines()
     level = np.maximum(DEAD_GAIN * _rms(_expected(sensor, commanded)[:, lines]), 2 * _rms(sensor.still[:, lines]))
     return bool(np.all(_rms(sensor.moved[:, lines]) < level))
@@ -162,7 +161,7 @@ def _rms(values: ComplexArray) -> FloatArray:
 
 
 def _match(seen: ComplexArray, models: Sequence[ComplexArray], own: int) -> _Match:
-    """The model that leaves least of what is seen; its own one, if that leaves little."""
+    """The model with the smallest residual; its own one, if that has a small residual."""
     power = float(np.sum(np.abs(seen) ** 2))
     found: list[_Match] = []
     for model in models:
@@ -182,7 +181,7 @@ def _by_values(sensor: _Seen, delay: float, commanded: ComplexArray) -> list[_Ma
 
 
 def _by_actuators(sensor: _Seen, delay: float, commanded: ComplexArray) -> list[_Match]:
-    """For each actuator which one the sensor sees move at its lines; values are compared by the model's size."""
+    """For each actuator the one to which the sensor responds at its lines; values are scaled by the model."""
     weight = 1.0 / np.maximum(_rms(_expected(sensor, commanded)[:, sensor.lines()]), 1e-300)[:, None]
     seen = sensor.late(delay)
     found = []
@@ -194,7 +193,7 @@ def _by_actuators(sensor: _Seen, delay: float, commanded: ComplexArray) -> list[
 
 
 def _delay(sensor: _Seen, commanded: ComplexArray) -> float:
-    """Delay [s] with which the values, or the actuators, explain most."""
+    """Delay [s] with the smallest residual of the values, or of the actuators."""
 
     def left(delay: float) -> float:
         both = (_by_values(sensor, delay, commanded), _by_actuators(sensor, delay, commanded))
@@ -207,15 +206,15 @@ def _delay(sensor: _Seen, commanded: ComplexArray) -> float:
 def _actuators(
     driver: str, own: Sequence[_Seen], clear: Sequence[_Seen], delays: dict[str, float], commanded: ComplexArray
 ) -> list[_Match]:
-    """What each actuator of a port does: its own motion, unless all sensors agree on another one."""
+    """Motion of each actuator of a port: its own, unless all sensors agree on another one."""
     size = COLUMNS[driver].stop - COLUMNS[driver].start
     if not clear:
         nothing = bool(own) and all(sensor.known and _clear(sensor, commanded) for sensor in own)
         return [_Match(k, 0.0 if nothing else 1.0, 0.0) for k in range(size)]
-    said = [_by_actuators(sensor, delays[sensor.port], commanded) for sensor in clear]
+    matched = [_by_actuators(sensor, delays[sensor.port], commanded) for sensor in clear]
     found = []
     for k in range(size):
-        matches = [sensor[k] for sensor in said]
+        matches = [sensor[k] for sensor in matched]
         gains = np.array([match.gain for match in matches])
         middle = float(np.median(gains))
         dead = bool(np.all(np.abs(gains) < DEAD_GAIN))
@@ -230,7 +229,7 @@ def _actuators(
 
 
 def _corrected(actuators: Sequence[_Match], commanded: ComplexArray, driver: str) -> ComplexArray:
-    """What the actuators of a port do of the commands (8, 24); zero where none of them moves."""
+    """Motion of the actuators of a port for the commands (8, 24); zero where none moves."""
     if not any(match.gain for match in actuators):
         return np.zeros_like(commanded)
     first = COLUMNS[driver].start
@@ -248,7 +247,7 @@ def _command_rows(
     for k, match in enumerate(actuators):
         fault = _words(match, k, "moves")
         if not seen_by:
-            fault = "no sensor sees it"
+            fault = "no sensor responds"
         elif not fault and delay > DELAY_TOLERANCE_S:
             fault = f"{1e3 * delay:.0f} ms late, by all sensors"
         rows.append(DeviceCheckRow(driver, k, match.gain, 1e3 * delay, np.nan, np.nan, np.nan, fault))
@@ -256,7 +255,7 @@ def _command_rows(
 
 
 def _words(match: _Match, own: int, verb: str) -> str:
-    """What is wrong about a gain, empty: nothing."""
+    """Fault of a gain; empty without one."""
     if abs(match.gain) < DEAD_GAIN:
         return f"dead: {verb} nothing"
     sign = "wrong sign" if match.gain < 0 else ""
@@ -296,26 +295,26 @@ def _sensor_rows(
 
 
 def _unknown(sensor: _Seen, j: int, match: _Match, expected: float) -> str:
-    """Why nothing can be said of the gain and the delay of a value, empty: they are known."""
+    """Why gain and delay of a value cannot be estimated; empty: they can."""
     still = float(_rms(sensor.still[j, sensor.lines()]))
     if still > CLEAR_SHARE * expected:
-        return f"not judged: without motion there is {still / expected:.0%} of what the motion makes"
+        return f"not judged: without motion {still / expected:.0%} of the response to the motion"
     if match.rest > UNEXPLAINED and not _dead(sensor, j, expected):
-        return f"fits no motion: {match.rest:.0%} of its power unexplained"
+        return f"matches no actuator: {match.rest:.0%} of its power unexplained"
     return ""
 
 
 def _dead(sensor: _Seen, j: int, expected: float) -> bool:
-    """Whether a value sees nothing of the motion."""
+    """Whether a value does not respond to the motion."""
     return float(_rms(sensor.moved[j, sensor.lines()])) < DEAD_GAIN * expected
 
 
 def _fault(sensor: _Seen, j: int, match: _Match, expected: float, delay: float) -> str:
     if _dead(sensor, j, expected):
-        return "dead: sees nothing"
+        return "dead: no response"
     fault = _words(match, j, "sees")
     if not fault and abs(delay) > DELAY_TOLERANCE_S:
-        fault = f"values {abs(1e3 * delay):.0f} ms {'older' if delay > 0 else 'newer'} than their times say"
+        fault = f"values {abs(1e3 * delay):.0f} ms {'older' if delay > 0 else 'newer'} than their stamps"
     return fault
 
 

@@ -11,14 +11,14 @@ WINDOW = 200
 
 
 JUMP_NS = 5_000_000
-"""An answer further from the line than this and what both may err is of a clock that was set: the rest is forgotten."""
+"""Deviation of an answer from the line, beyond both errors, that indicates a clock step: older answers are dropped."""
 
 
 class ClockMap:
     """Offset and drift of another clock.
 
-    An answer with the shortest way there and back tells best: half of the way is the largest error of the offset. The
-    offset is a straight line through the best half of the newest answers.
+    An answer with the shortest round trip is best: half of it bounds the error of the offset. The offset is a straight
+    line through the best half of the newest answers.
 
     Examples
     --------
@@ -47,16 +47,16 @@ class ClockMap:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster the other clock is [1e-6]."""
+        """Drift of the other clock, positive if it is fast [1e-6]."""
         return 1e6 * self._rate
 
     @property
     def offset_ms(self) -> float:
-        """How far the other clock is ahead, at the newest answer [ms]."""
+        """Offset of the other clock, positive if it is ahead, at the newest answer [ms]."""
         return self._offset / 1e6
 
     def answer(self, sent_ns: int, other_ns: int, received_ns: int) -> None:
-        """Take in an answer: sent and received by the clock of this host, the time between by the other one."""
+        """Add an answer: sent and received by the clock of this host, the time between by the other one."""
         known_to = JUMP_NS + (max(0, received_ns - sent_ns) + 1e3 * max(0.0, self.way_us)) / 2
         if self._answers and abs(other_ns - self._offset_at(other_ns) - (sent_ns + received_ns) / 2) > known_to:
             self._answers.clear()

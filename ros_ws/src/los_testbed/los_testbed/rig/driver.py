@@ -47,11 +47,11 @@ SPLIT = 2.0**32
 
 
 class RigSilentError(RuntimeError):
-    """The rig did not answer."""
+    """The rig did not respond."""
 
 
 class PacketLine(Protocol):
-    """What carries packets to a rig and back. A packet may be lost; none comes in parts."""
+    """Transport of packets to and from a rig. A packet may be lost, but is never split."""
 
     name: str
 
@@ -59,10 +59,10 @@ class PacketLine(Protocol):
         """Send a packet; OSError where it cannot be sent at the moment."""
 
     def receive(self) -> list[tuple[bytes, int]]:
-        """What has come, at once, with the time of arrival on the steady clock of this host [ns]; OSError."""
+        """Received packets, without waiting, with their arrival times on the steady clock of this host [ns]."""
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Close the line."""
 
 
 def secret_of(config: RunConfig, needed: str = "") -> bytes:
@@ -93,7 +93,7 @@ def secret_of(config: RunConfig, needed: str = "") -> bytes:
 
 
 def _are_counts(values: FloatArray) -> bool:
-    """Whether values stand for counts below 2^32: anything may come from a line."""
+    """Whether values are valid counts below 2^32: a line may deliver anything."""
     return bool(np.all((values >= 0.0) & (values < SPLIT)))
 
 
@@ -139,7 +139,7 @@ class PacketRig:
                 break
         if not self.clock.known:
             self.close()
-            raise RigSilentError(f"{name} does not answer questions about its clock")
+            raise RigSilentError(f"{name} does not respond to clock requests")
 
     def _opened(self, packet: Packet) -> bool:
         """Whether the rig is open; an emulator says which plant it simulates."""
@@ -162,7 +162,7 @@ class PacketRig:
         return found
 
     def _was_set(self, newest: Sample) -> bool:
-        """Whether the rig's clock must have been set: it is asked at once, for no sample can be used until then."""
+        """Whether the rig's clock was stepped: it is queried immediately, since no sample is usable until then."""
         return not -SET_BACK_NS < newest.acquired_ns - time.monotonic_ns() <= TICK_NS
 
     def _samples(self, packet: Packet) -> list[Sample]:
@@ -183,7 +183,7 @@ class PacketRig:
         self._reader.begin_counts()
 
     def write(self, command: FloatArray, now_ns: int) -> None:
-        """Send a command; the rig has a watchdog of its own."""
+        """Send a command; the rig has its own watchdog."""
         self._send(encode(Kind.COMMAND, self._number(), now_ns, command, self.key))
 
     def safe(self) -> None:
@@ -192,7 +192,7 @@ class PacketRig:
             self._send(encode(Kind.SAFE, self._number(), time.monotonic_ns(), np.zeros(0), self.key))
 
     def close(self) -> None:
-        """Let the rig go."""
+        """Close the rig."""
         if self._line is not None:
             for _ in range(3):
                 self._send(encode(Kind.CLOSE, self._number(), time.monotonic_ns(), np.zeros(0), self.key))
@@ -225,7 +225,7 @@ class PacketRig:
         if self._line is not None:
             try:
                 self._line.send(data)
-            except OSError:  # nobody listens there at the moment: the watchdog tells for how long
+            except OSError:  # no receiver at the moment: the watchdog measures for how long
                 self.counts["send_failed"] += 1
 
     def _take(self) -> list[tuple[Packet, int]]:

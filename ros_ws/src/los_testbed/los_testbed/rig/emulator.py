@@ -1,4 +1,4 @@
-"""An emulator of a rig, as a process of its own (``python -m los_testbed.rig.emulator``). It is no hardware.
+"""Emulator of a rig in a separate process (``python -m los_testbed.rig.emulator``). It is not hardware.
 
 It has a clock of its own with drift and jitter, accelerometers with latency, a camera with read-out, a mirror with
 resonance, limits and a watchdog, and speaks the wire format of the reference driver. Its physics are those of the
@@ -45,20 +45,20 @@ FAULTS = (
 )
 BROWN_OUT_S = 0.5
 OUTAGE_S = 0.1
-"""The line is out in both directions for so long."""
+"""Length of an outage of the line in both directions."""
 COMPILED_TICKS = 60_000
 """Ticks that the emulator expects to work for."""
 PSEUDO_TERMINAL = "pty"
-"""Line of the emulator that it makes itself; it says the path of the other end when it is ready."""
+"""Line that the emulator creates itself; it prints the path of the other end when it is ready."""
 LEFT_NS = 1_000_000_000
-"""A host that has sent nothing for so long has left the rig, which another one may open."""
+"""Silence after which a host has left the rig, which another one may open."""
 
 FAST_COLUMNS = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in EVERY_TICK])
 
 
 @dataclass(frozen=True)
 class RigSettings:
-    """What is not ideal about the rig.
+    """Imperfections of the rig.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Emulator:
         self.stop = False
 
     def _listen(self, config: RunConfig) -> tuple[UdpSocket | SerialLine, bytes]:
-        """Where the host is heard, and the key that opens the rig."""
+        """Line to the host, and the key that opens the rig."""
         if not (serial := self.settings.serial):
             host, port = address_of(config.device_address)
             secret = secret_of(config, other_machine(host))
@@ -195,7 +195,7 @@ class Emulator:
             late = sleep_until(start + round(k * TICK_NS / rate + min(max(jitter, -2e5), 2e5)))
             self._receive()
             self._watch()
-            for _ in range(min(late // TICK_NS, 1000)):  # physics do not wait; these samples nobody took
+            for _ in range(min(late // TICK_NS, 1000)):  # physics do not wait; these samples were not taken
                 self._step()
                 k += 1
             acquired = self._clock()
@@ -248,7 +248,7 @@ class Emulator:
         return encode(kind, self._sequence, time_ns, values, self._key, self._flags)
 
     def _fault(self) -> str:
-        """Fault that is there now."""
+        """Active fault."""
         since = self._since_fault_ns()
         over = self.settings.fault == "outage" and since > 1e9 * OUTAGE_S
         return self.settings.fault if since > 0 and not over else ""
@@ -275,7 +275,7 @@ class Emulator:
     def _receive(self) -> None:
         try:
             arrived = self.line.receive_from()
-        except OSError:  # nobody is at the other end
+        except OSError:  # the other end is closed
             return
         for data, arrived_ns, peer in arrived:
             if self._is_dead() or self._fault() == "outage":

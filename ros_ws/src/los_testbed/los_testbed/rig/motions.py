@@ -1,4 +1,4 @@
-"""Small test motions of a rig, all actuators at once at frequencies of their own, and what its sensors see of them."""
+"""Small test motions of a rig, all actuators at once at their own frequencies, and the response of its sensors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def motion(seconds: float, peaks: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MotionRecord:
-    """What was written and what came, times [s] from the beginning of the motion.
+    """Commands and samples, times [s] from the beginning of the motion.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class MotionRecord:
 def record(
     supervisor: Supervisor, peaks: FloatArray, clock: Any = None, now: Callable[[], int] | None = None
 ) -> MotionRecord:
-    """Move an open device and keep what its sensors say; it has ended afterwards, with mirror and forces at zero.
+    """Excite an open device and record its sensors; it is closed afterwards, with mirror and forces at zero.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def record(
     Raises
     ------
     DeviceError
-        The device failed, gave no sample for a second, or could not be brought to zero.
+        The device failed, gave no sample for a second, or could not be set to zero.
     """
     try:
         return _recorded(supervisor, peaks, clock, now)
@@ -158,7 +158,7 @@ def held(commands: tuple[FloatArray, FloatArray], start: float) -> tuple[FloatAr
 
 
 def scatter(values: FloatArray) -> FloatArray:
-    """Noise of a sample (n,), from third differences: of slow motion nothing is left."""
+    """Noise of a sample (n,), from third differences, which cancel slow motion."""
     if len(values) < 10:
         return np.full(values.shape[1], np.nan)
     third = np.diff(values, 3, axis=0) / np.sqrt(20.0)
@@ -175,7 +175,7 @@ def peaks_of(authority: tuple[float, float], scale: float = 1.0) -> FloatArray:
 
 @dataclass(frozen=True)
 class ModelResponse:
-    """What the simulated telescope does.
+    """Response of the simulated telescope.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """A rig over a serial line (``run --device los_testbed.rig.serial:SerialRig --device-address /dev/ttyUSB0``).
 
 The bytes are those of the packets (:mod:`los_testbed.rig.wire`), one after the other. A receiver begins where the
-four bytes of the magic are, takes the length from the head, and believes both if the check is right; otherwise it goes
-on one byte later. So it finds the next whole packet after bytes that were lost, added or changed.
+four bytes of the magic are, reads the length from the header, and accepts both if the check is right; otherwise it
+continues one byte later. So it finds the next complete packet after lost, added or changed bytes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def line_of(text: str) -> tuple[str, int]:
         raise ValueError(f"device_address must be the path of a serial line, PATH or PATH@BAUD, got {text!r}")
     baud = int(speed) if speed.isdecimal() else BAUD
     if (speed and not speed.isdecimal()) or not hasattr(termios, f"B{baud}"):
-        raise ValueError(f"device_address must have a usual speed (115200, 1000000, 4000000), got {speed!r}")
+        raise ValueError(f"device_address must have a standard baud rate (115200, 1000000, 4000000), got {speed!r}")
     return path, baud
 
 
@@ -126,15 +126,15 @@ class SerialLine:
         termios.tcflush(handle, termios.TCIOFLUSH)
 
     def send(self, data: bytes) -> None:
-        """Send a packet; what the line does not take at once goes before the next one, or is left out if it is full."""
+        """Send a packet; bytes that do not fit the buffer precede the next one; with a full buffer it is dropped."""
         if self._unsent:
             self._unsent = self._unsent[os.write(self._handle, self._unsent) :]
         if self._unsent:
-            raise BlockingIOError("the line is full")
+            raise BlockingIOError("the serial buffer is full")
         self._unsent = data[os.write(self._handle, data) :]
 
     def send_to(self, data: bytes, peer: Any) -> None:
-        """Send a packet to whoever is at the other end."""
+        """Send a packet to the other end."""
         self.send(data)
 
     def receive(self) -> list[tuple[bytes, int]]:
@@ -150,7 +150,7 @@ class SerialLine:
         return [(data, time_ns, PEER) for data, time_ns in self.receive()]
 
     def close(self) -> None:
-        """Close the line when what was sent is out."""
+        """Close the line after its output is sent."""
         with contextlib.suppress(OSError, termios.error):
             termios.tcdrain(self._handle)
         os.close(self._handle)
@@ -173,7 +173,7 @@ def open_line(path: str, baud: int, fits: Callable[[bytes], bool]) -> SerialLine
         return SerialLine(handle, path, fits, baud)
     except (OSError, termios.error) as error:
         os.close(handle)
-        raise OSError(f"{path} is no serial line: {error}") from error
+        raise OSError(f"{path} is not a serial line: {error}") from error
 
 
 def open_pseudo_terminal(fits: Callable[[bytes], bool]) -> SerialLine:

@@ -1,4 +1,4 @@
-"""Watches a device on the side of the loop: life cycle, silent and frozen sensors, limits, ages, one error for all."""
+"""Supervisor of a device: life cycle, silent and frozen sensors, limits, ages, one error for all."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ PATIENCE_TICKS = 100
 """Ticks after hold and fade that a device may be silent before the run is ended."""
 
 SPARE_TICKS = 200
-"""A sample that is kept for a tick in which none comes is given up when it has not been needed for so many ticks."""
+"""Ticks after which an unused sample in reserve for a tick without one is dropped."""
 
 FROZEN_TICKS = 200
-"""A sensor whose samples are equal for so many ticks is frozen: each has noise of more than a bit."""
+"""Ticks with equal samples after which a sensor is frozen: each has noise of more than a bit."""
 
 FROZEN_FRAMES = 25
 """The same of a slower sensor, half a second of the usual camera. With noise (rms) of half a step of its rounding or
@@ -48,8 +48,8 @@ FROZEN = {**dict.fromkeys((*EVERY_TICK, TRUTH_PORT), FROZEN_TICKS), **dict.fromk
 samples count before which the mirror was given another command."""
 
 IMPOSSIBLE_TIME = "impossible_time_"
-"""Count of the samples of a port that were refused: acquired later than now, or before this host was started. A clock
-that is set gives such times, until it is learned anew; a stamp of the far future would make all later ones late."""
+"""Count of the rejected samples of a port: acquired in the future, or before this host was started. A clock that was
+set gives such times until it is tracked again; a stamp in the far future would make all later ones late."""
 
 
 NOT_FINITE = "not_finite_"
@@ -57,7 +57,7 @@ NOT_FINITE = "not_finite_"
 
 
 class Supervisor:
-    """A device with what the loop has to know of it.
+    """A supervised device with its state for the loop.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Supervisor:
     Notes
     -----
     Samples of sensors that come at every tick have the stamp of the tick that they are used in; their age is counted.
-    One is kept where two have come, for the next tick may have none: their clock is not the loop's. Frames of slower
+    If two have come, one is kept in reserve for the next tick: their clock is not the loop's. Frames of slower
     sensors keep the time of their acquisition.
     """
 
@@ -85,7 +85,7 @@ class Supervisor:
         self._begin_counts()
 
     def _begin_counts(self) -> None:
-        """What is known of a run."""
+        """State of a run."""
         self.counts: Counter[str] = Counter()
         self.age = LatencyHistogram()
         self.delay = LatencyHistogram()
@@ -101,9 +101,9 @@ class Supervisor:
         self._unused = dict.fromkeys((*EVERY_TICK, TRUTH_PORT), 0)
 
     def reset(self) -> None:
-        """A run begins: all counts begin at zero, also those of a driver that has `begin_counts`.
+        """Reset all counts for a run, also those of a driver that has `begin_counts`.
 
-        The rig itself stays as it is; it has no start to go back to.
+        The rig itself is not reset.
         """
         self._begin_counts()
         if callable(begin := getattr(self.device, "begin_counts", None)):
@@ -132,11 +132,11 @@ class Supervisor:
         self._call("write", self.device.write, command.copy(), now_ns)
 
     def answered(self, acquired_ns: int) -> None:
-        """Note of what time the samples are that the command was computed from that was written last."""
+        """Record the time of the samples from which the last written command was computed."""
         self.delay.add(max(0, self._written_ns - acquired_ns))
 
     def read(self, now_ns: int) -> bool:
-        """Take what has come until the deadline `now_ns` (steady clock); whether all sensors of a tick have a sample.
+        """Read the samples up to the deadline `now_ns` (steady clock); whether all sensors of a tick have one.
 
         Raises
         ------
@@ -168,16 +168,16 @@ class Supervisor:
         return len(fresh) == len(EVERY_TICK)
 
     def samples(self, now_ns: int) -> list[Sample]:
-        """All samples that have come and can be used, as the device gives them."""
+        """All usable new samples of the device."""
         came = self._call("read", self.device.read, now_ns)
         latest_ns = max(now_ns, time.monotonic_ns()) + TICK_NS
         return [sample for sample in came if self._fits(sample, latest_ns)]
 
     def _next(self, port: str) -> Sample | None:
-        """Sample of a tick: the oldest of those that wait, of which one is kept for a tick in which none comes.
+        """Sample of a tick: the oldest of those that wait, of which one is kept in reserve.
 
-        Samples that come about at the deadline come twice in one tick and not at all in the next. One that has not been
-        needed for so long is left out.
+        Samples around the deadline come twice in one tick and not at all in the next. One that stays unused too long
+        is dropped.
         """
         queue = self._queues[port]
         spare = len(queue) > 1
@@ -234,7 +234,7 @@ class Supervisor:
             raise self.failed(f"{name} failed: {in_one_line(error)}") from error
 
     def failed(self, text: str) -> DeviceError:
-        """The error of a device with a fault. The device has ended: the error says whether it is at zero."""
+        """Error of a faulty device. The device is closed: the error says whether it is at zero."""
         self.fault, self.state = self.fault or text, ERROR
         self.end()
         return self._error()
@@ -242,12 +242,12 @@ class Supervisor:
     def _error(self) -> DeviceError:
         not_zero = ", ".join(self._failures[name] for name in ("write", "safe") if name in self._failures)
         rest = [text for name, text in self._failures.items() if name not in ("write", "safe")]
-        zero = f"could NOT be brought to zero: {not_zero}" if not_zero else "were brought to zero"
+        zero = f"could NOT be set to zero: {not_zero}" if not_zero else "were set to zero"
         parts = [*([self.fault] if self.fault else []), *rest, f"mirror and forces {zero}"]
         return DeviceError(f"device {self._config.device}: {'; '.join(parts)}")
 
     def end(self) -> tuple[str, ...]:
-        """Bring the actuators to zero and let go of the device, once, whatever has happened; what failed of that."""
+        """Set the actuators to zero and close the device, once and in any state; the failures."""
         if not self._ended and self.state != UNCONFIGURED:
             self._ended = True
             self._try("write", lambda: self.device.write(np.zeros(COMMANDS), time.monotonic_ns()))
@@ -263,7 +263,7 @@ class Supervisor:
         Raises
         ------
         DeviceError
-            The actuators could not be brought to zero, or the device not be let go.
+            The actuators could not be set to zero, or the device not be closed.
         """
         if self.end():
             raise self._error()
@@ -276,12 +276,12 @@ class Supervisor:
             self._failures[name] = f"{name} failed: {in_one_line(error)}"
 
     def _note(self) -> None:
-        """What the device says of itself now."""
+        """Current notes of the device."""
         notes = getattr(self.device, "notes", None)
         self._notes = notes() if callable(notes) else {}
 
     def drain(self) -> None:
-        """Leave what has come while nobody read."""
+        """Discard samples that came while none were read."""
         self._call("read", self.device.read, time.monotonic_ns())
 
     def _delays(self, way_us: float) -> dict[str, str]:
@@ -294,7 +294,7 @@ class Supervisor:
         return {"device_delay_ticks": text_of_shares(shares)}
 
     def statistics(self) -> dict[str, str]:
-        """Counts that are not zero, ages of the samples, and what the device says of itself (its ``notes``)."""
+        """Counts that are not zero, ages of the samples, and the device's ``notes``."""
         if not self._ended:
             self._call("notes", self._note)
         own = self._notes
@@ -315,13 +315,13 @@ def refused_in_words(counts: Mapping[str, int]) -> list[str]:
     Examples
     --------
     >>> refused_in_words({"impossible_time_one": 2, "impossible_time_other": 2, "absent_one": 3})
-    ['one, other: 2 samples with a time of acquisition later than now, or negative, were not used']
+    ['one, other: 2 samples with an acquisition time in the future, or negative, were not used']
     """
     ports: dict[int, list[str]] = {}
     for name, count in sorted(counts.items()):
         if name.startswith(IMPOSSIBLE_TIME):
             ports.setdefault(count, []).append(name.removeprefix(IMPOSSIBLE_TIME))
-    text = "samples with a time of acquisition later than now, or negative, were not used"
+    text = "samples with an acquisition time in the future, or negative, were not used"
     return [f"{', '.join(names)}: {count} {text}" for count, names in ports.items()]
 
 

@@ -15,8 +15,8 @@ values   8 n   64-bit floating point, SI
 check    4     CRC-32 of all that and of the key of the run (8 bytes), which is in no packet but the one that opens
 ======== ===== =====================================================================================================
 
-Anything else is refused. The check keeps out stray packets and former runs, no attacker on the line: a rig beyond this
-machine needs a line of its own.
+Anything else is rejected. The check excludes stray packets and former runs, not an attacker on the line: a rig beyond
+this machine needs a dedicated line.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ HEAD = struct.Struct("<4sBBHIqHH")
 CHECK = struct.Struct("<I")
 KEY_BYTES, MOST_VALUES = 8, 64
 WRAP = 2**32
-"""Packets after which the sequence number of a sender begins anew: 46 days at 1080 in a second."""
+"""Packets after which the sequence number of a sender wraps: 46 days at 1080 per second."""
 SAFE, LIMITED, RESTARTED = 1, 2, 4
 
 
 class Kind(IntEnum):
-    """What a packet is. Host to rig: open, command, safe, close, sync; rig to host: opened, the others.
+    """Type of a packet. Host to rig: open, command, safe, close, sync; rig to host: opened, the others.
 
     Sync has two values, which the reply sends back; a third one there is the time from the arrival of the question to
     the reply [ns]. With `OPENED` an emulator sends one value: the name of the values of the telescope that it
@@ -66,7 +66,7 @@ class Packet:
     Attributes
     ----------
     kind, flags : as in the table above
-    sequence : number of the packet; a :class:`Reader` counts on where the 32 bits of the wire begin anew
+    sequence : number of the packet; a :class:`Reader` unwraps the 32 bits of the wire
     time_ns : clock of the sender
     values : (n,)
     """
@@ -102,7 +102,7 @@ def fits(data: bytes, key: bytes) -> bool:
 
 @dataclass
 class Reader:
-    """Reads the packets of one sender; what is not one of the run is refused and counted by reason.
+    """Reads the packets of one sender; others are rejected and counted by reason.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Reader:
         return packet
 
     def _unwrapped(self, sequence: int) -> int:
-        """The number that has these 32 bits and is next to the newest one: the counter of a sender begins anew."""
+        """The number with these 32 bits nearest to the newest one, since the counter of a sender wraps."""
         if self._newest < 0:
             return sequence
         return self._newest + (sequence - self._newest + WRAP // 2) % WRAP - WRAP // 2

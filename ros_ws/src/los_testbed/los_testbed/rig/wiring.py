@@ -1,4 +1,4 @@
-"""Mistakes of a rig's wiring, for the emulator: what comes is not what its name says."""
+"""Wiring faults of a rig, for the emulator."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ HALF = 0.5
 
 
 class Wiring:
-    """Mistakes by part: ports of sensors and of commands.
+    """Faults by part: ports of sensors and of commands.
 
     Parameters
     ----------
     text : str
-        ``PART=MISTAKE``, apart by commas; empty: none.
+        ``PART=MISTAKE``, separated by commas; empty: none.
 
     Raises
     ------
@@ -48,11 +48,11 @@ class Wiring:
             self._past[part] = deque(maxlen=DELAY_TICKS + 1)
 
     def command(self, values: FloatArray) -> FloatArray:
-        """What the actuators get of a command (8,)."""
+        """Command (8,) at the actuators."""
         return self._through(values, COMMANDED)
 
     def measurement(self, values: FloatArray) -> FloatArray:
-        """What the sensors give of a measurement (22,)."""
+        """Measurement (22,) from the sensors."""
         return self._through(values, MEASURED)
 
     def _through(self, values: FloatArray, parts: tuple[str, ...]) -> FloatArray:

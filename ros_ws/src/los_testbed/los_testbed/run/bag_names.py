@@ -1,4 +1,4 @@
-"""Names of the bags of one run: NAME, and NAME-2, NAME-3 ... where a recorder had to begin anew."""
+"""Names of the bags of one run: NAME, and NAME-2, NAME-3 ... after restarts of the recorder."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ def free_name(base: Path) -> Path:
 
 
 def recorded(base: Path) -> str:
-    """Where the record of a run that failed is, as the end of a message; empty without one."""
+    """Location of the record of a failed run, as the end of a message; empty without one."""
     found = [path for path in sorted(base.parent.glob(f"{glob.escape(base.name)}*")) if _is_bag(path, base)]
     if not found:
         return ""
     names = ", ".join(str(path) for path in found)
-    return f"; recorded until then: {names} (if it is not complete: los-testbed bag repair {found[-1]})"
+    return f"; recorded until then: {names} (if incomplete: los-testbed bag repair {found[-1]})"
 
 
 def _is_bag(path: Path, base: Path) -> bool:
-    """Whether this is the folder that was asked for, or one with a number behind it."""
+    """Whether this is the requested folder, or one with a number appended."""
     rest = path.name[len(base.name) :]
     return path.is_dir() and (not rest or (rest[0] == "-" and rest[1:].isdigit()))
 
 
 def new_bag(config: RunConfig) -> Path:
-    """Name for a bag that is not there yet, under bags/; with the mode that was asked for."""
+    """Unused name for a bag under bags/, with the requested mode."""
     mode = config.mode if config.mode_choice is None else AUTO
     stem = f"{datetime.now():%Y%m%d-%H%M%S}-{mode}-{config.loop}"
     folder = Path("bags")

@@ -1,4 +1,4 @@
-"""What other programs asked of a run while it went on, as the bag tells: by whom, what, and when."""
+"""Requests of other programs during a run, from its bag: origin, change and time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pointing_analysis.read.run import Run
 from titop_plant.interface import RATE
 
 SHOWN = 5
-"""Sentences about changes; of more there is their number."""
+"""Largest number of changes listed; of further ones the number is given."""
 LONGEST = 200
 WORDS = {STOP: "stopped", RESET: "reset"}
 
@@ -23,17 +23,17 @@ def requested(run: Run) -> tuple[str, ...]:
     Parameters
     ----------
     run : Run
-        Of any origin: what is no list of changes is left out.
+        Of any origin: values that are not lists of changes are ignored.
     """
     statistics = run.parameters.get("statistics", {})
     rows: list[tuple[float, str]] = []
     for node in NODES:
         values = statistics.get(node, {}) if isinstance(statistics, dict) else {}
-        told = values.get("changes", "") if isinstance(values, dict) else ""
-        rows += [(row["tick"] / RATE, _sentence(node, row)) for row in _rows(told)]
+        changes = values.get("changes", "") if isinstance(values, dict) else ""
+        rows += [(row["tick"] / RATE, _sentence(node, row)) for row in _rows(changes)]
     rows.sort(key=lambda row: row[0])
     texts = [text for _, text in rows]
-    # the end of the run comes last and is always told
+    # the end of the run comes last and is always reported
     left = texts[: len(texts) - 1][SHOWN:]
     if left:
         texts = [*texts[:SHOWN], f"{len(left)} more changes by request", texts[-1]]
@@ -41,7 +41,7 @@ def requested(run: Run) -> tuple[str, ...]:
 
 
 def _rows(text: Any) -> list[dict[str, Any]]:
-    """Changes that somebody asked for."""
+    """Requested changes."""
     try:
         rows = json.loads(text)
     except (ValueError, TypeError, RecursionError):

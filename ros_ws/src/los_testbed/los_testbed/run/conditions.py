@@ -1,4 +1,4 @@
-"""What acts in a run and on which member of the family, for its metadata: `pointing_analysis` reads it."""
+"""Disturbances of a run and its member of the family, for its metadata: `pointing_analysis` reads them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def conditions(parts: RunParts, start: RunStart) -> dict[str, str]:
 
 
 def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
-    """Scenario, disturbance of the user and sources, each with its name, its kind and what more there is to say."""
+    """Scenario, user's disturbance and sources, each with name, kind and details."""
     config, found = parts.config, []
     if config.scenario_acts:
         tone = start.tone
@@ -43,7 +43,7 @@ def member(parts: RunParts) -> str:
 
     config = parts.config
     if config.profile not in ("linear", "trapezoidal"):
-        return f"arrays and wheels as {Path(config.profile).name} says"
+        return f"arrays and wheels as in {Path(config.profile).name}"
     speeds = ", ".join(f"{speed:.6g}" for speed in config.wheel_speed or parts.telescope.default_speeds)
     texts = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []
     texts += [f"wheels at {speeds} rad/s"] if speeds else []

@@ -21,7 +21,7 @@ DIFFERENCES_SHOWN = 12
 
 @dataclass(frozen=True)
 class Nodes:
-    """What is chosen of the nodes of a run beside their parameters.
+    """Options of the nodes of a run besides their parameters.
 
     Attributes
     ----------
@@ -36,11 +36,11 @@ class Nodes:
 
 
 ALONE = Nodes()
-"""Nobody views the run."""
+"""No viewers."""
 
 
 def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
-    """Refuse what can be refused before anything is started or written; warnings about the controllers.
+    """Check all that can be checked before anything is started or written; warnings about the controllers.
 
     Raises
     ------
@@ -85,14 +85,14 @@ def telescope_differences(parameters: str | None) -> list[str]:
 
 
 def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = None) -> Results:
-    """Run, with a progress bar and, if one is given, a server for viewers; what happened.
+    """Run, with a progress bar and optionally a server for viewers; the results.
 
     Parameters
     ----------
     parts : RunParts
     nodes : Nodes
     own : SteppedPlant, optional
-        In place of the plant of `parts`, in the mode ``inprocess``; the controllers start at rest.
+        Instead of the plant of `parts`, in the mode ``inprocess``; the controllers start at rest.
 
     Raises
     ------
@@ -135,10 +135,10 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
             watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain, tell=bar.print
         ).run()
     if results.too_slow is not None:
-        told = late_answers(config, results.too_slow)
+        reason = late_answers(config, results.too_slow)
         if config.mode_choice is None:
-            raise RunError(f"{told} in the trial before the run, which did not begin", ExitCode.MISSED_TICKS)
-        sys.stderr.write(f"{told}: the run goes on in lockstep; --mode realtime insists on real time\n")
+            raise RunError(f"{reason} in the trial before the run, which did not start", ExitCode.MISSED_TICKS)
+        sys.stderr.write(f"{reason}: the run continues in lockstep; --mode realtime enforces real time\n")
         return execute(replace(parts, config=in_lockstep(config, results.too_slow)), nodes)
     results.warnings = [warning for warning in results.warnings if warning not in warnings]
     return results

@@ -1,4 +1,4 @@
-"""What the results of runs depend on: versions of the software, and digests of all that a configuration names.
+"""Dependencies of the results of runs: software versions, and digests of all inputs of a configuration.
 
 :attr:`titop_plant.telescope.telescope.Telescope.parameters_hash` names a telescope for its designs: it leaves out what
 no design depends on. The rows of a campaign, the runs of `stages` and those of a trade depend on all of it.
@@ -25,12 +25,12 @@ DIGITS = 16
 
 
 def software() -> dict[str, str]:
-    """Versions that the last bits of a result depend on."""
+    """Versions that affect a result bitwise."""
     return {"version": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
 
 
 def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
-    """Versions, and digests of what a run is made of beside its settings.
+    """Versions, and digests of the inputs of a run besides its settings.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
     dict of str to str
         ``version``, ``numpy``, ``scipy``; ``telescope``, of all its values and of the files that they name; ``k_fsm``,
         ``k_pma``; where there are any ``disturbances``, of further files of sources, ``profile``, of the file of a
-        ramp, and code of the user by the name of its setting.
+        ramp, and user code by the name of its setting.
 
     Raises
     ------

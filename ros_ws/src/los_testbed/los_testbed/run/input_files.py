@@ -20,7 +20,7 @@ BESIDE = "telescope_files"
 
 
 def map_files(value: Any, change: Callable[[Path], Any], folder: Path = Path()) -> Any:
-    """A value of a parameter file with another value in place of the name of each file.
+    """A value of a parameter file with each file name replaced.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Metadata of a bag: configuration of the run, its origin, its controllers and results."""
+"""Metadata of a bag: configuration of the run, its origin, controllers and results."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
 
 
 def _start_up(parts: RunParts, start: RunStart) -> dict[str, str]:
-    """What is known of the start-up: none in a steady state; else it is measured, but of a rig and of what moves."""
+    """Metadata of the start-up: none in a steady state; else it is measured, except for rigs and ramps."""
     if start.steady and not parts.sources:
         return {"transient_s": "0"}
     config = parts.config

@@ -1,7 +1,7 @@
-"""The mode of a run that was not asked for one: real time where this machine keeps pace, else lockstep.
+"""The mode ``auto`` of a run: real time if this machine is fast enough, else lockstep.
 
-Before a run in real time the loop is tried for a while (:mod:`los_testbed.nodes.support.exercise`). Where more answers
-come late than ticks may be missed, the same run goes on in lockstep, which misses none; without ROS in one process.
+Before a real-time run the loop is tried (:mod:`los_testbed.nodes.support.exercise`). If more commands are late than
+ticks may be missed, the run continues in lockstep, which misses none; without ROS in one process.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from los_testbed.config.run_config import AUTO, RunConfig
 from los_testbed.run.results import Exercised
 
 EXERCISE_S = 1.5
-"""The loop is tried so long."""
+"""Length of the trial."""
 
 
 def first_choice(config: RunConfig) -> RunConfig:
@@ -29,7 +29,7 @@ def in_lockstep(config: RunConfig, exercised: Exercised) -> RunConfig:
 
 
 def late_answers(config: RunConfig, exercised: Exercised) -> str:
-    """What was measured beside its limit.
+    """Measured share of late answers, with its limit.
 
     Examples
     --------

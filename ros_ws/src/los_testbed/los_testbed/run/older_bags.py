@@ -13,7 +13,7 @@ from titop_plant.telescope.load import load_telescope
 
 OF_TELESCOPE = ("plant_hash", "parameters_hash", "plant_parameters_hash")
 """Keys of the metadata that name the telescope of a run."""
-REMARK = "the bag holds no requirements: judged by those of the reference telescope (--requirements FILE gives others)"
+REMARK = "the bag holds no requirements: judged by those of the reference telescope (or give --requirements FILE)"
 
 
 def with_requirements(run: Recording) -> Recording:

@@ -1,8 +1,8 @@
-"""What is proven of the loop of a run, as its bag says it; without a proof, the reasons.
+"""Proven statements about the loop of a run, for its bag; without a proof, the reasons.
 
 Proofs are of one loop (:mod:`los_loop.implemented_loop`): the linear telescope at any point of its box that does not
-move, the camera of 50 frames per second of which none is lost, both laws each tick, and tones. A setting that makes
-another loop of it, or that is not known here, leaves no proof.
+move, the camera of 50 frames per second of which none is lost, both laws each tick, and tones. A setting that
+changes the loop, or is unknown here, leaves no proof.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
 
 
 def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, str]:
-    """What is proven of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
+    """Proven bounds of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
 
     Bounds with noise are under ``proof_bounds`` (:mod:`pointing_analysis.requirements.guarantee`), also of a run of
     which there is no proof for nothing else than ticks with an older command. Nothing for a stage without fine control.
@@ -93,11 +93,11 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
     bounds = _bounds(parts, found, missed)
     if late:
         return {"proof": f"no proof of this run: {late[0]}", **bounds}
-    said = bounds | {"proof": found.text} | ({guarantee.NOISE: found.noise_text} if found.noise_text else {})
+    stated = bounds | {"proof": found.text} | ({guarantee.NOISE: found.noise_text} if found.noise_text else {})
     if found.relative is None:
-        return said
+        return stated
     window = parts.telescope.weights.rpe_window
-    return {**said, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
+    return {**stated, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
 
 
 def _bounds(parts: RunParts, found: Statement, missed: int) -> dict[str, str]:
@@ -179,7 +179,7 @@ def _ticks(count: int, which: str = "") -> str:
 
 
 def _happened(statistics: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """What made another loop of it while it ran, one phrase each."""
+    """Changes of the loop during the run, one phrase each."""
     plant = statistics.get("plant", {})
     found = ["plant is an object of a program"] if "plant" in plant else []
     rows = [row for values in statistics.values() for row in _changes(values.get("changes", ""))]

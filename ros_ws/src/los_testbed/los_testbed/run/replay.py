@@ -95,7 +95,7 @@ class Controllers:
 
 
 def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
-    """The controller that travels in a bag, and its file.
+    """The controller in a bag, and its file.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def _states(run: Run) -> LoopStart | None:
 
 
 def telescope_of(run: Run) -> DesignBasis:
-    """What a bag says of its telescope and its limits; a bag from before these were recorded says less."""
+    """Telescope and limits stated in a bag; an older bag has fewer."""
     names = ("los_sensitivity", "fsm_authority", "pma_authority")
     found: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
     if "parameters_hash" in run.parameters:
@@ -239,7 +239,7 @@ def telescope_of(run: Run) -> DesignBasis:
 
 
 def _completed(telescope: DesignBasis) -> DesignBasis:
-    """The reference telescope's values where nothing is said: bags that do not say are of that telescope."""
+    """The reference telescope's values if none are stated: such bags are of that telescope."""
     from titop_plant.telescope.load import load_telescope
 
     return replace(load_telescope().design_basis, **telescope.to_mapping())
@@ -253,7 +253,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
     BagError
         A sensor is missing in the bag.
     LoopDivergedError
-        Observer or controller leave the finite numbers.
+        Outputs of observer or controller are not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
         replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, chosen.layout)
@@ -263,7 +263,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
 
 
 def _check_finite(who: str, signals: Mapping[str, FloatArray], stamp: NDArray[np.int64], run: Run) -> None:
-    """Refuse a replay whose output is not finite, with tick and port."""
+    """Reject a replay whose output is not finite, with tick and port."""
     for part in parts(len(stamp)):
         found = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
         if found is not None:
@@ -312,7 +312,7 @@ def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None)
 def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controllers) -> None:
     """Write sensors and truth of `run` with the replayed estimates and commands as a new bag.
 
-    **The truth is that of the recorded loop**, whose name the new bag keeps as ``loop``: it does not answer to the
+    **The truth is that of the recorded loop**, whose name the new bag keeps as ``loop``: it does not respond to the
     replayed commands. ``replay_loop`` is the stage of the controllers that were replayed.
 
     Raises

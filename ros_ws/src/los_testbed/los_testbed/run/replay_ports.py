@@ -1,4 +1,4 @@
-"""Rows of the loop that a replay has: those of the reference, and what its controllers name of the bag's telescope."""
+"""Rows of the loop of a replay: those of the reference, and further ones of the bag's telescope that its laws use."""
 
 from __future__ import annotations
 

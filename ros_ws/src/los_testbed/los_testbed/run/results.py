@@ -62,7 +62,7 @@ def in_statistics(exercised: Exercised) -> dict[str, str]:
 
 
 def check_missed(share: float, config: RunConfig, rest: str = "") -> None:
-    """Refuse a run in real time that missed too much.
+    """Reject a real-time run with too many missed ticks.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def check_missed(share: float, config: RunConfig, rest: str = "") -> None:
     """
     if config.mode != "realtime" or share <= config.max_missed:
         return
-    remedy = "" if config.device else "; --mode lockstep misses none on any"
+    remedy = "" if config.device else "; --mode lockstep misses none"
     raise RunError(
         f"missed ticks must be at most {config.max_missed:g} % (--max-missed), got {share:.2f} %: this machine was "
         f"too slow or too busy for the loop{remedy}{rest}",
@@ -110,16 +110,16 @@ def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict
 
 
 def late_reports(recorder: Mapping[str, str]) -> list[str]:
-    """Lines about nodes that sent no report for too long, from the statistics of the recorder.
+    """Lines about nodes with late reports, from the statistics of the recorder.
 
     Examples
     --------
     >>> late_reports({"late_reports_plant": "2", "liveliness_lost_plant": "1", "messages": "9"})
-    ['plant: 2 reports came later than 3 s after the one before, its liveliness was lost 1 times']
+    ['plant: 2 reports missed their deadline of 3 s, its liveliness was lost 1 times']
     """
     late, lost = (counted({"recorder": recorder}, kind) for kind in (LATE_REPORTS, LIVELINESS_LOST))
     return [
-        f"{name}: {late.get(name, 0)} reports came later than {REPORT_DEADLINE_S:g} s after the one before, "
+        f"{name}: {late.get(name, 0)} reports missed their deadline of {REPORT_DEADLINE_S:g} s, "
         f"its liveliness was lost {lost.get(name, 0)} times"
         for name in sorted({*late, *lost})
     ]
@@ -127,7 +127,7 @@ def late_reports(recorder: Mapping[str, str]) -> list[str]:
 
 @dataclass
 class Results:
-    """What the nodes reported at the end.
+    """Results of a run, from the last reports of the nodes.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class Results:
     latency : histogram of the plant's latencies, microseconds to counts
     earlier : bags of the same run from before its plant was started again
     interrupted : whether the run was ended before its time
-    too_slow : what was measured where the machine was too slow for the run to begin; None elsewhere
+    too_slow : measured trial if the machine was too slow for the run to begin; else None
     """
 
     statistics: dict[str, dict[str, str]] = field(default_factory=dict)

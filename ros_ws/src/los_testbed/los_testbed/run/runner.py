@@ -45,18 +45,18 @@ from titop_plant.interface import RATE
 LAWS = ("estimator", "controller")
 
 RESTARTS = 3
-"""A node that dies during the run is started again this often."""
+"""Restarts of a node that dies during the run."""
 
 STOP_S = 10.0
 ENDED = "ended"
-"""What is noted of a node that a signal of another program has ended in order."""
+"""Note about a node that was shut down cleanly by another program's signal."""
 
 REMIND_S = 5.0
-"""A node that has not ended by then is asked again: a signal that comes while it starts may be lost."""
+"""Time after which a node is signalled again: a signal during its start may be lost."""
 
 
 class HungError(RuntimeError):
-    """Nodes of a run do not answer, or its ticks stand still."""
+    """Nodes of a run do not respond, or its ticks have stopped."""
 
 
 class Runner:
@@ -71,13 +71,13 @@ class Runner:
     commands : mapping, optional
         Commands for nodes that are not the package's own (another plant, another controller).
     live : Live, optional
-        Serves viewers; without it nobody does.
+        Server for viewers; default: none.
     isolated : bool
-        The nodes have a network of their own, in which nobody else is.
+        The nodes have a separate network without other programs.
     lock_domain : bool
         Refuse another run on the domain and namespace; False where the caller holds them.
     tell : callable
-        Called with a line about what happens while the run goes on.
+        Called with a line about each event during the run.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Runner:
 
     @property
     def ticks_done(self) -> int:
-        """Ticks done as far as the plant told, those before a restart included."""
+        """Ticks done as reported by the plant, those before a restart included."""
         return self._ticks_done
 
     @property
@@ -139,7 +139,7 @@ class Runner:
         Raises
         ------
         ValueError
-            A mistake that shows before anything is started; isolation that is not permitted.
+            A user error detected before anything is started; isolation that is not permitted.
         RunError
             A node failed; the others were ended.
         """
@@ -175,8 +175,8 @@ class Runner:
                 finally:
                     self._end_all()  # the recorder writes what it has when it ends
             except RunError as error:
-                told = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
-                raise RunError(f"{told}{recorded(self._config.bag)}", error.code) from None
+                causes = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
+                raise RunError(f"{causes}{recorded(self._config.bag)}", error.code) from None
         return self.results
 
     def _unlisted(self) -> str:
@@ -212,7 +212,7 @@ class Runner:
         self._finish()
 
     def _end_ticks(self) -> None:
-        """End a run before its time; a node that was stopped goes on, to its end."""
+        """End a run early; a suspended node is resumed to end."""
         self._not_answering = [name for name in self._watch.silent() if name in self._nodes]
         for name in self._not_answering:
             self._nodes[name].process.send_signal(signal.SIGCONT)
@@ -220,7 +220,7 @@ class Runner:
         self._ends_in_order("plant")
 
     def _ends_in_order(self, name: str, bag: Path | None = None) -> None:
-        """Wait for a node to be done; one that is not within a while is killed, with this bag as it is."""
+        """Wait for a node to finish; after a timeout it is killed, and the bag stays as it is."""
         try:
             self._until(name, "done", STOP_S)
         except RunError as error:
@@ -231,7 +231,7 @@ class Runner:
             self._seen[name, "done"] = {"statistics": {}, "bag": None if bag is None else str(bag)}
 
     def _accept_ends(self) -> None:
-        """The run ends: nodes that a signal has ended before they were asked to have done their work."""
+        """End of the run: nodes that a signal ended early have done their work."""
         for node in self._nodes.values():
             for name in node.nodes:
                 if (name, ENDED) in self._seen:
@@ -241,7 +241,7 @@ class Runner:
     def _finish(self) -> None:
         """Followers first, so that their last samples reach the recorder; then the recorder.
 
-        It has the nodes' last statistics from here: where other programs have the processor, reports may be lost.
+        It gets the nodes' last statistics from here: on a busy machine reports may be lost.
         """
         served = [LIVE] if LIVE in self._nodes else []
         laws = [name for name in self._programs if name not in ("plant", "recorder")]
@@ -255,7 +255,7 @@ class Runner:
         assert self._statistics is not None
         os.write(self._statistics.descriptor, json.dumps(self.results.statistics).encode())
         if self._replaced.get("recorder") and ("recorder", "ready") not in self._seen:
-            raise RunError("the run was over before another recorder was ready")
+            raise RunError("the run ended before another recorder was ready")
         self._nodes["recorder"].interrupt()
         if "recorder" in self._not_answering:
             self._ends_in_order("recorder", self._config.bag if self._config.bag.is_dir() else None)
@@ -269,17 +269,17 @@ class Runner:
         bag = self._seen[("recorder", "done")].get("bag")
         bags = [*self.results.earlier, *([Path(bag)] if bag else self._closed_by_recorder)]
         if not bags and not self.results.interrupted:
-            told = [message for who, message in self._errors if who == "recorder"]
+            messages = [message for who, message in self._errors if who == "recorder"]
             there = "" if self._replaced.get("recorder") else "; there is no bag"
-            raise RunError(f"recorder: {[*told, 'it got no message'][0]}{there}")
+            raise RunError(f"recorder: {[*messages, 'no message received'][0]}{there}")
         self.results.bag = bags[-1] if bags else None
         restarted = len(bags) - 1 > self._resets
         lines = self.results.failures if restarted else self.results.warnings
-        what = "the plant was started again" if restarted else "the reset"
-        lines += [f"what came before {what} is in {path}" for path in bags[:-1]]
+        what = "the restart of the plant" if restarted else "the reset"
+        lines += [f"the part before {what} is in {path}" for path in bags[:-1]]
 
     def _tell_counts(self) -> None:
-        """How many messages of second publishers came, whether any of them was used, and reports that were late."""
+        """Report messages of second publishers, those of them that were used, and late reports."""
         self.results.warnings += late_reports(self.results.statistics.get("recorder", {}))
         self.results.warnings += frames_in_words(self.results.statistics.get("estimator", {}))
         foreign, misused = (counted(self.results.statistics, kind) for kind in ("foreign_", "misused_"))
@@ -288,7 +288,7 @@ class Runner:
                 self.results.warnings.append(f"{topic}: {count} messages of second publishers were not used")
         for topic, count in misused.items():
             kept = [text for text in self.results.failures if not text.startswith(f"{topic} had a second publisher")]
-            what = f"{topic} had a second publisher: {count} of its messages were used while the own one was silent"
+            what = f"{topic} had a second publisher: {count} of its messages were used while the node was silent"
             self.results.failures[:] = [*kept, what]
 
     def _start(self, name: str) -> None:
@@ -309,7 +309,7 @@ class Runner:
             self._selector.register(stream, selectors.EVENT_READ, node)
 
     def _until(self, name: str, kind: str, timeout: float | None, or_kind: str = "") -> None:
-        """Watch all nodes until this one reported this event, or the other; one that was to end is asked again."""
+        """Watch all nodes until this one reports this event, or the other; an ending one is signalled again."""
         end = None if timeout is None else time.monotonic() + timeout
         remind = time.monotonic() + REMIND_S
         while (name, kind) not in self._seen and (name, or_kind) not in self._seen:
@@ -320,13 +320,13 @@ class Runner:
             self._check_answers()
             self._check_awaited(name, kind)
             if end is not None and time.monotonic() > end:
-                raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s{_load()}")
+                raise RunError(f"{name} did not reach {kind!r} within {timeout:g} s{_load()}")
             if self._nodes[name].asked_to_stop and time.monotonic() > remind:
                 remind = time.monotonic() + REMIND_S
                 self._nodes[name].interrupt()
 
     def _check_awaited(self, name: str, kind: str) -> None:
-        """Raise if the node that is waited for has ended, also one that was asked to."""
+        """Raise if the node waited for has ended, also on request."""
         node = self._nodes[name]
         code = node.process.poll()
         in_order = node.asked_to_stop or (name, "done") in self._seen
@@ -334,11 +334,11 @@ class Runner:
             return
         self._poll(0.1)
         if (name, kind) not in self._seen:
-            told = [message for who, message in self._errors if who == name]
-            raise RunError(f"{name}: {told[-1]}" if told else node.how_it_ended(code))
+            messages = [message for who, message in self._errors if who == name]
+            raise RunError(f"{name}: {messages[-1]}" if messages else node.how_it_ended(code))
 
     def _check_answers(self) -> None:
-        """Say who is silent; raise if somebody is for too long, unless the run ends anyway."""
+        """Report silent nodes; raise if one is silent too long, unless the run is ending."""
         if self._nodes["plant"].asked_to_stop or ("plant", "done") in self._seen:
             return
         for line in self._watch.look():
@@ -347,7 +347,7 @@ class Runner:
             raise HungError(f"{self._watch.in_words(hung)}: the run was ended (--hang-timeout)")
 
     def _hear(self, name: str) -> None:
-        """A program has told something, or a tick was done."""
+        """An event of a program, or a tick."""
         if (line := self._watch.heard(name)) and not self._not_answering:  # those are woken to their end
             self._tell(line)
             self.results.warnings.append(line)
@@ -364,11 +364,11 @@ class Runner:
                 for event in node.feed(data):
                     if self._watch.knows(node.name):
                         self._hear(node.name)
-                    told = str(event.get("node", node.name))
-                    self._handle(told if told in node.nodes else node.name, event, node)
+                    origin = str(event.get("node", node.name))
+                    self._handle(origin if origin in node.nodes else node.name, event, node)
 
     def _may_end(self, node: NodeProcess) -> bool:
-        """Whether a node that a signal ends does as it should."""
+        """Whether a signal to a node is a clean shutdown."""
         return node.asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
 
     def _handle(self, name: str, event: dict[str, Any], node: NodeProcess) -> None:
@@ -413,7 +413,7 @@ class Runner:
         self._seen[(name, kind)] = event
 
     def _check(self) -> None:
-        """Raise if a node ended that was not asked to."""
+        """Raise if a node ended without request."""
         for node in list(self._nodes.values()):
             code = node.process.poll()
             if code is None or node.asked_to_stop:
@@ -423,45 +423,45 @@ class Runner:
                 self._accept_ends()
             if code == 0 and all((name, "done") in self._seen for name in node.nodes):
                 if ("plant", "running") not in self._seen:
-                    raise RunError(f"{node.name} was told to end before the run began")
+                    raise RunError(f"{node.name} was ended before the run began")
                 for name in node.nodes if ("plant", "done") not in self._seen else ():
                     self._go_on_without(name)
                 continue
-            told = [message for name, message in self._errors if name in node.nodes]
+            messages = [message for name, message in self._errors if name in node.nodes]
             ended = [self._seen[name, ENDED] for name in node.nodes if (name, ENDED) in self._seen]
-            if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run does without
+            if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run continues without it
                 node.asked_to_stop = True
-                how = [f"code {code}", *told][-1]
+                how = [f"code {code}", *messages][-1]
                 self.results.warnings.append(f"the server for viewers ended unexpectedly: {how}")
                 continue
-            if told and not ended:
+            if messages and not ended:
                 # the plant refuses publishers until it runs
                 working = "running" if node.name == "plant" else "ready"
                 before_work = not any((name, working) in self._seen for name in node.nodes)
                 before_work = before_work and ("plant", "running") not in self._seen
                 known = code == ExitCode.DEVICE or (code == ExitCode.USER_ERROR and before_work)
-                raise RunError(f"{node.name}: {told[-1]}", code if known else 1)
+                raise RunError(f"{node.name}: {messages[-1]}", code if known else 1)
             number = max([0, *(int(event.get("signal", 0)) for event in ended)])
             self._replace(node, node.how_it_ended(code, number), code < 0 or number > 0)
             return
 
     def _go_on_without(self, name: str) -> None:
-        """A request of its life cycle has ended a node: in real time the actuators fade to zero."""
-        what = f"{name} was shut down by a request of its life cycle (from a node of unknown name)"
+        """A life-cycle request has ended a node: in real time the actuators fade to zero."""
+        what = f"{name} was shut down by a life-cycle request (from an unknown node)"
         if self._config.mode == "lockstep":  # the tick that waits for it can no longer be answered
-            raise RunError(f"{what}: a run in lockstep cannot go on without it")
-        line = f"{what}; the run went on without it"
+            raise RunError(f"{what}: a run in lockstep cannot continue without it")
+        line = f"{what}; the run continued without it"
         if line not in self.results.warnings:
             self.results.warnings.append(line)
 
     def _replace(self, node: NodeProcess, what: str, killed: bool) -> None:
-        """The others go on: start the node again, or give up if it happens too often.
+        """Restart the node while the others continue, or fail after too many restarts.
 
-        Before the run begins, nothing is lost with a node that a signal has ended, unless it is the plant. A plant
-        starts anew from its initial state: estimator and controller start anew with it when it holds, the recorder ends
-        its bag and begins another, and the run ends when it was to end.
+        Before the run begins, a node ended by a signal loses nothing, unless it is the plant. A plant restarts from its
+        initial state: estimator and controller are reset with it when it holds, the recorder closes its bag and begins
+        another, and the run ends at its planned time.
         """
-        # in lockstep the tick that waits for the node can no longer be answered
+        # in lockstep the current tick waits for the node's command, which is lost
         running = ("plant", "running") in self._seen
         possible = self._config.mode == "realtime" if running else killed and node.name in list(self._programs)[1:]
         rest = self._config.ticks - self._ticks_done
@@ -473,9 +473,9 @@ class Runner:
             self._before = self._ticks_done
             self._watch.forget(TICKS)
         if running:
-            self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
+            self.results.failures.append(f"{what}; it was restarted{self._left_by(node)}")
         else:
-            self.results.warnings.append(f"{what}; it was started again before the run began")
+            self.results.warnings.append(f"{what}; it was restarted before the run began")
         for stream in node.streams:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(stream)
@@ -486,13 +486,13 @@ class Runner:
         self._start(node.name)
 
     def _left_by(self, node: NodeProcess) -> str:
-        """What a recorder that ended unexpectedly has left."""
+        """Record of a recorder that ended unexpectedly."""
         if ("recorder", ENDED) in self._seen and node.name == "recorder":
-            return "".join(f"; what it had recorded is in {path}" for path in self._closed_by_recorder)
+            return "".join(f"; recorded until then: {path}" for path in self._closed_by_recorder)
         last = [path for path in (self._config.bag, *self.results.earlier) if path.is_dir()][-1:]
         if node.name != "recorder" or not last:
             return ""
-        return f"; what it had recorded is in {last[0]}: los-testbed bag repair {last[0]}"
+        return f"; recorded until then: {last[0]}: los-testbed bag repair {last[0]}"
 
     def _await_exit(self, names: Sequence[str]) -> None:
         end = time.monotonic() + STOP_S
@@ -518,6 +518,6 @@ class Runner:
 
 
 def _load() -> str:
-    """Cause of a delay, where the machine is busy."""
+    """Cause of a delay: a busy machine."""
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
     return f" (load average {load:.1f} on {processors} processors)" if load > 2 * processors else ""

@@ -56,14 +56,14 @@ METRICS = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_windows_p997
 
 @dataclass(frozen=True)
 class Plan:
-    """What is run.
+    """Plan of the runs.
 
     Parameters
     ----------
     base : RunConfig
         Duration, seed, mode, controllers and all that the stages share.
     folder : Path
-        New folder for bags and results, or that of the same plan, which then goes on.
+        New folder for bags and results, or that of the same plan, which is resumed.
     scenarios : tuple of str
     samples : int
         Telescopes: the one of `base`, then random members 1, 2, ... of its family.
@@ -194,7 +194,7 @@ class StageResult:
     summary: Summary | None = None
 
     def model(self) -> tuple[FloatArray, FloatArray]:
-        """What the model expects at the tones: frequencies [rad/s] and rms of the line of sight [rad]."""
+        """Prediction of the model at the tones: frequencies [rad/s] and rms of the line of sight [rad]."""
         omega = np.array([tone.omega for tone in self.tones])
         return omega, np.array([tone.expected for tone in self.tones]) / np.sqrt(2.0)
 
@@ -254,8 +254,8 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
 def _begin(plan: Plan) -> None:
     """Begin or continue the job of a plan, and leave of an interrupted one the bags of its finished runs.
 
-    Runs that do not pass in one process are made again: what their processes had to say is not in the bags. So are runs
-    that diverged, whose bags end there.
+    Runs with node processes are repeated: the warnings of their processes are not in the bags. So are runs that
+    diverged, whose bags end there.
 
     Raises
     ------
@@ -280,12 +280,12 @@ def _finished(bag: Path) -> bool:
 
 
 def finish(plan: Plan) -> None:
-    """What is in the folder is whole: there is nothing to continue."""
+    """The folder is complete: there is nothing to resume."""
     Job("comparison", {}, plan.folder / PLAN).finish()
 
 
 def _recorded(run: StageRun, bag: Path, progress: Callable[[int], None]) -> str:
-    """One run, whole or not at all; what went wrong and was mended."""
+    """One run, whole or not at all; its warnings."""
     try:
         return record(replace(run.config, output=str(bag)), bag, progress)
     except BaseException as error:
@@ -295,7 +295,7 @@ def _recorded(run: StageRun, bag: Path, progress: Callable[[int], None]) -> str:
 
 
 def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str:
-    """One run in the mode of the configuration; what went wrong and was mended."""
+    """One run in the mode of the configuration; its warnings."""
     if config.mode == "inprocess":
         run_in_process(config, bag, progress=progress)
         return ""

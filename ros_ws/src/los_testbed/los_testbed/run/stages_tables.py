@@ -32,7 +32,7 @@ LOWER = ("mtf_nyquist", "strehl")
 """Metrics of which the smallest is the worst."""
 ALONE = ("ape_max_arcsec", "rpe_rms_mas")
 PART_METRICS = {"all": tuple(HEADS), "disturbance": ALONE, "noise": ALONE}
-"""What is shown of each part of the error."""
+"""Metrics shown for each part of the error."""
 
 
 DIVERGED = "diverged"
@@ -132,7 +132,7 @@ def tables(results: Sequence[StageResult], plan: Plan) -> Iterable[tuple[str, Te
         title = f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}"
         above = (
             "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
-            f"when settled, where it differs), {_of(found, total)}:"
+            f"when settled, if different), {_of(found, total)}:"
         )
         yield above, TextTable.of((*texts("Hz"), *numbers(*plan.stages)), found, title)
 
@@ -143,7 +143,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[TextTable]:
         alone = [head for head in table.heads if " alone: " in head]
         if alone:
             yield table.only(*(head for head in table.heads if head not in alone))
-            yield replace(table.only("stage", *alone), title="parts of the error, each alone")
+            yield replace(table.only("stage", *alone), title="contributions to the error, each alone")
         elif table.rows:
             yield table
 
@@ -153,17 +153,17 @@ def _of(found: Sequence[Any], total: int) -> str:
 
 
 def worst_caption(plan: Plan) -> str:
-    """What the rows of the scenario worst_case are."""
+    """Description of the rows of the scenario worst_case."""
     return (
         f"{plan.base.duration:g} s, {plan.base.start} start, seed {plan.base.seed}, {plan.base.mode}; each stage at "
-        "its own worst parameters, with the tone of unit norm that is worst there"
+        "its own worst parameters, with its worst tone of unit norm"
     )
 
 
 def caption(results: Sequence[StageResult], plan: Plan) -> str:
-    """How the metrics came about."""
+    """Conditions of the metrics."""
     settled = max((r.transient for r in results if r.run.scenario != WORST), default=0.0)
-    start = f"first {settled:g} s left out" if settled else f"{plan.base.start} start"
+    start = f"first {settled:g} s excluded" if settled else f"{plan.base.start} start"
     text = f"{plan.base.duration:g} s, {start}, seed {plan.base.seed}, {plan.base.mode}"
     return text + (f"; in brackets the worst of {plan.samples} telescopes" if plan.samples > 1 else "")
 

@@ -1,7 +1,7 @@
-"""Which guide stars suffice: magnitude and frame rate of the camera against RPE and MTF, from runs in one process.
+"""Trade of guide-star magnitude and frame rate against RPE and MTF, from runs in one process.
 
 For each star and rate the controllers are designed, unless they are kept. A folder holds a folder for each of them,
-with parameter file, designs, bag and ``row.json``, which is there when all is done; what is there is not repeated.
+with parameter file, designs, bag and finally ``row.json``; finished ones are not repeated.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Trade:
         base : RunConfig
             Of all runs; its parameter file is kept but for kind, magnitude and exposure of the camera.
         folder : Path
-            New, or that of the same trade, which then goes on.
+            New, or that of the same trade, which is resumed.
         magnitudes, rates : sequence of float
             Rates in frames per second.
         redesign : bool
@@ -127,7 +127,7 @@ class Trade:
         -------
         dict or None
             As of :func:`measure`, with ``design`` ("kept", or how the descent ended) and ``not_met``, the requirements
-            that the designs miss. None where the time is over: another call goes on.
+            that the designs miss. None after the time limit: another call resumes.
         """
         folder, config = self.folder / point.name, point.config
         known, bag, design = folder / ROW, folder / "bag", {"design": "kept", "not_met": list[str]()}
@@ -151,7 +151,7 @@ class Trade:
 
 
 def _asked(base: RunConfig, magnitudes: Sequence[float], rates: Sequence[float], redesign: bool) -> dict[str, Any]:
-    """What a trade depends on."""
+    """Dependencies of a trade."""
     return {
         "identity": identity(base, controllers=not redesign),
         "magnitudes": list(magnitudes),
@@ -185,17 +185,17 @@ def _points(
 def _design(
     point: TradePoint, folder: Path, seconds: float, report: Callable[[str], None], workers: Workers | None
 ) -> tuple[str, list[str]]:
-    """Design both controllers into a folder, or go on with it: how that ended, and the requirements not met."""
+    """Design both controllers into a folder, or resume: how that ended, and the requirements not met."""
     from lftkit import SampledSystem
     from los_design import redesign
     from los_design.synthesis.options import DesignOptions
 
-    def told(text: str) -> None:
+    def report_step(text: str) -> None:
         report(f"{point.name}: {text}")
 
     telescope = load_telescope(str(point.config.parameters)).for_frames(point.config.frame_ticks)
     options = DesignOptions(short=True, wall_limit=seconds)
-    found = redesign.design_all(telescope, folder, options, report=told, workers=workers)
+    found = redesign.design_all(telescope, folder, options, report=report_step, workers=workers)
     ended = SampledSystem.from_file(folder / DESIGN_FILES["k_fsm"]).provenance["status"]
     return str(ended), list(found.not_met)
 
@@ -284,7 +284,7 @@ HEADS = (
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the rows; values that 99.7 % of instants or exposures of a run keep."""
+    """Table of the rows; quantiles of 99.7 % of the instants or exposures of a run."""
     cells = []
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")

@@ -1,4 +1,4 @@
-"""A program whose own end is not trusted: code of the user in it can end it with any exit code, or by a signal."""
+"""Supervision of a program in which user code can end the process with any exit code, or by a signal."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ FORWARDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def supervise(names: Sequence[str], bag: Path) -> None:
-    """Go on in a child process; this one waits, and ends as it does if that was in order.
+    """Continue in a child process; this one waits, and ends with its exit code if it ended in order.
 
-    A process that code of the user ends (``os._exit``, a fault in a compiled module) leaves its bag unfinished and can
-    say nothing: exit code 0 would be taken for a whole run. Returns in the child only.
+    A process that user code ends (``os._exit``, a fault in a compiled module) leaves its bag unfinished without a
+    message: exit code 0 would indicate a complete run. Returns in the child only.
 
     Parameters
     ----------
     names : sequence of str
-        What of the run is code of the user, for the message.
+        User code of the run, for the message.
     bag : Path
         Folder of the bag.
 
@@ -56,9 +56,9 @@ def supervise(names: Sequence[str], bag: Path) -> None:
     for number in FORWARDED:
         signal.signal(number, signal.SIG_IGN)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    os.set_blocking(reading, False)  # a process that code of the user left behind may still have the other end
+    os.set_blocking(reading, False)  # a process left by user code may still have the other end
     with contextlib.suppress(BlockingIOError):
         if os.read(reading, 1):
             raise SystemExit(code)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    raise RunError(f"the process of the run ended in code of the user ({how}): {', '.join(names)}{recorded(bag)}")
+    raise RunError(f"the process of the run ended in user code ({how}): {', '.join(names)}{recorded(bag)}")

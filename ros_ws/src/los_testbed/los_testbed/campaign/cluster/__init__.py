@@ -1,1 +1,1 @@
-"""The processes of a Dask cluster and who may speak to them."""
+"""Processes of a Dask cluster and their access control."""

@@ -1,4 +1,4 @@
-"""Dask's scheduler and worker without their web servers, which listen beside TLS and ask nobody for a certificate."""
+"""Dask's scheduler and worker without their web servers, which listen without TLS and certificates."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from distributed import Scheduler, Worker
 
 
 class SchedulerWithoutPages(Scheduler):  # type: ignore[misc, unused-ignore]
-    """A scheduler that listens for Dask alone."""
+    """A scheduler without web server."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
         """None is started."""
 
 
 class WorkerWithoutPages(Worker):  # type: ignore[misc, unused-ignore]
-    """A worker that listens for Dask alone."""
+    """A worker without web server."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
         """None is started."""

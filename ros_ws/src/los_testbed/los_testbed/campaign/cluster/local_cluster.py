@@ -1,4 +1,4 @@
-"""Dask cluster on this machine for one campaign: closed to others, and nothing of it stays, whatever ends it."""
+"""Dask cluster on this machine for one campaign: closed to others, and removed however it ends."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SETTINGS: dict[str, Any] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
-"""Dask lets its workers give memory back to the system at every turn: a member would fault 9000 pages anew. It records
-call stacks a hundred times a second: 4 MB a minute for the thousand seconds that it keeps. And it has pages that need
-no certificate."""
+"""Dask's workers return memory to the system at every turn: a member would fault 9000 pages again. Dask records call
+stacks a hundred times a second: 4 MB a minute for the thousand seconds that it stores. And it serves pages without a
+certificate."""
 
 LOOPBACK = "127.0.0.1"
 
@@ -44,7 +44,7 @@ while os.path.lexists(sys.argv[1]) and time.monotonic() < end:  # its workers ma
 def local_cluster(workers: int) -> Iterator[Any]:
     """A ``distributed.SpecCluster`` of so many processes with one thread each, closed with the block.
 
-    It listens on the loopback interface, speaks TLS with a certificate of its own, and answers nobody without it; it
+    It listens on the loopback interface with TLS and requires its own certificate; it
     has no web server. Its files, the key among them, are in a :func:`scratch_folder`. A signal that comes while
     processes start is answered when they have started and can be closed in order. SIGINT, which a terminal sends to
     all processes, is left to this one.
@@ -129,7 +129,7 @@ def scratch_folder() -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _loop_without_interrupts() -> Iterator[Any]:
-    """Event loop in a thread with SIGINT blocked, which the processes that it starts inherit."""
+    """Event loop in a thread with SIGINT blocked, which its child processes inherit."""
     from distributed.utils import LoopRunner
 
     resource_tracker.ensure_running()  # it would unblock the signal in the thread that starts it

@@ -1,4 +1,4 @@
-"""Certificates that let a campaign in at a scheduler of the user's own."""
+"""Client certificates of a campaign for a user's scheduler."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCHEME = "tls://"
 
 @dataclass(frozen=True)
 class TlsFiles:
-    """PEM files: who is trusted, and what this process shows of itself.
+    """PEM files: trusted authority, and certificate of this process.
 
     Parameters
     ----------
@@ -106,5 +106,5 @@ def _check_readable(option: str, path: Path) -> None:
 
 
 def _refuse() -> str:
-    """Instead of OpenSSL's question for a password on the terminal."""
+    """Replaces OpenSSL's password prompt on the terminal."""
     raise ValueError("--tls-key must be a key without a password")

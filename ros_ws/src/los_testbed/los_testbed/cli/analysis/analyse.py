@@ -45,7 +45,7 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write a report, HTML or PDF.
 
     los-testbed analyse measured.mat --los los --unit urad                # CSV, Parquet, .mat, HDF5, .npy, .npz
 
-`los-testbed bag topics BAG` lists what a bag has that could be a line of sight.
+`los-testbed bag topics BAG` lists the topics of a bag that can be a line of sight.
 """
 
 
@@ -62,7 +62,7 @@ def analyse(
     unit: Unit = None,
     rate: Rate = None,
     time: Annotated[
-        str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
+        str | None, typer.Option(help="Its time stamps: header or log in a bag, column name in a table.")
     ] = None,
     requirements: Requirements = None,
     optics: OpticsFile = None,

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 
-Without FILE the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop, beside the
-requirements of the reference telescope.
+Without FILE, the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop, against
+the requirements of the reference telescope.
 
 **Examples**
 
@@ -32,7 +32,7 @@ requirements of the reference telescope.
 
     los-testbed budget --designs examples/spacecraft/small_telescope
 
-    los-testbed budget --members 20                     # and the worst of 20 telescopes of the family
+    los-testbed budget --members 20                     # also the worst of 20 members of the family
 
     los-testbed budget my_budget.toml --output budget.html --json
 """
@@ -58,14 +58,15 @@ def budget(
     ] = None,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     table: Annotated[
-        Path | None, typer.Option(help="File of the results to write (.csv, .xlsx), by steps AST-1 to 4.")
+        Path | None, typer.Option(help="Results file to write (.csv, .xlsx), by steps AST-1 to 4.")
     ] = None,
     sources: Annotated[
-        Path | None, typer.Option(help="File of the sources to write (.csv, .xlsx), which can be read.")
+        Path | None, typer.Option(help="Sources file to write (.csv, .xlsx); it is a valid FILE.")
     ] = None,
     designs: Designs = None,
     members: Annotated[
-        int, typer.Option(help="Also at so many random members of the telescope's family, and at its worst points.")
+        int,
+        typer.Option(help="Also evaluate this many random members of the telescope's family, and its worst points."),
     ] = 0,
     gate: Gate = False,
     json_: Json = False,
@@ -112,7 +113,7 @@ def budget(
     if members and named is not None:
         worst = _over_members(console, load, verdicts, members_of(of_designs(named), designs or "", members))
     results = result_rows(found, verdicts, {row.name: (row.member, row.worst.total) for row in worst})
-    # Files are written when all has been computed: a mistake must not cost those that are there.
+    # Files are written after all computations: an error must not destroy existing ones.
     if sources is not None:
         write_rows(sources, rows, COLUMNS)
     if output is not None:

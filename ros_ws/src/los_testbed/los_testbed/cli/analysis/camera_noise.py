@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 NOISE_EXAMPLES = """Measure the noise of the guide camera over the magnitude of its star.
 
-Makes many frames of a star at rest, anywhere within a pixel, and finds the star in each. The file holds the curve with
-the detector it is of; a parameter file names it by `camera.noise_curve`, and the camera of the loop then has the noise
-of its star's magnitude. Stars that half of the frames do not see are left out.
+Simulates many frames of a star at rest at random positions within a pixel, and locates the star in each. The file holds
+the curve and its detector; a parameter file refers to it by `camera.noise_curve`, and the camera of the loop then has
+the noise of its star's magnitude. Stars that are not detected in half of the frames are omitted.
 
 **Examples**
 
@@ -37,17 +37,19 @@ of its star's magnitude. Stars that half of the frames do not see are left out.
 MAGNITUDES = ",".join(f"{0.5 * k:g}" for k in range(14, 33))
 HEADS = tuple(
     Heading(head, number=True)
-    for head in ("exposure [ms]", "magnitude", "noise [mas]", "bound of Cramer and Rao [mas]", "frames without angles")
+    for head in ("exposure [ms]", "magnitude", "noise [mas]", "Cramer-Rao bound [mas]", "frames without angles")
 )
 
 
 def noise(
     output: Annotated[Path, typer.Option(help="File to write, JSON.")],
-    magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = MAGNITUDES,
-    exposures: Annotated[str | None, typer.Option(help="[s], with commas; default: that of the telescope.")] = None,
-    frames: Annotated[int, typer.Option(help="Of each star.")] = 10_000,
-    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 1,
-    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; no curve is written beyond it.")] = 3600.0,
+    magnitudes: Annotated[str, typer.Option(help="Magnitudes of the guide stars, separated by commas.")] = MAGNITUDES,
+    exposures: Annotated[
+        str | None, typer.Option(help="Exposures [s], separated by commas; default: the telescope's.")
+    ] = None,
+    frames: Annotated[int, typer.Option(help="Frames per star.")] = 10_000,
+    seed: Annotated[int, typer.Option(help="Random seed.")] = 1,
+    time_limit: Annotated[float, typer.Option(help="Wall-clock limit [s]; no curve is written after it.")] = 3600.0,
     parameters: TelescopeFile = None,
     json_: Json = False,
 ) -> None:
@@ -64,11 +66,11 @@ def noise(
     cameras = _cameras(parameters, sorted(set(numbers("--magnitudes", magnitudes))), chosen)
     measured = _measured(cameras, frames, seed, time_limit)
     curves = [NoiseCurve.of(row[0], points) for row, points in zip(cameras, measured)]
-    told = ("" if parameters is None else f" --parameters {parameters.name}") + (
+    options = ("" if parameters is None else f" --parameters {parameters.name}") + (
         "" if exposures is None else f" --exposures {exposures}"
     )
     provenance = {
-        "command": f"los-testbed image noise --magnitudes {magnitudes}{told} --frames {frames} --seed {seed}",
+        "command": f"los-testbed image noise --magnitudes {magnitudes}{options} --frames {frames} --seed {seed}",
         "commit": commit(),
         "seed": seed,
         "frames": frames,

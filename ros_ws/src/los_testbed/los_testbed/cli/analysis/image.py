@@ -1,4 +1,4 @@
-"""Command group ``los-testbed image``: pictures of what the telescope sees, and its jitter for other programs."""
+"""Command group ``los-testbed image``: image quality, and jitter for other programs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FIGURES_EXAMPLES = """Draw a star and a test target as the detector sees them, MTF, encircled energy and ellipticity.
 
 One run or several side by side, as PNG, SVG and PDF. The exposures are the windows of the strictest requirement on the
-relative error, or of 20 ms; the one that is shown of a run is that of 1000 which three are worse than.
+relative error, or 20 ms; the exposure shown is the 99.7 % quantile of the run.
 
 **Examples**
 
@@ -38,13 +38,13 @@ relative error, or of 20 ms; the one that is shown of a run is that of 1000 whic
 
 EXPORT_EXAMPLES = """Write the jitter of a line of sight for other programs.
 
-`.fits` is a picture of the time that the line of sight spends at each place, sum 1, by default on a grid of 1 mas with
-an odd number of places: the kernel with which poppy or Pyxel convolve an image. With `--path` it is the path itself as
-a table. `.csv` is always the path. FITS needs `pip install 'los-testbed[image]'`.
+`.fits` is a histogram of the line of sight with sum 1, by default on a grid of 1 mas with an odd number of cells: the
+kernel with which poppy or Pyxel convolve an image. With `--path` it is the time series as a table. `.csv` is always
+the time series. FITS needs `pip install 'los-testbed[image]'`.
 
 **Examples**
 
-    los-testbed image export bags/night --output kernel.fits --exposure 0.02        # all exposures, laid on each other
+    los-testbed image export bags/night --output kernel.fits --exposure 0.02        # all exposures, stacked
 
     los-testbed image export bags/night --output kernel.fits --exposure 0.02 --number 17 --step 0.5
 
@@ -54,7 +54,7 @@ a table. `.csv` is always the path. FITS needs `pip install 'los-testbed[image]'
 """
 
 image_app = typer.Typer(
-    help="What the telescope sees: pictures, and jitter for other programs.",
+    help="Image quality: pictures, and jitter for other programs.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -68,7 +68,7 @@ def _opener(los: str | None, unit: str | None, rate: float | None) -> Callable[[
 
 @image_app.callback()
 def image_group() -> None:
-    """What the telescope sees: pictures, and jitter for other programs."""
+    """Image quality: pictures, and jitter for other programs."""
 
 
 @image_app.command(help=FIGURES_EXAMPLES)
@@ -109,10 +109,10 @@ def export(
     output: Annotated[Path, typer.Option(help="File to write: .fits or .csv.")],
     exposure: Annotated[float | None, typer.Option(help="Exposure [s]; default: the whole run is one.")] = None,
     number_: Annotated[
-        int | None, typer.Option("--number", help="Which exposure, from 0; default: all, laid on each other.")
+        int | None, typer.Option("--number", help="Index of the exposure, from 0; default: all, stacked.")
     ] = None,
-    step: Annotated[float, typer.Option(help="Distance of the places of the kernel [mas].")] = 1.0,
-    path: Annotated[bool, typer.Option("--path", help="Also in FITS the path, not the kernel.")] = False,
+    step: Annotated[float, typer.Option(help="Grid spacing of the kernel [mas].")] = 1.0,
+    path: Annotated[bool, typer.Option("--path", help="Write the time series to FITS, not the kernel.")] = False,
     los: Los = None,
     unit: Unit = None,
     rate: Rate = None,

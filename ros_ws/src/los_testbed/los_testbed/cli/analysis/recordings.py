@@ -1,4 +1,4 @@
-"""Recordings as `analyse`, `report` and `image` take them: their options, and how they are opened."""
+"""Recordings of `analyse`, `report` and `image`: options and opening."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ Los = Annotated[
 Unit = Annotated[
     str | None,
     typer.Option(
-        help="Its unit: rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; default: that of header or attribute."
+        help="Its unit: rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; default: from header or attribute."
     ),
 ]
-Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
+Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the time stamps.")]
 Requirements = Annotated[
-    Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those in the bag, of others none.")
+    Path | None, typer.Option(help="TOML or YAML file of requirements; default: those in the bag, else none.")
 ]
 OpticsFile = Annotated[
     Path | None,
     typer.Option(
         "--optics",
         metavar="FILE",
-        help="TOML file with a table optics: aperture, wavelength, pixel. Default: the bag's.",
+        help="TOML file with a table optics: aperture, wavelength, pixel; default: the bag's.",
     ),
 ]
 
 
 def require_different(bags: Sequence[Path]) -> None:
-    """Refuse a recording that is given twice, also as a copy: it would count as a run of its own.
+    """Reject a recording that is given twice, also as a copy: it would count as another run.
 
     Raises
     ------
     ValueError
-        Names both; or a recording that is not there.
+        The message names both; or a recording does not exist.
     """
     from pointing_analysis.read.mcap.bag_files import bag_files, files_digest
 
@@ -60,7 +60,7 @@ def require_different(bags: Sequence[Path]) -> None:
     for bag, each, size in zip(bags, files, sizes, strict=True):
         same = known.setdefault((size, files_digest(each) if sizes.count(size) > 1 else ""), bag)
         if same is not bag:
-            raise ValueError(f"recordings must be different ones, got {bag}, which is the same as {same}")
+            raise ValueError(f"recordings must be distinct, got {bag}, which is the same as {same}")
 
 
 def open_runs(
@@ -87,7 +87,7 @@ def open_runs(
 
 
 def check_bag(path: Path) -> None:
-    """Refuse a file of another format that is read elsewhere; what is not read at all is left to the reader of bags.
+    """Reject a file of a format that another command reads; unknown formats are left to the bag reader.
 
     Raises
     ------

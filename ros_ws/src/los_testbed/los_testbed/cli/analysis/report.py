@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 REPORT_EXAMPLES = """Write a report about one or several bags, a page or a PDF: verdict, figures, tables, provenance.
 
-For bags of this testbed it also compares the predicted with the measured amplitude of each tone of the disturbance. The
-page needs no other file and no network.
+For bags of this testbed it also compares predicted and measured amplitudes of each tone of the disturbance. The page is
+self-contained.
 
 **Examples**
 
@@ -54,7 +54,7 @@ def report(
     transient: Transient = None,
     start: From = 0.0,
     stop: To = math.inf,
-    namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
+    namespace: Annotated[str | None, typer.Option(help="Namespace of the plant, in bags with several.")] = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     gate: Gate = False,
     json_: Json = False,
@@ -111,7 +111,7 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
         verdict = Marked(s.overall, css_class(s.overall))
         rows.append((name, verdict, ape, rpe, f"{s.transient:g} s", s.lost_text()))
-    table = TextTable.of(heads, rows, f"Pointing, start-up left out; windows of {windows}")
+    table = TextTable.of(heads, rows, f"Pointing without start-up; windows of {windows}")
     console.print(on_screen(table, whole=("verdict",)))
     if not all(s.requirements_known for s in found):
         say(console, UNKNOWN, "note")

@@ -18,12 +18,10 @@ Format = Annotated[
     typer.Option(
         "--format",
         metavar="html|pdf",
-        help="Of the report; default: pdf if its name ends in .pdf, else html. PDF needs the extra `pdf`.",
+        help="Report format; default: pdf if its name ends in .pdf, else html. PDF needs the extra `pdf`.",
     ),
 ]
-PaperSize = Annotated[
-    str | None, typer.Option("--paper", metavar="a4|letter", help="Size of the pages of a PDF; default: a4.")
-]
+PaperSize = Annotated[str | None, typer.Option("--paper", metavar="a4|letter", help="Page size of a PDF; default: a4.")]
 Export = Annotated[
     Path | None,
     typer.Option(

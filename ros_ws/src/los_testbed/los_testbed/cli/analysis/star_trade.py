@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from los_testbed.cli.command_group import HelpAll
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, numbers, print_json
@@ -20,13 +20,13 @@ from los_testbed.run.summary.screen import Screen, say
 if TYPE_CHECKING:
     from los_testbed.run.star_trade import Trade
 
-TRADE_EXAMPLES = """Which guide stars suffice: magnitude and frame rate against APE, RPE and MTF.
+TRADE_EXAMPLES = """Trade guide-star magnitude and frame rate against APE, RPE and MTF.
 
 The camera takes images (`camera = "image"`), with the exposure as long as the time between frames. For each star and
 rate both controllers are designed, as `design all --effort short` does it, and one run is made in one process with the
-same seed. `--keep-controllers`, or files of controllers, leave the designs out. Writes trade.md, trade.json, trade.png,
-and a folder with parameter file, designs and bag of each. Run the same command again to go on after an interrupt or
-the time limit; the exit code is 1 if that ended it.
+same seed. `--keep-controllers`, or controller files, skip the designs. Writes trade.md, trade.json, trade.png,
+and a folder with parameter file, designs and bag for each. Run the same command again to resume after an interrupt or
+the time limit; the exit code is 1 after the time limit.
 
 **Examples**
 
@@ -47,12 +47,16 @@ UNFINISHED = 1
 @with_settings([*(name for name in SIMULATED if name != "camera_rate"), "seed"])
 def trade(
     *,
-    magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = "10,12,14,15,15.5",
-    rates: Annotated[str, typer.Option(help="Frames per second, with commas.")] = "50,25",
+    magnitudes: Annotated[
+        str, typer.Option(help="Magnitudes of the guide stars, separated by commas.")
+    ] = "10,12,14,15,15.5",
+    rates: Annotated[str, typer.Option(help="Frame rates [Hz], separated by commas.")] = "50,25",
     given: dict[str, Any],
-    keep: Annotated[bool, typer.Option("--keep-controllers", help="Design nothing: the stored controllers.")] = False,
+    keep: Annotated[
+        bool, typer.Option("--keep-controllers", help="Use the stored controllers, without design.")
+    ] = False,
     designs: Designs = None,
-    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 7200.0,
+    time_limit: Annotated[float, typer.Option(help="Wall-clock limit [s]; run again to resume.")] = 7200.0,
     cluster: Cluster,
     output: NewFolder = None,
     json_: Json = False,
@@ -74,7 +78,7 @@ def trade(
     RunParts(base).check()
     redesign = not (keep or base.k_fsm or base.k_pma)
     found = star_trade.Trade.begin(base, folder, stars, each, redesign)
-    with told_how_to_go_on("stars and rounds so far", folder):
+    with resume_hint("stars and rounds so far", folder):
         rows, finished = _rows(found, cluster, time_limit)
     console = Screen(stderr=json_)
     if rows:
@@ -88,7 +92,7 @@ def trade(
     if json_:
         print_json({"trade": rows, "finished": finished})
     if not finished:
-        say(console, f"ended by the time limit after {len(rows)} of {len(found.points)}: run it again to go on", "note")
+        say(console, f"ended by the time limit after {len(rows)} of {len(found.points)}: run again to resume", "note")
         raise typer.Exit(UNFINISHED)
 
 

@@ -15,19 +15,19 @@ from los_testbed.run.summary.screen import Screen, say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
 
-It copies everything that a checksum proves right, and counts apart what none proves where the file was cut off. It says
-of each topic what is missing and where, and marks the new bag: every later verdict about it repeats this.
+Copies all records with a valid checksum, and counts separately those without one where the file was truncated. Reports
+what is missing in each topic and where, and marks the new bag: every later verdict about it repeats this.
 
 **Example**
 
     los-testbed bag repair bags/run-20260101-120000
 """
 
-TRACE_EXAMPLES = """Write the ticks of a run in real time as a trace, for ui.perfetto.dev or chrome://tracing.
+TRACE_EXAMPLES = """Write the ticks of a real-time run as a trace for ui.perfetto.dev or chrome://tracing.
 
-A track has the ticks, one each node: from the deadline to the plant's last sample, from there to the estimate, from
-there to the commands, by the times at which the messages were sent. Ticks whose commands were not sent within their
-period are marked. 60 s are some 30 MB.
+One track has the ticks, and one each node: from the deadline to the plant's last sample, from there to the estimate,
+from there to the commands, by the send times of the messages. Ticks whose commands were not sent within their period
+are marked. 60 s take about 30 MB.
 
 **Example**
 
@@ -91,7 +91,7 @@ def trace(
     from pointing_analysis.read.run import Run
 
     if not 0.0 <= start < stop:
-        raise ValueError(f"--from and --to must rise from 0, got {start:g} and {stop:g}")
+        raise ValueError(f"--from and --to must be increasing and not negative, got {start:g} and {stop:g}")
     target = output or Path("trace.json")
     check_output(target, "--output", new=True)
     ticks, late = write_trace(Run.open(source), target, start, stop)

@@ -1,4 +1,4 @@
-"""Commands ``los-testbed bag info``, ``verify`` and ``sign``: what a bag holds, whether it is whole, who signed it."""
+"""Commands ``los-testbed bag info``, ``verify`` and ``sign``: contents, integrity and signature of a bag."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_jso
 from los_testbed.run.summary.screen import Screen, on_screen, say
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 
-INFO_EXAMPLES = """Show what a bag holds: times, topics with types and counts, the run with its seed, hashes.
+INFO_EXAMPLES = """Show the contents of a bag: times, topics with types and counts, the run with its seed, hashes.
 
 **Example**
 
     los-testbed bag info bags/run-20260101-120000
 """
 
-VERIFY_EXAMPLES = """Read a bag from one end to the other and compare all that it says of itself.
+VERIFY_EXAMPLES = """Read a whole bag and check its digests, counts and signature.
 
-Exit code 0: whole. 1: damaged or incomplete. 5: it contradicts its own digests, counts, or the signature.
+Exit code 0: intact. 1: damaged or incomplete. 5: contradicts its own digests, counts, or the signature.
 
 **Examples**
 
@@ -72,7 +72,7 @@ def _show(console: Console, found: Mapping[str, Any]) -> None:
     lines |= {f"SHA-256 of {name}": about["sha256"] for name, about in found["attachments"].items()}
     if found["chain"]:
         lines["chain"] = ", ".join(found["chain"])
-    lines["signature"] = "there, not checked: los-testbed bag verify" if found["signed"] else "none"
+    lines["signature"] = "present, not checked: los-testbed bag verify" if found["signed"] else "none"
     width = max(map(len, lines))
     for name, value in lines.items():
         say(console, f"{name:<{width}}  {value}")
@@ -83,7 +83,7 @@ def _show(console: Console, found: Mapping[str, Any]) -> None:
 
 def verify(
     bag: Bag,
-    public_key: Annotated[Path | None, typer.Option(help="PEM file: it must be signed with this key.")] = None,
+    public_key: Annotated[Path | None, typer.Option(help="PEM file of the key that must have signed the bag.")] = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     json_: Json = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""Command ``los-testbed bag topics``: what a bag has that could be a line of sight."""
+"""Command ``los-testbed bag topics``: topics of a bag that can be the line of sight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from los_testbed.cli.output import print_json
 from los_testbed.run.summary.screen import Screen, on_screen
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
-TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
+TOPICS_EXAMPLES = """List topics of any bag that can be the line of sight, for `analyse --los`.
 
 **Example**
 
@@ -41,7 +41,7 @@ def topics(
         for c in found
     ]
     heads = (*texts("--los", "type", "values", "time"), *numbers("count", "Hz"))
-    table = TextTable.of(heads, rows, f"{bag.name}: what could be the line of sight")
+    table = TextTable.of(heads, rows, f"{bag.name}: possible lines of sight")
     shown = on_screen(table, whole=("--los",), box=None, padding=(0, 1))
     Screen(stderr=json_).print(shown if found else f"{bag}: no message with two numbers", soft_wrap=not found)
     if json_:

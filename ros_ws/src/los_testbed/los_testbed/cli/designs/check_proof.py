@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
 The inequalities are verified by `lftkit/proofs/trusted`, which imports nothing else and optimises nothing. Exit code
-1 if the proof is refused, 2 if its texts have control characters or line breaks, which could look like lines of this
+1 if the proof is rejected, 2 if its texts have control characters or line breaks, which could look like lines of this
 command.
 
-A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
-proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--designs
-FOLDER`; the words in the file prove nothing.
+A bundle holds controllers, telescope and proofs: the loop is rebuilt from them, and what is printed is proven for that
+loop. A single proof is checked for the shipped controllers and telescope, or for those of `--designs FOLDER`; the
+description in the file proves nothing.
 
 **Examples**
 
-    los-testbed design check-proof                # the proofs of the shipped controllers: a quarter of an hour
+    los-testbed design check-proof                # proofs of the shipped controllers, about 15 minutes
 
     los-testbed design check-proof proofs/bundle.zip
 
@@ -63,7 +63,7 @@ def check_proof(
         ),
     ] = None,
     designs: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` for which an .npz is checked.")
     ] = None,
     *,
     cluster: Cluster,
@@ -97,14 +97,14 @@ def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> N
         elif (kind := proof_kind(file)) == LOOP:
             _check_loop(file, cluster, designs, json_)
         elif kind == NOISE:
-            raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
+            raise ProofError("a proof of noise must be checked in its bundle, with controllers and telescope")
         else:
             _check_system(file, json_)
 
 
 @contextmanager
 def _refusals(file: Path) -> Iterator[None]:
-    """Say why a proof is refused, with exit code 1."""
+    """Report why a proof is rejected, with exit code 1."""
     from lftkit.proofs.trusted.proof import ProofError
     from los_design.verification.check_proof_texts import TextError
 
@@ -166,7 +166,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
 
     whose = "the shipped controllers and telescope" if designs is None else f"those of {designs}"
     proof = read_loop_proof(file)
-    require_plain((proof.names, proof.about), "names and words of a proof")
+    require_plain((proof.names, proof.about), "names and description of a proof")
     stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
     compared = ProofComparison((f"stage, got {stage}",))
     if stage in MIRROR_STAGES:
@@ -175,7 +175,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
         proof = proof_of_loop(proof, loop, figure) if compared.same else proof
     other = printable(", ".join(compared.mismatches))
     if designs is not None and other:
-        raise ProofError(f"it is not of {whose}: other {other}")
+        raise ProofError(f"it is not for {whose}, mismatch: {other}")
     with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
         checked = check_loop_proof(proof, _counted(pool, bar, len(proof.strips)))
     if json_:
@@ -184,9 +184,9 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
         print_json({**vars(checked), "stable_below": below, **mismatches})
         return
     if compared.same:
-        sys.stdout.write(f"of {whose}: their loop was made anew, and the scalings of the file prove this of it\n")
+        sys.stdout.write(f"for {whose}: the loop was rebuilt, and the scalings of the file prove the bound for it\n")
     else:
-        sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
+        sys.stdout.write(f"not for {whose} (mismatch: {other}); the description in the file is not confirmed\n")
     box = ", ".join(f"{_named(name)} {_interval(*ends)}" for name, ends in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     box, about = printable(box), printable(about)
@@ -199,7 +199,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
 
 
 def _counted(pool: Workers, bar: Progress, total: int) -> Callable[..., Iterator[int | str]]:
-    """Map of a check over the strips of one proof after the other, of `total` in all, which shows how far it is."""
+    """Map of a check over the strips of successive proofs, `total` in all, with a progress bar."""
     done = itertools.count(1)
 
     def each(function: Callable[[Any], int | str], strips: Sequence[Any]) -> Iterator[int | str]:
@@ -226,7 +226,7 @@ def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
 
 
 def _sentences(checked: CheckedBundle) -> list[str]:
-    """What a bundle proves."""
+    """Proven statements of a bundle."""
     subject = checked.subject
     box = ", ".join(f"{_named(name)} {_interval(*ends)}" for name, ends in checked.box.items())
     lines = [
@@ -261,13 +261,13 @@ def _sentences(checked: CheckedBundle) -> list[str]:
 
 
 def _stability(below: float, frames: float | None = None) -> str:
-    """What is said about stability, with its condition, if no pole crosses the axis up to a frequency [rad/s].
+    """Statement about stability, with its condition, if no pole crosses the axis up to a frequency [rad/s].
 
     `frames`: part of a camera's sample that comes back by its images, where that was proven.
     """
     if math.isinf(below) and frames is not None and frames < 1.0:
         return (
-            "proven: stable with the camera's frames, of whose samples images bring back less than "
+            "proven: stable with the camera's frames, of whose samples images return less than "
             f"{at_most(frames, 2)} (the nominal loop with frames by its eigenvalues), as a loop without the images "
             "that held commands get by uncertain parameters above half of the tick rate"
         )

@@ -13,7 +13,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 MAKE_EXAMPLES = """Tune {what} and write it to a file; a shipped design is never overwritten.
 
-Where it was interrupted, or ended by its time limit, the same command goes on in its descent or after its last search.
+After an interrupt or its time limit, the same command resumes in its descent or after its last search.
 
 **Examples**
 
-    los-testbed design {kind} --output mine.json                   # as implemented, over the whole box of parameters
+    los-testbed design {kind} --output mine.json                   # as implemented, for the whole box of parameters
 
-    los-testbed design {kind} --output mine.json --nominal         # on the nominal model alone
+    los-testbed design {kind} --output mine.json --nominal         # for the nominal model only
 
     los-testbed design {kind} --output mine.json --loop-delay 0    # the paper's continuous problem
 
@@ -52,9 +52,9 @@ MAX_ORDER = 8
 
 design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
 
-Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
+Nominal = Annotated[bool, typer.Option("--nominal", help="Tune for the nominal model only.")]
 Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
-Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
+Limit = Annotated[float, typer.Option(help="Wall-clock limit [s].")]
 Starts = Annotated[int, typer.Option(help="Random starts, with --loop-delay 0.")]
 Order = Annotated[int, typer.Option(help="Order of the controller; other than 4 with --loop-delay 0 only.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; must be given.")]
@@ -86,7 +86,7 @@ def k_pma(
     starts: Starts = 8,
     order: Order = 4,
     parameters: TelescopeFile = None,
-    k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
+    k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored design.")] = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
@@ -133,7 +133,7 @@ def _make(
     name_unseen_requirements(telescope)
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
     key = {"parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
-    go_on = told_how_to_go_on("rounds so far", path, state=rounds)
+    go_on = resume_hint("rounds so far", path, state=rounds)
     with one_thread(), go_on, Progress(kind) as bar:
         if kind == "k-fsm":
             job = Job(kind, key, rounds)

@@ -12,10 +12,10 @@ from los_testbed.cli.output import print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen
 
-EXPORT_EXAMPLES = """The laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
+EXPORT_EXAMPLES = """Export the laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
 
-The C code has the bits of the testbed. If there is a C compiler (CC, or cc, gcc, clang), the self test is built and
-run; exit code 1 if it fails.
+The C code is bit-identical to the testbed. If there is a C compiler (CC, or cc, gcc, clang), the self test is built
+and run; exit code 1 if it fails.
 
 **Examples**
 
@@ -35,14 +35,14 @@ the designs. Exit code 1 if any of them differ.
 
     los-testbed export check mine_c --designs designs/mine
 
-    los-testbed export check mine_c --proof proofs.zip                # against what a bundle of proofs is about
+    los-testbed export check mine_c --proof proofs.zip                # against the designs of a bundle of proofs
 """
 
-FMU_EXAMPLES = """Units of FMI 2.0 (co-simulation) for Simulink and other simulators: the laws, or the telescope.
+FMU_EXAMPLES = """Export FMI 2.0 co-simulation units for Simulink and other simulators: the laws, or the telescope.
 
-A step is one tick of 1 ms, or several with the same inputs. In each step the telescope goes first, then the laws: then
-the loop is that of the testbed without sensor noise, with its bits. The units have their sources, and the library of
-this system if there is a C compiler (CC, or cc, gcc, clang).
+A step is one tick of 1 ms, or several with the same inputs. If the telescope is stepped before the laws, the loop is
+bit-identical to the testbed's without sensor noise. The units include their sources, and the library for this system if
+there is a C compiler (CC, or cc, gcc, clang).
 
 **Examples**
 
@@ -94,7 +94,7 @@ def export_check(
     folder: Annotated[Path, typer.Argument(help="Folder of `export c`.")],
     designs: Designs = None,
     proof: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Bundle of `design certify`, in the place of the designs.")
+        Path | None, typer.Option(metavar="FILE", help="Bundle of `design certify`, instead of the designs.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -144,7 +144,7 @@ def export_fmu(
         config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
         model = plant_model(RunParts(config).plant())
     elif parameters is not None:
-        raise ValueError("--parameters must be given with --telescope, the laws are those of their designs")
+        raise ValueError("--parameters must be given with --telescope: the laws are those of their designs")
     else:
         laws = laws_of(designs)
         warn(laws.warnings)

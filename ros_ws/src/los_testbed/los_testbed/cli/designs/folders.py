@@ -1,4 +1,4 @@
-"""Telescope and controllers of a folder of ``los-testbed design all``, and what its designs do not see."""
+"""Telescope and controllers of a folder of ``los-testbed design all``, and requirements that its designs ignore."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def designs_in(folder: Path) -> tuple[Telescope, SampledSystem, SampledSystem]:
 
 
 def name_unseen_requirements(telescope: Telescope) -> None:
-    """A line, on the error output, with the requirements that no figure of a design is made of, if any."""
+    """Write to the error output the requirements that no figure of a design covers, if any."""
     from titop_plant.telescope.requirements import unseen_by_design
 
     if unseen := [f"{one.name} ({one})" for one in unseen_by_design(telescope.requirements)]:
-        sys.stderr.write(f"requirements: designs do not see {', '.join(unseen)}; runs are judged by them\n")
+        sys.stderr.write(f"requirements: the design does not consider {', '.join(unseen)}; runs are judged by them\n")

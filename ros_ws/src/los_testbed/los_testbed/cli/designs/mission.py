@@ -1,4 +1,4 @@
-"""Verdicts on designs under the sources of disturbance of their telescope's file, which no tuning sees."""
+"""Verdicts on designs under the disturbance sources of their telescope's file, which the tuning does not consider."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_designs, with_scenario
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.formatting.number_text import digits, digits_beside, number
-from pointing_analysis.requirements.rows import KEEPS, RequirementRow
+from pointing_analysis.requirements.rows import WITHIN, RequirementRow
 from titop_plant.interface import NO_SCENARIO, STAGES
 
 SECONDS = 20.0
 """Length of each run."""
 OPENED = STAGES[1]
 """Stage without fine control, on the isolator."""
-MET = ("compliant", KEEPS)
+MET = ("compliant", WITHIN)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class MissionVerdict:
 
     @property
     def met(self) -> bool:
-        """Whether the limit is kept, or the requirement cannot be judged by such a run."""
+        """Whether the limit is met, or the requirement cannot be judged by such a run."""
         row = self.requirement
         return row is not None and (row.shown in MET or row.status == "not judged")
 
@@ -97,10 +97,10 @@ class Mission:
 
     @property
     def statements(self) -> list[str]:
-        """What the controllers, tuned without the sources, do under them."""
+        """Performance under the sources of controllers tuned without them."""
         names = ", ".join(self.sources)
         return [
-            f"the tuning does not see {names}: {stage}, {member}, RPE {digits(closed)} mas rms under them, "
+            f"the tuning does not consider {names}: {stage}, {member}, RPE {digits(closed)} mas rms under them, "
             f"{digits(opened)} without fine control{' (control makes it worse)' if closed > opened else ''}"
             for (stage, member), (closed, opened) in (self.rpe or {}).items()
         ]
@@ -129,7 +129,7 @@ NO_MISSION = Mission()
 
 
 def sources_of_mission(parameters: str | None) -> tuple[str, ...]:
-    """Names of the sources of a telescope's file; refuses, before hours of work, those that no run can have.
+    """Names of the sources of a telescope's file; rejects unusable ones before hours of computation.
 
     Raises
     ------
@@ -195,6 +195,6 @@ def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVer
 
 
 def show_mission(mission: Mission) -> None:
-    """Write to the error output what the tuning does not see, with the numbers."""
+    """Write to the error output what the tuning does not consider, with the numbers."""
     for text in mission.statements:
         sys.stderr.write(f"sources: {text}\n")

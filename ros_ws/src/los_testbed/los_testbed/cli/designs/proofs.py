@@ -15,7 +15,7 @@ import typer
 from lftkit.support.atomic_output import atomic_file, check_output
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
@@ -44,10 +44,9 @@ if TYPE_CHECKING:
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
-Writes a proof STAGE-FIGURE.npz for each figure that is proven, bounds.json, and bundle.zip: the proofs with controllers
-and telescope, for `design check-proof`. Parts that are proven are kept: the
-same command goes on after an interruption, and another level begins with what holds of them. The exit code is 7 if a
-figure is violated, 8 if one is not proven to its end.
+Writes a proof STAGE-FIGURE.npz for each proven figure, bounds.json, and bundle.zip: the proofs with controllers and
+telescope, for `design check-proof`. Proven parts are stored: the same command resumes after an interrupt, and another
+level starts from those that hold for it. The exit code is 7 if a figure is violated, 8 if one is not fully proven.
 
 **Examples**
 
@@ -72,9 +71,9 @@ def certify(
     *,
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the proofs.")],
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`. Default: the shipped pair.")] = None,
-    level: Annotated[float, typer.Option(help="Part of the limit to be proven.")] = 1.0,
+    level: Annotated[float, typer.Option(help="Fraction of the limit to be proven.")] = 1.0,
     gap: Annotated[
-        float | None, typer.Option(help="Prove this much above the largest value known instead, e.g. 0.05.")
+        float | None, typer.Option(help="Prove a level this fraction above the largest known value instead, e.g. 0.05.")
     ] = None,
     stage: Annotated[str | None, typer.Option(help="fsm or fsm+pma. Default: both.")] = None,
     figure: Annotated[
@@ -85,7 +84,7 @@ def certify(
         ),
     ] = None,
     uncertain: Uncertain = None,
-    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 10800.0,
+    time_limit: Annotated[float, typer.Option(help="Wall-clock limit [s]; run again to resume.")] = 10800.0,
     cluster: Cluster,
     json_: Json = False,
 ) -> None:
@@ -105,7 +104,7 @@ def certify(
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + time_limit
     loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or (), same_telescope=True)
-    with cluster.workers() as pool, told_how_to_go_on("parts that are proven", output):
+    with cluster.workers() as pool, resume_hint("proven parts", output):
         found = prove_figures(chosen, loops, known, output, pool, until, ProofLevel(level, gap))
     if json_:
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
@@ -130,7 +129,7 @@ def prove_figures(
     until: float,
     level: ProofLevel | None = None,
 ) -> list[FigureBounds]:
-    """Prove figures one after the other, and put all proofs of the folder into its bundle.
+    """Prove figures one after the other, and bundle all proofs of the folder.
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def prove_figures(
     workers : Workers
         Prove the parts.
     until : float
-        ``time.monotonic()`` after which no part is begun and those that are being proven end.
+        ``time.monotonic()`` after which no part is started and parts in progress end.
     level : ProofLevel, optional
         Default: the limit of each figure.
     """
@@ -166,7 +165,7 @@ def prove_figures(
             _bundle(output, loops)
     if time.monotonic() > until and any(bounds.status == "open" for bounds in found):
         done = sum(bounds.status == "proven" for bounds in found)
-        sys.stderr.write(f"the time is over: {done} of {len(found)} figures proven; the same command goes on\n")
+        sys.stderr.write(f"time limit: {done} of {len(found)} figures proven; run again to resume\n")
     return found
 
 
@@ -190,7 +189,7 @@ def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
 def loops_of(
     folder: Path | None, stages: list[str], uncertain: Sequence[str] = (), *, same_telescope: bool = False
 ) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
-    """The implemented loops, and the worst points that are known of them.
+    """The implemented loops and their known worst points.
 
     Parameters
     ----------
@@ -200,7 +199,7 @@ def loops_of(
     uncertain : sequence of str
         Further uncertain factors of the telescope, as ``isolator.stiffness=10%``. Known points have them at 1.
     same_telescope : bool
-        Refuse controllers that were made for another telescope than that of the folder.
+        Reject controllers designed for a telescope other than that of the folder.
     """
     from los_design.search.worst_points import load_worst_points
     from los_design.synthesis.store import load_designs
@@ -230,7 +229,7 @@ def loops_of(
 
 
 def refuse_other_telescope(folder: Path, telescope: Telescope, controllers: Sequence[SampledSystem]) -> None:
-    """Refuse controllers that were made for another telescope than that of their folder.
+    """Reject controllers designed for a telescope other than that of their folder.
 
     Parameters
     ----------
@@ -240,17 +239,17 @@ def refuse_other_telescope(folder: Path, telescope: Telescope, controllers: Sequ
         Of its telescope, without the factors of ``--uncertain``. Controllers made without those of its table
         ``[uncertain]`` are not refused either: the option and the table are the same.
     controllers : sequence of SampledSystem
-        One that does not say what it was made for is not refused.
+        One without a design basis is accepted.
 
     Raises
     ------
     ValueError
-        One was: its proof would be of a loop that nobody designed, hours later.
+        A controller was designed for another telescope: hours later the proof would be for the wrong loop.
     """
     from titop_plant.interface import design_warnings
 
     basis = telescope.design_basis
-    design_warnings(controllers, basis, closed=True)  # another sensitivity of the mirror has words of its own
+    design_warnings(controllers, basis, closed=True)  # another mirror sensitivity has its own message
     present = basis.parameters_hash
     without = telescope.without_uncertain().parameters_hash
     for controller in controllers:
@@ -258,13 +257,13 @@ def refuse_other_telescope(folder: Path, telescope: Telescope, controllers: Sequ
         if made not in (present, without):
             raise ValueError(
                 f"{controller.name} in {folder} must be made for the telescope there, parameters_hash {present}, got "
-                f"one for {made}: `design all` makes new ones; without FOLDER the shipped pair is proven on the "
+                f"one for {made}: `design all` makes new ones; without FOLDER the shipped pair is proven for the "
                 "reference telescope"
             )
 
 
 def refuse_devices(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
-    """Refuse controllers that use sensors or actuators of the telescope's file.
+    """Reject controllers that use sensors or actuators of the telescope's file.
 
     Raises
     ------
@@ -276,7 +275,7 @@ def refuse_devices(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSys
         ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
         further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
         raise ValueError(
-            "controllers must use no sensors and actuators of the telescope's file here, since proofs and their "
+            "controllers must use no sensors and actuators of the telescope's file here: proofs and their "
             f"checker have the ports of the reference's loop, got {further}"
         )
 
@@ -303,11 +302,11 @@ def _bounds_of(path: Path) -> list[dict[str, Any]]:
         entries = load_json(read_text(path), path)["figures"]
         return [{**entry, "stage": str(entry["stage"]), "figure": str(entry["figure"])} for entry in entries]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        raise ValueError(f"{SUMMARY} in --output must be that of a run before, got another file {path}") from None
+        raise ValueError(f"{SUMMARY} in --output must be from an earlier run, got another file {path}") from None
 
 
 def _keep(path: Path, found: list[FigureBounds]) -> None:
-    """The bounds so far, with those of other figures that the file has by now."""
+    """The bounds so far, with those of other figures in the file."""
     new = [bounds.to_mapping() for bounds in found]
     done = {(entry["stage"], entry["figure"]) for entry in new}
     kept = [entry for entry in _bounds_of(path) if (entry["stage"], entry["figure"]) not in done]
@@ -340,7 +339,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
 
 
 def show_bounds(found: Sequence[FigureBounds]) -> None:
-    """Table of bounds, and what is not proven."""
+    """Table of bounds, and the figures not proven."""
     bounds = numbers("lower", "upper", "at rad/s")
     heads = (*texts("stage", "figure"), *bounds, *texts("status", "stable"), *numbers("strips", "CPU s"))
     rows = []
@@ -356,7 +355,7 @@ def show_bounds(found: Sequence[FigureBounds]) -> None:
                 f"{b.stage}, {b.figure}: {at_least(b.lower)} of the limit at {b.frequency:.6g} rad/s, {values}\n"
             )
         elif b.status == "unstable":
-            sys.stderr.write(f"{b.stage}, {b.figure}: the nominal loop was not proven stable\n")
+            sys.stderr.write(f"{b.stage}, {b.figure}: the nominal loop is not proven stable\n")
         elif b.uncovered:
             low, high = b.uncovered[0]
             sys.stderr.write(

@@ -22,7 +22,7 @@ from los_testbed.cli.designs.mission import (
     verify_mission,
 )
 from los_testbed.cli.designs.proofs import leave_if_unproven, loops_of, prove_figures, show_bounds
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
 from los_testbed.cli.output import number, print_json
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
-Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml, with copies of the files that
-it names, into a folder. A design of the same telescope that was interrupted, or ended by its time limit, goes on in
-its descent or after its last search. With --certify the proofs of all figures, bounds.json and bundle.zip follow, as
-`design certify` makes them. No tuning sees the sources of disturbance in the telescope's file: runs under them are
-judged by its requirements, beside runs without fine control. The exit code is 7 if a requirement is not met, 8 if a
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml, with copies of the files it
+refers to, into a folder. After an interrupt or the time limit, a design of the same telescope resumes in its descent or
+after its last search. With --certify the proofs of all figures, bounds.json and bundle.zip follow, as from `design
+certify`. The tuning does not consider the disturbance sources in the telescope's file: runs under them are judged by
+its requirements and compared with runs without fine control. The exit code is 7 if a requirement is not met, 8 if a
 figure is not proven.
 
 **Examples**
@@ -66,7 +66,7 @@ FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force"
 
 
 def given_output(output: Path | None, what: str) -> Path:
-    """What --output names.
+    """Path of --output.
 
     Raises
     ------
@@ -76,23 +76,23 @@ def given_output(output: Path | None, what: str) -> Path:
     from los_design.synthesis.store import DESIGN_PACKAGES, shipped
 
     if output is None:
-        raise ValueError(f"--output must be given: {what}; those that are shipped are never overwritten")
+        raise ValueError(f"--output must be given: {what}; shipped designs are never overwritten")
     for path in (output, *(output / f"{kind.replace('-', '_')}.json" for kind in DESIGN_PACKAGES)):
         if shipped(path):
-            raise ValueError(f"--output must not be that of a design that is shipped, got {path}")
+            raise ValueError(f"--output must not be a shipped design, got {path}")
     return output
 
 
 def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str] = ()) -> None:
-    """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
+    """Reject an unusable folder before any work is done, and store the telescope's values in it.
 
-    With them are the files that they name, so that the folder is whole wherever it is moved to.
+    The files that they refer to are copied, too, so that the folder can be moved.
     Further uncertain factors become the table ``[uncertain]`` of the file that is kept.
 
     Raises
     ------
     ValueError
-        A file in its place, a folder of another telescope's designs, or one that cannot be written to.
+        The path is a file, a folder of another telescope's designs, or not writable.
     """
     from titop_plant.telescope.load import load_telescope
     from titop_plant.telescope.tables.uncertain import UNCERTAIN
@@ -117,7 +117,7 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
         if text:  # without, the folder is of the reference, or of the telescope of its file, which has the same hash
             _write_telescope(folder, text, beside)
     except OSError as error:
-        raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+        raise ValueError(f"--output must be a writable folder, got {folder}: {error.strerror}") from None
 
 
 def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> None:
@@ -136,13 +136,13 @@ def design_all(
     uncertain: Uncertain = None,
     seed: DesignSeed = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
-    nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
-    resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
+    nominal: Annotated[bool, typer.Option("--nominal", help="Tune for the nominal parameters only.")] = False,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="Resume from the finished steps.")] = True,
     certify: Annotated[
         bool, typer.Option("--certify", help="Then prove all figures below their limits and bundle the proofs.")
     ] = False,
     time_limit: Annotated[
-        float, typer.Option(help="Wall limit [s]: of the rounds, with --certify of all; run again to go on.")
+        float, typer.Option(help="Wall-clock limit [s] of the rounds, with --certify of all; run again to resume.")
     ] = 3600.0,
     cluster: Cluster,
     json_: Json = False,
@@ -160,10 +160,12 @@ def design_all(
     own = load_telescope(parameters).with_uncertain(uncertain or ())
     if certify and (further := own.loop_ports.further):
         names = ", ".join(port.name for port in further)
-        raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
+        raise ValueError(
+            f"--certify must be used with a telescope without sensors and actuators of its own, got {names}"
+        )
     check_output(folder, parameters, uncertain or ())
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):
-        sys.stderr.write(f"sources: the tuning does not see {', '.join(unseen)}; the verification does\n")
+        sys.stderr.write(f"sources: the tuning does not consider {', '.join(unseen)}; the verification does\n")
     name_unseen_requirements(own)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
@@ -177,7 +179,7 @@ def design_all(
     until = time.monotonic() + time_limit
     limit = ROUNDS_OF_ALL * time_limit if certify else time_limit
     options = DesignOptions(seed=seed, short=effort == "short", wall_limit=limit, nominal=nominal)
-    kept = told_how_to_go_on("rounds and designs so far", folder, without=("--anew",))
+    kept = resume_hint("rounds and designs so far", folder, without=("--anew",))
     with cluster.workers() as pool, kept:
         with Progress("design") as bar:
             summary = redesign.design_all(

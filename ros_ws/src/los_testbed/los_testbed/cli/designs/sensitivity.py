@@ -24,15 +24,15 @@ def sensitivity(
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     entry: Annotated[
         list[str] | None,
-        typer.Option(metavar="TABLE.KEY", help="Entry of the parameter file, times 0.99 and 1.01. Repeatable."),
+        typer.Option(metavar="TABLE.KEY", help="Entry of the parameter file, scaled by 0.99 and 1.01; repeatable."),
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Which parameter drives each worst case: derivatives at the worst point, and one parameter at a time.
+    """Sensitivity of each worst case to the parameters: derivatives at the worst point, and one parameter at a time.
 
-    Each parameter of the box goes through its range while the others stay at the worst point of the figure. Entries of
-    the parameter file change by one per cent: they are constants of the model, and no proof covers their changes.
-    Peaks are followed within 5 % of the frequency.
+    Each parameter of the box sweeps its range with the others at the worst point of the figure. Entries of the
+    parameter file change by 1 %: they are constants of the model, and no proof covers their changes. Peaks are tracked
+    within 5 % of the frequency.
 
     Example: los-testbed design sensitivity --entry isolator.stiffness --entry isolator.damping
     """
@@ -49,15 +49,15 @@ def sensitivity(
         metrics = {stage: figures_of(telescope, stage) for stage in loops}
         points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
         if not points:
-            raise ValueError(f"{folder} must hold worst points of figures, made by `los-testbed design all`, got none")
+            raise ValueError(f"{folder} must contain worst points from `los-testbed design all`, got none")
         box = [e for p in points for e in effects_of_box(loops[p.stage], metrics[p.stage][p.requirement], p)]
         entries = effects_of_entries(list(loops.values()), metrics, points, entry or [])
     if json_:
         print_json({"box": [vars(effect) for effect in box], "entries": [vars(effect) for effect in entries]})
         return
-    _show(box, "One parameter of the box at a time, the others at the worst point", "slope, range")
+    _show(box, "One parameter at a time, the others at the worst point", "slope, range")
     if entries:
-        _show(entries, "Entries of the parameter file, one per cent to both sides", "slope, per cent")
+        _show(entries, "Entries of the parameter file, plus and minus 1 %", "slope, per cent")
 
 
 def _show(effects: list[ParameterEffect], title: str, slope: str) -> None:

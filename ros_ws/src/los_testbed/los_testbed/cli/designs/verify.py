@@ -1,4 +1,4 @@
-"""Command ``los-testbed design verify``: all metrics of designs that are stored, recomputed."""
+"""Command ``los-testbed design verify``: recompute all metrics of stored designs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.mission import Mission, verify_mission
 from los_testbed.cli.designs.redesign import show_implemented
-from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 VERIFY_EXAMPLES = """Recompute all metrics of stored designs: certified norms, and those of the loop as implemented.
 
 The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The exit
-code is 7 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin. A telescope of
-a folder with sources of disturbance in its file is run under them, and judged by its requirements.
+code is 7 if a loop is unstable at any of them or if the robust design violates a requirement or a margin. A telescope
+whose file has sources of disturbance is run under them and judged by its requirements.
 
-With --output the result goes into a JSON file, and until it is there the parts that are done into FILE.parts: the
-same command goes on with them after an interrupt.
+With --output the result is written to a JSON file. Until then finished parts are in FILE.parts: the same command
+resumes from them after an interrupt.
 
 **Examples**
 
@@ -49,7 +49,7 @@ same command goes on with them after an interrupt.
 """
 
 NOMINAL_POINTS = 60
-"""Parameter points at which the nominal design is looked at."""
+"""Parameter points at which the nominal design is evaluated."""
 
 VERIFIED = ("implemented", "implemented_nominal")
 """Variants of the stored designs that are evaluated."""
@@ -62,7 +62,7 @@ def verify(
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     uncertain: Uncertain = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="JSON file of the result; parts that are done are kept by it.")
+        Path | None, typer.Option(metavar="FILE", help="JSON file of the result; resumes from its finished parts.")
     ] = None,
     cluster: Cluster,
     json_: Json = False,
@@ -93,10 +93,10 @@ def verify(
 
 
 @contextmanager
-def _going_on(
+def _resumable(
     workers: Workers, output: Path | None, telescope: Telescope, designs: Sequence[SampledSystem], at: Sequence[Any]
 ) -> Iterator[Workers]:
-    """Workers that keep their results beside the output until the verification is done."""
+    """Workers that store their results beside the output until the verification is finished."""
     if output is None:
         yield workers
         return
@@ -115,8 +115,8 @@ def _going_on(
     parts, done = output.with_name(f"{output.name}.parts"), False
     kept = KeptWorkers(workers, Job("verification", depends, parts), RESULTS)
     if kept.known:
-        sys.stderr.write(f"{kept.known} parts are taken from {parts}\n")
-    with told_how_to_go_on("parts that are done", output, state=parts):
+        sys.stderr.write(f"{kept.known} parts are read from {parts}\n")
+    with resume_hint("finished parts", output, state=parts):
         try:
             yield kept
             done = True
@@ -142,7 +142,7 @@ def _of_folder(
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
         at = [*verification_points(telescope, system, samples), *adversarial]
         step = _counted(bar, len(telescope.mirror_stages) * len(at))
-        with _going_on(workers, output, telescope, (k_fsm, k_pma), at) as kept:
+        with _resumable(workers, output, telescope, (k_fsm, k_pma), at) as kept:
             check = check_implemented(system, telescope, k_fsm, k_pma, at, step, workers=kept)
             mission = verify_mission(folder, bar.print)
             implemented, not_met = check.to_mapping(), [*broken_requirements(check), *mission.not_met]
@@ -174,7 +174,7 @@ def _stored(
     at = [*verification_points(telescope, system, samples), *load_adversarial()]
     some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     pair, nominal = load_designs("implemented"), load_designs("implemented_nominal")
-    with _going_on(workers, output, telescope, (*pair, *nominal), at) as kept:
+    with _resumable(workers, output, telescope, (*pair, *nominal), at) as kept:
         with Progress("loops as implemented") as bar:
             step = _counted(bar, 2 * (len(at) + len(some) + 1))
             implemented = check_implemented(system, telescope, *pair, at, step, workers=kept)

@@ -1,4 +1,4 @@
-"""Options that say on which processes a command computes: of this machine, or of a cluster."""
+"""Options for the processes of a command: of this machine, or of a cluster."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
     from los_testbed.campaign.cluster.tls_files import TlsFiles
 
 WorkersOption = Annotated[
-    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
+    int, typer.Option("--workers", help="Processes; 0: one per processor. Results do not depend on it.")
 ]
 SchedulerOption = Annotated[
-    str, typer.Option("--scheduler", metavar="tls://HOST:PORT", help="A running Dask scheduler, whose workers compute.")
+    str, typer.Option("--scheduler", metavar="tls://HOST:PORT", help="Address of a running Dask scheduler.")
 ]
 TlsCaFile = Annotated[
-    Path | None, typer.Option("--tls-ca-file", metavar="FILE", help="For tls://: whom you trust, as PEM.")
+    Path | None, typer.Option("--tls-ca-file", metavar="FILE", help="For tls://: CA certificates (PEM).")
 ]
 TlsCertificate = Annotated[
-    Path | None, typer.Option("--tls-cert", metavar="FILE", help="For tls://: your certificate.")
+    Path | None, typer.Option("--tls-cert", metavar="FILE", help="For tls://: client certificate (PEM).")
 ]
-TlsKey = Annotated[Path | None, typer.Option("--tls-key", metavar="FILE", help="Its key; default: in --tls-cert.")]
+TlsKey = Annotated[
+    Path | None, typer.Option("--tls-key", metavar="FILE", help="Private key of --tls-cert; default: in the same file.")
+]
 
 
 def with_cluster(command: Callable[..., None]) -> Callable[..., None]:
@@ -46,7 +48,7 @@ def with_cluster(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def processes(workers: int) -> int:
-    """The number of processes that an option asks for."""
+    """The number of processes of an option."""
     number("--workers", workers, 0, 1000)
     return workers or processors()
 
@@ -77,7 +79,7 @@ class Cluster:
         Raises
         ------
         ValueError
-            A number of processes out of range, or certificates that cannot be.
+            A number of processes out of range, or invalid certificates.
         """
         from los_testbed.campaign.cluster.tls_files import TlsFiles
 

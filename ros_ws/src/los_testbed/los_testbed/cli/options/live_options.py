@@ -1,4 +1,4 @@
-"""Options of ``los-testbed run`` for viewers, and what is refused of them before the run."""
+"""Options of ``los-testbed run`` for viewers, and their checks before the run."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Port = Annotated[
     int | None,
     typer.Option(
         metavar="[PORT]",
-        help=f"Serve viewers: Foxglove's protocol on PORT ({LIVE_PORT}), a page for browsers on the next one.",
+        help=f"Serve viewers: Foxglove's protocol on PORT ({LIVE_PORT}), a browser page on the next port.",
     ),
 ]
 Host = Annotated[
     str,
-    typer.Option(metavar="ADDRESS", help="Where --live listens, and a name that Host may have.", rich_help_panel=PANEL),
+    typer.Option(
+        metavar="ADDRESS", help="Address where --live listens, and accepted Host name.", rich_help_panel=PANEL
+    ),
 ]
 Origins = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="ORIGIN", help="Site whose pages may connect as Foxglove does; repeatable.", rich_help_panel=PANEL
-    ),
+    typer.Option(metavar="ORIGIN", help="Origin whose pages may connect; repeatable.", rich_help_panel=PANEL),
 ]
 Topics = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="Topic that viewers get; repeatable; default: all.", rich_help_panel=PANEL),
+    typer.Option(metavar="NAME", help="Topic served to viewers; repeatable; default: all.", rich_help_panel=PANEL),
 ]
 TlsCert = Annotated[Path | None, typer.Option(help="Certificate (PEM): https and wss.", rich_help_panel=PANEL)]
 TlsKey = Annotated[Path | None, typer.Option(help="Its private key (PEM).", rich_help_panel=PANEL)]
@@ -65,14 +65,14 @@ def server_for_viewers(
         others = {"origin": origins, "topic": topics, "tls-cert": tls_cert, "tls-key": tls_key}
         for name, given in others.items():
             if given:
-                raise ValueError(f"--live must be given with --live-{name}, got the latter alone")
+                raise ValueError(f"--live must be given with --live-{name}, got only the latter")
         return None
     cert, key = ("" if file is None else str(file.resolve()) for file in (tls_cert, tls_key))
     return Live(host, port, _tell_addresses, tuple(origins), tuple(topics), cert, key)
 
 
 def check_live(mode: str, live: Live) -> None:
-    """Refuse viewers where they cannot be served, as in some modes of a run.
+    """Reject viewers that cannot be served, as in some modes of a run.
 
     Raises
     ------

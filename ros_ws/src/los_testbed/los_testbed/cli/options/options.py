@@ -22,14 +22,15 @@ Gate = Annotated[
     bool,
     typer.Option("--gate", help="Exit code 7 if a requirement is not met, 8 if one is not demonstrated."),
 ]
-From = Annotated[float, typer.Option("--from", metavar="SECONDS", help="First second of each bag that counts.")]
+From = Annotated[float, typer.Option("--from", metavar="SECONDS", help="Start of the evaluated part of each bag [s].")]
 To = Annotated[
-    float, typer.Option("--to", metavar="SECONDS", help="Last second of each bag that counts.", show_default=False)
+    float,
+    typer.Option("--to", metavar="SECONDS", help="End of the evaluated part of each bag [s].", show_default=False),
 ]
 MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
 Transient = Annotated[
     float | None,
-    typer.Option(help="Seconds to leave out at the start; default: as the bag says, else 5, at most half."),
+    typer.Option(help="Start-up to exclude [s]; default: from the bag, else 5, at most half."),
 ]
 TelescopeFile = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
 Uncertain = Annotated[
@@ -37,7 +38,7 @@ Uncertain = Annotated[
     typer.Option(
         "--uncertain",
         metavar="ENTRY=SPREAD",
-        help="Further uncertain factor of the telescope, e.g. isolator.stiffness=10%; may be given again.",
+        help="Further uncertain factor of the telescope, e.g. isolator.stiffness=10%; repeatable.",
     ),
 ]
 Designs = Annotated[str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")]
@@ -53,7 +54,7 @@ FILES = "Files"
 """Heading of options of files in a help page."""
 
 METAVARS = {"s": "SECONDS", "Hz": "HERTZ", "rad": "RADIANS", "rad/s": "RAD/S", "N": "NEWTONS", "ms": "TICKS"}
-"""What stands for a number in the help, by its unit."""
+"""Metavariable of a number in the help, by its unit."""
 
 WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", tuple: "NUMBER"}
 
@@ -95,9 +96,9 @@ def _in_short(value: Any) -> str:
 
 
 METAVARS_OF = {"loop": "STAGE", "scenario": "SCENARIO", "parameters": "FILE", "k_fsm": "FILE", "k_pma": "FILE"}
-"""What stands for the value of a setting in the help of all commands."""
+"""Metavariable of a setting in the help of all commands."""
 HELPS_OF = {
-    "loop": "Stage, which loops are closed: none, isolator, fsm or fsm+pma; default: the last of the telescope.",
+    "loop": "Stage, the loops that are closed: none, isolator, fsm or fsm+pma; default: the telescope's last.",
 }
 """Help of settings whose default is none of their own."""
 
@@ -109,9 +110,8 @@ def with_settings(
 
     It gets their values as ``given``, ``None`` where an option is not given.
 
-    The values are texts, but for switches; a list is its numbers with spaces between them:
-    :func:`chosen` reads them. `metavars` and `helps` are those of options for which what the
-    setting says is not enough.
+    The values are texts, except for switches; a list is its numbers separated by spaces: :func:`chosen` parses them.
+    `metavars` and `helps` replace those of the setting.
     """
     metavars, helps = {**METAVARS_OF, **(metavars or {})}, {**HELPS_OF, **(helps or {})}
     options = {name: (_option(name, metavars, helps), None) for name in names}
@@ -121,7 +121,7 @@ def with_settings(
 def with_options(
     command: Callable[..., None], name: str, options: Mapping[str, tuple[Any, Any]], made: Callable[..., Any]
 ) -> Callable[..., None]:
-    """A command with several options in the place of one of its parameters.
+    """A command with several options instead of one of its parameters.
 
     Parameters
     ----------

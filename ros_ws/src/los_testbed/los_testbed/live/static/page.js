@@ -177,7 +177,7 @@
     }
   }
 
-  // Text of the connection; the buttons ask a run that goes on, and nothing else.
+  // Text of the connection; the buttons send requests only while a run is active.
   function connection(text, kind, active = false) {
     at("connection").textContent = text;
     at("connection").className = `status ${kind}`;

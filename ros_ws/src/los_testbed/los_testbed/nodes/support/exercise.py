@@ -1,4 +1,4 @@
-"""Trial of the loop before a run in real time: whether answers come within their period on this machine."""
+"""Trial of the loop before a real-time run: whether commands arrive within their period on this machine."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from los_testbed.run.results import Exercised
 from titop_plant.interface import RATE, TICK_NS
 
 WARM_UP_TICKS = 100
-"""What is computed and sent for the first time takes longer."""
+"""First ticks, not counted: the first computation and transmission take longer."""
 
 
 def exercise(context: NodeContext, io: PlantIo, seconds: float) -> Exercised:
     """Send hold ticks at the tick rate, and count those that are not answered before the next one.
 
-    Periods in which the plant itself was not woken are counted apart: in them the machine stood still.
+    Periods in which the plant itself was not woken are counted separately: the machine was stalled.
 
     Parameters
     ----------

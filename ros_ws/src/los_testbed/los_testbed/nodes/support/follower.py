@@ -20,10 +20,10 @@ from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, Stamp
 
 WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000
-"""Time between looks at the graph while a topic has messages of a publisher that is not yet decided on."""
+"""Interval of graph queries while a topic has messages of an undecided publisher."""
 
 CHANGE_REPORT_NS = 5_000_000
-"""A change is reported this long after it was applied, in another tick than the answer to the request."""
+"""Delay of the report of a change, so that it is in another tick than the response to the request."""
 
 SERVICE_NS, REPORT_NS = 200_000_000, 1_000_000_000
 """Time between answers to requests, and between reports, of a node."""
@@ -36,7 +36,7 @@ class NodeLaw(Protocol):
     changes: Changes
 
     def reset(self) -> None:
-        """A run begins, or the plant holds: back to the start, the output is zero."""
+        """Reset at the start of a run or while the plant holds; the output is zero."""
 
     def step(self, vector: FloatArray, gap: int) -> None:
         """Step over `gap` missing ticks and on the joined vector of a tick."""
@@ -45,7 +45,7 @@ class NodeLaw(Protocol):
         """Send the output."""
 
     def settle(self) -> None:
-        """Let the readers take in what was sent last."""
+        """Wait until the subscribers have received the last messages."""
 
 
 class LawLoop:
@@ -75,7 +75,7 @@ class LawLoop:
     def step(self, since: int, vector: FloatArray, gap: int) -> None:
         """One tick, `since` [ns] after the start of the run, or at a hold tick (-1).
 
-        Where the loop is tried before the run, the law computes at hold ticks, too, and begins anew after each.
+        In a trial before the run the law computes at hold ticks, too, and is reset after each.
         """
         if since < 0:
             if not self._held:  # hold ticks are repeated until they are answered
@@ -94,7 +94,7 @@ class LawLoop:
         self.ticks += 1
 
     def tell_end(self) -> None:
-        """Say once that the node was ended while others of its process go on."""
+        """Report once that the node was ended while others of its process continue."""
         if not self._told:
             self._told = True
             self.context.event("left")
@@ -107,7 +107,7 @@ class LawLoop:
         self._last = begin
 
     def begin_again(self) -> None:
-        """The plant holds after a run: the next one has the settings of the start and counts of its own."""
+        """The plant holds after a run: the next one has the initial settings and new counts."""
         self.context.finish_work()  # the report has the counts of the moment at which it is written
         self.ticks = 0
         self.law.changes.restore()
@@ -180,7 +180,7 @@ class Follower:
     synchronizer : StampSynchronizer
         Joins them by stamp.
     laws : sequence of NodeLaw
-        In the order in which they are stepped; what the last one sends is sent first.
+        In the order in which they are stepped; the output of the last one is published first.
     """
 
     def __init__(
@@ -211,7 +211,7 @@ class Follower:
         self._choose_working()
 
     def _choose_working(self) -> None:
-        """Laws up to the first one that was ended: those behind it have no input."""
+        """Laws before the first ended one: later ones have no input."""
         ended = [i for i, law in enumerate(self._laws) if law.context.ended]
         self._working = self._laws[: min([len(self._laws), *ended])]
         for i in ended if len(ended) < len(self._laws) and not self._context.stop else ():
@@ -245,9 +245,9 @@ class Follower:
         return 0
 
     def _background(self, now: int) -> None:
-        """One piece of work that is not urgent, in the slack after the work of a tick."""
+        """One piece of background work, in the slack after a tick."""
         for law in self._laws:
-            if law.law.changes.told and law.next_report > now + CHANGE_REPORT_NS:
+            if law.law.changes.unpublished and law.next_report > now + CHANGE_REPORT_NS:
                 law.next_service, law.next_report = now, now + CHANGE_REPORT_NS
             if now >= law.next_service:
                 law.next_service = now + SERVICE_NS
@@ -264,7 +264,7 @@ class Follower:
                 return
 
     def _drain(self) -> None:
-        """Take what has come; the topic that wakes the loop last, so that it completes the tick."""
+        """Take new messages; the topic that wakes the loop last, so that it completes the tick."""
         synchronizer, clock = self._synchronizer, self._clock
         for index, subscription in enumerate(self._subscriptions):
             while (taken := subscription.take()) is not None:
@@ -279,7 +279,7 @@ class Follower:
                 clock = self._clock  # another one where another run begins
 
     def _put(self, index: int, data: bytes, source: str) -> None:
-        """Hand a message to the synchronizer; where it completes a tick, step the laws and send what they give."""
+        """Pass a message to the synchronizer; if it completes a tick, step the laws and publish their outputs."""
         synchronizer = self._synchronizer
         vector = synchronizer.put(index, data, source)
         if vector is None:

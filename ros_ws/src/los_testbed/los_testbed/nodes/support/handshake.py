@@ -1,8 +1,8 @@
 """Start of a run: one plant per domain, and no tick before all nodes receive.
 
-Discovery is not symmetric: a reader may be matched on one side and not yet on the other. So the plant
-sends hold ticks (stamp zero: no time has passed) until the commands that answer them have come back,
-and, if a recorder takes part, until it says that it sees every topic.
+Discovery is not symmetric: a subscription may be matched on one side and not yet on the other. So the plant sends hold
+ticks (stamp zero: no time has passed) until it receives the commands for them and, with a recorder, until that has
+matched every topic.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
 
 NAME_S = 3.0
-"""So long the name of a node that was heard is waited for."""
+"""Longest wait for the name of a node whose message was received."""
 
 HOLD_PERIOD_S = 0.02
 
 BUNDLE_LOOKS = 5
-"""So many hold ticks after the last topic of a command has answered, the graph knows whether the message of all of them
-has a publisher, too."""
+"""Hold ticks after the first response on the last command topic by which the graph knows whether the message of all
+commands has a publisher."""
 
 LEASE_S = 11.0
 """A node that was killed has left the graph within this time."""
 
 
 class OtherPlants:
-    """Refuses to be the second plant of a domain: before anything is sent, and until the run begins.
+    """Rejects a second plant on a domain: before anything is sent, and until the run begins.
 
-    Where other programs have the processor, discovery takes longer than :data:`LISTEN_S`: a plant that has not been
-    heard by then is heard while this one waits for its followers, which the other's run keeps busy.
+    On a busy machine discovery takes longer than :data:`LISTEN_S`: another plant is then detected while this one waits
+    for its followers, which the other's run occupies.
 
     Parameters
     ----------
@@ -67,19 +67,19 @@ class OtherPlants:
             raise
 
     def _listen(self, context: NodeContext) -> None:
-        """Wait as long as discovery takes; any sample is another plant's, a hold tick too."""
+        """Wait for discovery; any sample, also a hold tick, is another plant's."""
         start_time, name = time.monotonic(), self._listener.name
         while not context.stop:
             if (taken := self._listener.take()) is not None:
                 raise self._error(taken)
-            # a plant that was killed stays in the graph until its lease ends: only what is sent counts
+            # a killed plant stays in the graph until its lease ends: only messages count
             patience = 2 * LISTEN_S if context.node.count_publishers(name) else LISTEN_S
             if time.monotonic() - start_time > patience:
                 return
             time.sleep(0.01)
 
     def refuse_running(self) -> None:
-        """Look at what came since, while this node sends hold ticks only: another stamp is of a plant that runs."""
+        """Check new messages while this node sends hold ticks only: another stamp is of a running plant."""
         while (taken := self._listener.take()) is not None:
             if len(taken[0]) >= 12 and stamp_of(taken[0]) != HOLD_STAMP:
                 raise self._error(taken)
@@ -91,14 +91,14 @@ class OtherPlants:
         )
 
     def _sender(self, taken: Taken) -> str:
-        """Name of the node; it comes with a message of its own, which may be later than its first sample."""
+        """Name of the node; discovery may report it later than its first sample."""
         end = time.monotonic() + NAME_S
         while True:
             nodes = {endpoint.gid: endpoint.node for endpoint in self._listener.endpoints()}
             if name := nodes.get(taken.gid.hex()):
                 return name
             if time.monotonic() > end:
-                return "of unknown name"
+                return "unknown"
             time.sleep(0.05)
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ def wait_for_followers(
     refuse_others: Callable[[], None] = lambda: None,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
-    """Send hold ticks until estimator, controller and, if asked for, recorder answer and the run `may_begin`.
+    """Send hold ticks until estimator, controller and, if configured, recorder respond and the run `may_begin`.
 
     Every 20 ms `meanwhile` is called, by which a rig that is open is read.
 
@@ -158,7 +158,7 @@ def hold(io: PlantIo) -> None:
 
 
 class Answers:
-    """Who has answered the hold ticks: the message with all commands, or each of their topics, and the recorder.
+    """Responses to the hold ticks: the message with all commands, or each command topic, and the recorder.
 
     Parameters
     ----------
@@ -204,20 +204,20 @@ class Answers:
 
 
 def _strangers_on(subscription: RawSubscription) -> str:
-    """Who else sends on a topic, in brackets; empty if nobody does."""
+    """Other publishers of a topic, in brackets; empty if there are none."""
     guard = subscription.guard
-    nodes = sorted({_called(endpoint, guard) for endpoint in guard.strangers(subscription.endpoints())})
-    return f" (others send there: {', '.join(nodes)})" if nodes else ""
+    nodes = sorted({_called(endpoint, guard) for endpoint in guard.foreign_publishers(subscription.endpoints())})
+    return f" (other publishers: {', '.join(nodes)})" if nodes else ""
 
 
 def _called(endpoint: Endpoint, guard: SourceGuard) -> str:
-    """How the node of a stranger is called."""
+    """Displayed name of a foreign node."""
     same = endpoint.node == (guard.node or guard.expected)
     return f"another node named {endpoint.node}" if same else endpoint.node or UNKNOWN
 
 
 def _refuse_second_commander(context: NodeContext, io: PlantIo, meanwhile: Callable[[], None]) -> None:
-    """Nobody but one node may send commands when a run begins.
+    """Reject foreign publishers of commands when a run begins.
 
     Raises
     ------
@@ -227,11 +227,11 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo, meanwhile: Calla
     end = time.monotonic() + LEASE_S
     for subscription in (reader.source for reader in (io.bundle_reader, *io.topic_readers)):
         while True:
-            strangers = subscription.guard.strangers(subscription.endpoints())
-            if not strangers or context.stop:
+            foreign = subscription.guard.foreign_publishers(subscription.endpoints())
+            if not foreign or context.stop:
                 break
             if time.monotonic() > end:
-                others = ", ".join(sorted({_called(endpoint, subscription.guard) for endpoint in strangers}))
+                others = ", ".join(sorted({_called(endpoint, subscription.guard) for endpoint in foreign}))
                 raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
             time.sleep(HOLD_PERIOD_S)
             meanwhile()

@@ -12,9 +12,9 @@ MANAGED = ("estimator", "controller")
 
 
 class ManagedNode(LifecycleNode):  # type: ignore[misc, unused-ignore]
-    """Lifecycle node that tells its loop.
+    """Lifecycle node that notifies its loop.
 
-    Activate and deactivate are told to `on_active`; shutdown sets `ended`. It is built once: cleanup is refused.
+    Activate and deactivate call `on_active`; shutdown sets `ended`. It is built once: cleanup is rejected.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Lockstep: simulated time goes on when all commands of a tick have come."""
+"""Lockstep: simulated time advances when all commands of a tick have arrived."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from titop_plant.interface import TICK_NS
 WAIT_NS = 50_000_000
 
 AHEAD_NS = 60 * TICK_NS
-"""The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is
+"""Largest lag of the recorder before the plant waits: no publisher drops a sample (its history is
 :data:`los_testbed.config.topics.DEPTH` long) before the recorder has it."""
 
 
@@ -33,7 +33,7 @@ class LockstepPacer:
         self._message = Clock()
 
     def begin(self) -> None:
-        """A run begins: the recorder has nothing of it."""
+        """Start of a run: the recorder has none of its samples."""
         self._recorded = 0
         sources = [reader.source for reader in self._io.readers]
         self._on_last = Waiter(self._context.node, sources[-1:])  # sent last: one wake-up for all
@@ -46,7 +46,7 @@ class LockstepPacer:
         self._clock.publish(self._message)
 
     def wait(self, now: int) -> bool:
-        """Return when all commands of tick `now` are at the gates; False if the run was stopped."""
+        """Return when all commands of tick `now` have arrived; False if the run was stopped."""
         io, following = self._io, now + TICK_NS
         if self._context.stop:
             return False

@@ -1,4 +1,4 @@
-"""What all nodes share: start, parameters, diagnostics, events for the runner, signals, a clean end."""
+"""Common parts of the nodes: start, parameters, diagnostics, events for the runner, signals, shutdown."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ from los_testbed.run.processes.node_launch import EVENTS_VARIABLE
 from los_testbed.run.processes.ros_variables import check_variables
 
 CHANGING = "set_parameters", "set_parameters_atomically"
-"""Services of every node by which the run is changed. Those of the life cycle are made by a library below rclpy and
-have no introspection: who used them is not known."""
+"""Services of every node that change the run. Life-cycle services are created by a library below rclpy without
+introspection: their clients are not known."""
 
 NO_FRAME = ""
 """Frame of a report: the state of a node has none."""
 
 ALIVE_S = 1.0
-"""A node tells the runner so often that it works [s]."""
+"""Interval of a node's heartbeat to the runner [s]."""
 
 REPORT_S = 5.0
-"""Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
+"""Longest wait for the recorder to receive the last report of a node [s]; with a killed recorder all of it passes."""
 
 
 class ProcessContext:
-    """What the nodes of a process share: rclpy, the signals that end them, the runner that listens.
+    """Shared state of the nodes of a process: rclpy, the signals that end them, the runner.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class NodeContext:
         ]
 
     def all_listed(self) -> None:
-        """Tell the other nodes of the run that all publishers of this one exist."""
+        """Notify the other nodes of the run that all publishers of this one exist."""
         members().complete(self.node.get_fully_qualified_name())
 
     @property
@@ -160,7 +160,7 @@ class NodeContext:
         Raises
         ------
         ValueError
-            The parameter ``fault`` was given a value that is none.
+            The parameter ``fault`` has an invalid value.
         """
         requesters = Requesters(self.node, self._gid)
         changes = Changes(self.config, appliers, limits or {}, requesters.who)
@@ -178,7 +178,7 @@ class NodeContext:
         self.process.stop = self.stop or value
 
     def become_real_time(self) -> None:
-        """Raise the process to real time, or say once what was not permitted."""
+        """Set real-time scheduling of the process, or report once what was not permitted."""
         if not self.config.priority or self.config.mode != "realtime":
             return
         if self.name == "plant":
@@ -197,7 +197,7 @@ class NodeContext:
                 self.node.get_logger().warning(line)
 
     def alive(self, **content: Any) -> None:
-        """Tell the runner, once a second, that the node works, and what it does or waits for."""
+        """Send the runner a heartbeat once a second, with what the node does or waits for."""
         if self.process.tells and (now := time.monotonic()) >= self._next_alive:
             self._next_alive = now + ALIVE_S
             self.event("alive", **content)
@@ -218,14 +218,14 @@ class NodeContext:
             self._changing.follow()
 
     def work(self) -> bool:
-        """Do one piece of the reports that wait; whether there was one."""
+        """Do one piece of the pending reports; whether there was one."""
         if not self._work:
             return False
         self._work.popleft()()
         return True
 
     def finish_work(self) -> None:
-        """Do all that waits."""
+        """Do all pending work."""
         while self.work():
             pass
 
@@ -262,9 +262,9 @@ class NodeContext:
         self._statistics.publish(message)
 
     def event(self, kind: str, **content: Any) -> None:
-        """Tell the runner, if one listens; else log what a user wants to know.
+        """Send an event to the runner, if there is one; else log it if it is of interest.
 
-        What is told at the end (``done``) has the number of the signal that ended the node, 0 without one.
+        The last event (``done``) has the number of the signal that ended the node, 0 without one.
         """
         if not self.process.tells and (text := _log_line(kind, content)):
             self.node.get_logger().info(text)
@@ -273,7 +273,7 @@ class NodeContext:
         self.process.tell({"event": kind, "node": self.name, **content})
 
     def report_second_publishers(self, news: Sequence[tuple[str, str]]) -> None:
-        """Tell the runner, or log, which topics have a second publisher, and of which node."""
+        """Report to the runner, or log, the topics with a second publisher, and its node."""
         for topic, node in news:
             self.event("second_publisher", topic=topic, publisher=node)
             if not self.process.tells:
@@ -290,7 +290,7 @@ class NodeContext:
 
 
 def _log_line(kind: str, content: Mapping[str, Any]) -> str:
-    """Line for the log where no runner listens; empty for what is of no interest there."""
+    """Log line of an event without a runner; empty if it is of no interest."""
     if kind == "running":
         return f"run begins at {content['start_ns'] / 1e9:.3f} s"
     if kind == "bag":
@@ -306,7 +306,7 @@ def _log_line(kind: str, content: Mapping[str, Any]) -> str:
 
 
 def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeContext], int]) -> int:
-    """Run `body` inside a node; a mistake of the user is one line and exit code 2."""
+    """Run `body` inside a node; a user error is one line and exit code 2."""
     context = None
     try:
         context = NodeContext(name, sys.argv[1:] if arguments is None else arguments)

@@ -1,4 +1,4 @@
-"""The run's configuration as ROS parameters, with description, range and unit; those that may change in a run do.
+"""The run's configuration as ROS parameters with description, range and unit; some can change during a run.
 
 Each node can change the settings that it applies (:data:`los_testbed.run.loop.changes.NAMES`), at its next tick; the
 parameter ``fault`` changes one of them at a tick that is named. All other parameters are read-only.
@@ -52,7 +52,7 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
             f"namespace must be that of the node, {node.get_namespace()} (set it by -r __ns:=NAMESPACE), "
             f"got {values['namespace']}"
         )
-    text = "whether time is that of /clock, which the plant sends in lockstep; set at the start, with the mode"
+    text = "use /clock, which the plant publishes in lockstep; set at the start, with the mode"
     kind = Parameter.Type.BOOL.value
     node.set_descriptor(
         SIMULATED_TIME, ParameterDescriptor(name=SIMULATED_TIME, type=kind, description=text, read_only=True)
@@ -88,14 +88,14 @@ class ChangingParameters:
     Raises
     ------
     ValueError
-        The parameter ``fault`` was given a value that is none.
+        The parameter ``fault`` has an invalid value.
     """
 
     def __init__(self, node: Node, changes: Changes) -> None:
         self._node = node
         self._changes = changes
         self._own = False
-        text = "a change at a tick, as JSON: name, value and perhaps at [s from the start of the run]"
+        text = "a change at a tick, as JSON: name, value and optionally at [s from the start of the run]"
         fault = node.declare_parameter(FAULT, "", ParameterDescriptor(name=FAULT, description=text)).value
         if fault:
             changes.request(*parse_change(fault))
@@ -122,8 +122,8 @@ class ChangingParameters:
 
     def follow(self) -> None:
         """Give the parameters the values that a fault has set; in the slack after a tick."""
-        while self._changes.told:
-            name, value = self._changes.told.pop(0)
+        while self._changes.unpublished:
+            name, value = self._changes.unpublished.pop(0)
             if name in RunConfig.SETTINGS and self._node.get_parameter(name).value != value:
                 self._own = True
                 self._node.set_parameters([Parameter(name, value=value)])

@@ -5,15 +5,15 @@ from __future__ import annotations
 from los_testbed.run.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
 
 AGREED = 20
-"""So many samples in a row that are too early, each later than the one before, set the clock."""
+"""Consecutive early samples, each later than the one before, that set the clock."""
 
 
 class PlantClock:
-    """How far the plant's stamps are ahead of the steady clock of this machine: the least delayed sample tells best.
+    """Offset of the plant's stamps from the steady clock of this machine, from the least delayed sample.
 
-    After a stall old samples come first, and must not make the newer ones look early; so the clock is never set back.
-    Nor may one false stamp far ahead set it forward: all true ones after it would come late. But when the samples that
-    set it were late themselves, every later one looks early. Those agree with each other, and set it anew.
+    After a stall old samples come first, and must not make the newer ones appear early; so the clock is never set back.
+    Nor may one wrong stamp far ahead set it forward: all correct ones after it would be late. But if the samples that
+    set it were late themselves, every later one appears early. Those agree with each other, and set it again.
 
     Examples
     --------

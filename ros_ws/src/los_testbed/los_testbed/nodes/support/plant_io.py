@@ -44,11 +44,11 @@ Frames = Mapping[str, tuple[int, FloatArray]]
 Accepted = Callable[[int, int], None]
 
 Output = tuple[TopicDefinition, RawPublisher, Codec, int]
-"""Topic, publisher, codec and period [ns] of what the plant sends."""
+"""Topic, publisher, codec and period [ns] of a message of the plant."""
 
 
 def _ignore(stamp: int, received: int) -> None:
-    """Nobody asks."""
+    """No requester."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class PlantIo:
     """Publishers, subscriptions and gates of the plant.
 
     Commands come in the message of all of them or, from nodes that do not send that, in their topics:
-    :meth:`choose_readers` decides when everybody has answered. Until then both are read.
+    :meth:`choose_readers` decides when all have responded. Until then both are read.
     """
 
     def __init__(self, context: NodeContext) -> None:
@@ -188,7 +188,7 @@ class PlantIo:
     def choose_readers(self, bundled: bool) -> None:
         """Take commands from the message of all from now on, or from their topics.
 
-        Their topics are left where the message is read: what nobody takes in costs time at every tick.
+        Unused subscriptions are closed, since they cost time at every tick.
         """
         self.readers = [self.bundle_reader] if bundled else list(self.topic_readers)
         if bundled:
@@ -226,7 +226,7 @@ class PlantIo:
                 publisher.publish(codec.encode(stamp, values))
 
     def publish_samples(self, stamp: int, measurement: FloatArray | None, frames: Frames, truth: str) -> None:
-        """Send what a device gave at a tick: frames with their stamps, the estimator's trigger last of the topics.
+        """Publish a device's samples of a tick: frames with their stamps, the estimator's trigger last.
 
         Parameters
         ----------
@@ -264,12 +264,12 @@ class PlantIo:
         return [name for name, period in slow if stamp % period == 0]
 
     def settle(self) -> None:
-        """Let the readers take in what was sent last."""
+        """Wait until the subscribers have received the last messages."""
         outputs = [publisher for _, publisher, _, _ in (*self._sensors, self._truth, *self._further)]
         settle([self._whole[0], *outputs])
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
-        """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""
+        """Discard messages of the handshake; the run begins at `start` with this command (8,), default zero."""
         self.start = start
         self._waiting.clear()
         for reader in self.readers:
@@ -279,7 +279,7 @@ class PlantIo:
             one.gate.begin(start, command[one.topic.columns] if command is not None and known else None)
 
     def forget(self) -> None:
-        """The next run counts its own rejected commands."""
+        """Reset the counts of rejected commands for the next run."""
         for one in self.commands:
             one.gate.rejected.clear()
 
@@ -313,7 +313,7 @@ class PlantIo:
             one.gate.apply(now_ns, out[one.topic.columns])
 
     def fading(self) -> bool:
-        """Whether an actuator is being brought to zero for want of commands."""
+        """Whether an actuator is fading to zero for lack of commands."""
         return any(one.gate.fading for one in self.commands)
 
     def rejected_total(self) -> int:

@@ -1,4 +1,4 @@
-"""Deadline and liveliness of the nodes' reports, counted by the middleware for who reads them.
+"""Deadline and liveliness of the nodes' reports, counted by the middleware for a subscriber.
 
 A node reports once a second from its loop, so a loop that hangs sends none: unlike the liveliness that the middleware
 renews by a thread of its own. On the topics of the loop, a thousand times a second, a deadline would cost too much.
@@ -25,7 +25,7 @@ _LIVELINESS = _EVENTS.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
 
 
 def report_quality(depth: int, seconds: float = REPORT_DEADLINE_S) -> QoSProfile:
-    """Quality of service of a report: it comes within this time of the one before, and says that its node lives."""
+    """Quality of service of a report: deadline and liveliness lease of this time."""
     limit = Duration(nanoseconds=round(seconds * 1e9))
     return QoSProfile(
         depth=depth,
@@ -36,9 +36,9 @@ def report_quality(depth: int, seconds: float = REPORT_DEADLINE_S) -> QoSProfile
 
 
 class ReportWatch:
-    """Readers that ask for deadline and liveliness; what is read of the reports, others read.
+    """Subscriptions with deadline and liveliness; the reports themselves are read elsewhere.
 
-    A publisher that offers neither, as a program in the place of a node may, is not matched and not watched.
+    A publisher that offers neither, possibly a program that replaces a node, is not matched and not watched.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class ReportWatch:
             self._events.append((name, *events))
 
     def look(self) -> None:
-        """Take note of what has happened since the last call."""
+        """Count the events since the last call."""
         for name, deadline, liveliness in self._events:
             self._counts[f"{LATE_REPORTS}{name}"] += max(deadline.take_event().total_count_change, 0)
             self._counts[f"{LIVELINESS_LOST}{name}"] += max(liveliness.take_event().not_alive_count_change, 0)

@@ -1,4 +1,4 @@
-"""Which node sent the request that is being answered: rclpy does not tell its callbacks, service introspection does.
+"""Node that sent the request in progress: not available in rclpy's callbacks, but from service introspection.
 
 For each request that it takes, a service with introspection publishes an event with the identifier of the client. The
 node reads its own events; those of others with the same topic are left out by the identifier of their publisher.
@@ -19,11 +19,11 @@ from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.run.loop.members import PREFIX_BYTES
 
 RECEIVED = 1
-"""Kind of the event of a request that was taken (``service_msgs/msg/ServiceEventInfo``)."""
+"""Type of the event of a received request (``service_msgs/msg/ServiceEventInfo``)."""
 
-UNKNOWN = "a node of unknown name"
+UNKNOWN = "an unknown node"
 WAIT_S = 0.02
-"""The event of a request is there after 0.1 ms, on a busy machine later; nobody waits for it longer than this [s]."""
+"""Longest wait for the event of a request [s]; it usually arrives after 0.1 ms."""
 
 GRAPH = "/rosout", "/parameter_events"
 """Topics on which nearly every node has a publisher, from which its name follows."""
@@ -53,14 +53,14 @@ class Requesters:
         self._since = 0
 
     def watch(self, service: Any) -> None:
-        """Tell the clients of a service from now on."""
+        """Identify the clients of a service from now on."""
         quality = QoSProfile(depth=_DEPTH)
         service.configure_introspection(self._node.get_clock(), quality, ServiceIntrospectionState.METADATA)
         name = self._node.resolve_service_name(service.service_name)
         self._events.append(RawSubscription(self._node, f"{name}/_service_event", service.srv_type.Event, _DEPTH))
 
     def begin(self) -> None:
-        """A request will be taken: what came until now is of others."""
+        """Before a request is taken: events until now are of others."""
         self._learn()
         self._since = time.time_ns()
         for events in self._events:
@@ -68,7 +68,7 @@ class Requesters:
                 pass
 
     def end(self) -> None:
-        """The request was answered."""
+        """After the response to a request."""
         self._since = 0
 
     def who(self) -> str:

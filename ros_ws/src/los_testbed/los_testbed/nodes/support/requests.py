@@ -1,4 +1,4 @@
-"""Whether a node has something for its executor to do."""
+"""Pending work of a node's executor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from los_testbed.nodes.support.transport.raw_topics import is_raw
 class Requests:
     """Requests to the services of a node, and messages on those topics that its executor takes.
 
-    Asking costs some 20 us; an executor that finds nothing to do costs half a tick.
+    The query costs some 20 us; an idle executor costs half a tick.
 
     Parameters
     ----------

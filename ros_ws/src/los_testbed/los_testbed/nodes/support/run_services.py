@@ -14,7 +14,7 @@ WAITING, RUNNING, OVER = "waiting for its start", "running", "over"
 
 
 class RunServices:
-    """Answers ``plant/start``, ``plant/stop`` and ``plant/reset``; a request in the wrong state is refused.
+    """Answers ``plant/start``, ``plant/stop`` and ``plant/reset``; a request in the wrong state is rejected.
 
     Without the package ``std_srvs`` there are no services; the parameter ``fault`` stops and resets as well.
 
@@ -58,7 +58,7 @@ class RunServices:
         return self._asked or not self._waits
 
     def begin(self) -> None:
-        """The run begins; another one after it has to be started anew."""
+        """Start of the run; the next one needs another start request."""
         self.state, self._asked = RUNNING, False
 
     def _start(self, request: Any, response: Any) -> Any:

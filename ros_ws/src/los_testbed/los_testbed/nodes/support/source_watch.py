@@ -11,11 +11,11 @@ from los_testbed.run.loop.members import OPEN, OWN, PENDING
 
 UNKNOWN_NODE, SAME_NAME = "unknown", "of the same name"
 UNKNOWN_LOOKS = 50
-"""Looks at a publisher without a node name (a program without ROS) until it is reported as such."""
+"""Graph queries for a publisher without a node name (a program without ROS) before it is reported as such."""
 
 
 class SourceWatch:
-    """Looks at the publishers of some topics; about 50 us a topic while nothing changes.
+    """Monitors the publishers of some topics; about 50 us per topic without changes.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ class SourceWatch:
     def _second(self, subscription: RawSubscription, count: int) -> list[str]:
         """Nodes with a publisher beside the matched one; those without a name are waited for.
 
-        A publisher of the run's list needs no name: that of a node that was started again comes late in the graph.
+        A publisher in the run's list needs no name: the graph learns that of a restarted node late.
         """
         guard, name, endpoints = subscription.guard, subscription.name, subscription.endpoints()
         standing = [guard.standing(bytes.fromhex(endpoint.gid)) for endpoint in endpoints]
         if not guard.node and (OPEN in standing or PENDING in standing):
             return []
-        nodes = [_label(subscription, endpoint.node) for endpoint in guard.strangers(endpoints)]
+        nodes = [_label(subscription, endpoint.node) for endpoint in guard.foreign_publishers(endpoints)]
         if all(endpoint.node or kind == OWN for endpoint, kind in zip(endpoints, standing, strict=True)):
             self._settled[name] = count
             return nodes
@@ -97,6 +97,6 @@ class SourceWatch:
 
 
 def _label(subscription: RawSubscription, node: str) -> str:
-    """How a node is called in a report."""
+    """Name of a node in a report."""
     guard = subscription.guard
     return SAME_NAME if node == (guard.node or guard.expected) else node

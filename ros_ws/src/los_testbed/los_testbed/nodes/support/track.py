@@ -1,4 +1,4 @@
-"""Topics of the recorder: messages since the last chunk, and what is known of each topic altogether."""
+"""Topics of the recorder: messages since the last chunk, and totals of each topic."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ MAX_DISORDER = 1000
 """Periods that a sample may come after a later one and still count."""
 
 MAX_WAITING = 5000
-"""Messages kept while it is not decided whose they are."""
+"""Messages buffered until their publisher is matched."""
 
 UNKNOWN_NS = 5_000_000_000
-"""Time [ns] within which the graph knows the node of a publisher, also where others have the processor."""
+"""Time [ns] within which the graph knows the node of a publisher, also on a busy machine."""
 
 MAX_UNKNOWN = 100
 """Reports kept while the graph does not know their publisher's node."""
 
 
 class Track:
-    """What came on one topic from its matched publisher since the last chunk, and what is known of it altogether."""
+    """Messages of one topic from its matched publisher since the last chunk, and its totals."""
 
     def __init__(self, path: str, subscription: RawSubscription, period_ns: int, codec: Codec | None = None) -> None:
         self.path = path  # where it is not remapped; the subscription has the name that it is sent under
@@ -55,7 +55,7 @@ class Track:
         self._missing: set[int] = set()
 
     def drain(self) -> int:
-        """Take everything that waits; the number of messages kept."""
+        """Take all waiting messages; the number stored."""
         take, sort, before = self.subscription.take, self.subscription.sort, len(self.data)
         now = time.monotonic_ns()
         self._keep_decided()
@@ -90,7 +90,7 @@ class Track:
             self.sent.append(taken.sent)
 
     def _readable(self, message: bytes) -> bool:
-        """A message cut short would make the bag unreadable for others; it is counted instead."""
+        """A truncated message would make the bag unreadable for other programs; it is counted instead."""
         if self.codec is None or (len(message) == self.codec.length and message[:2] == ENCAPSULATION[:2]):
             return True
         try:
@@ -130,9 +130,9 @@ class Track:
         self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
 
     def begin_again(self) -> None:
-        """Another run begins: what is known of the last one is forgotten.
+        """Start of another run: the state of the last one is cleared.
 
-        What comes on a topic before its node holds, too, is still of the last one.
+        Messages of a topic before its node holds, too, are still of the last one.
         """
         self._stale = not self.held
         self.first = self.last = self.distinct = self.unreadable = 0
@@ -140,7 +140,7 @@ class Track:
         self._missing.clear()
 
     def lost(self, first: int, last: int) -> int:
-        """Samples that should lie in this span of stamps and did not come."""
+        """Samples missing in this span of stamps."""
         phase = self._phase or 0
         expected = (last - phase) // self.period_ns - (first - phase - 1) // self.period_ns
         return max(0, expected - self.distinct)
@@ -171,7 +171,7 @@ class ReportTrack(Track):
         return self._refused + len(self._undecided)
 
     def drain(self) -> int:
-        """Take everything that waits; the number of messages kept."""
+        """Take all waiting messages; the number stored."""
         before, now = len(self.data), time.monotonic_ns()
         while (taken := self.subscription.take()) is not None:
             if self._readable(taken[0]):
@@ -181,7 +181,7 @@ class ReportTrack(Track):
         return len(self.data) - before
 
     def learn(self) -> dict[str, str]:
-        """Ask the graph for the node of each publisher; those of the node stay known when it has left the graph."""
+        """Query the node of each publisher; publishers of the node stay known after it has left the graph."""
         nodes = {endpoint.gid: endpoint.node for endpoint in self.subscription.endpoints()}
         guard = self.subscription.guard
         for gid, node in nodes.items():
@@ -199,7 +199,7 @@ class ReportTrack(Track):
         return True
 
     def _decide(self, now_ns: int) -> None:
-        """Keep the reports whose publisher is the node's; one that the graph does not know yet is waited for."""
+        """Store the reports of the node's publishers; one that the graph does not know yet is buffered."""
         unknown: set[str] = set()
         if any(publisher not in self._known for _, publisher, _ in self._undecided):
             nodes, standing = self.learn(), self.subscription.guard.standing
@@ -238,7 +238,7 @@ def topic_tracks(
 
 
 def report_tracks(context: NodeContext) -> dict[str, ReportTrack]:
-    """Reports of each node, from its own topic: /diagnostics is for everybody's."""
+    """Reports of each node, from its own topic: any node may publish /diagnostics."""
     return {
         name: ReportTrack(RawSubscription(context.node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
         for name in NODES

@@ -1,4 +1,4 @@
-"""Topics of a run that are sent and not read, or read and not sent: what a forgotten remap leaves."""
+"""Topics of a run without subscriber or without publisher, as after a missing remap."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from los_testbed.config.topics import BUNDLES, SENSORS, TopicDefinition
 from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
 
 LISTENERS = ("recorder", "live")
-"""Nodes that read whatever is sent."""
+"""Nodes that subscribe to everything."""
 
 LAWS = ("estimator", "controller")
 
 
 def unread_in_words(node: Node) -> str:
-    """What is sent and read by nobody else, and what is read and sent by nobody, of the nodes of a run.
+    """Topics of the nodes of a run without another subscriber, and without a publisher.
 
     Where the message with all samples of a tick is read, the topics of single sensors need no reader.
 
@@ -37,20 +37,20 @@ def unread_in_words(node: Node) -> str:
         heard |= dict.fromkeys(_topics(node.get_subscriber_names_and_types_by_node(name, node.get_namespace())), name)
     unread = [topic for topic in sent if topic not in bundles and not _readers(node, topic)]
     unsent = [f"{topic} (read by {name})" for topic, name in heard.items() if not node.count_publishers(topic)]
-    words = [f"nobody reads {', '.join(unread)}"] if unread else []
-    words += [f"nobody sends {', '.join(unsent)}"] if unsent else []
+    words = [f"no subscriber for {', '.join(unread)}"] if unread else []
+    words += [f"no publisher for {', '.join(unsent)}"] if unsent else []
     return "".join(f"; {text}" for text in words)
 
 
 def bypassed_in_words(node: Node, topics: Iterable[TopicDefinition], bundle: str) -> str:
-    """What is said where topics of single sensors or actuators have other names and the message of all is used."""
+    """Warning if topics of single sensors or actuators are remapped and the message of all is used."""
     own = node.get_namespace().rstrip("/")
     names = [(f"{own}/{topic.name}", node.resolve_topic_name(topic.name)) for topic in topics]
     other = ", ".join(f"{usual} is {name}" for usual, name in names if usual != name)
     if not other:
         return ""
     return (
-        f"{other}, but the loop uses {bundle}: what stands between the two names acts on nothing; start estimator and "
+        f"{other}, but the loop uses {bundle}: a filter between the two names has no effect; start estimator and "
         "controller in processes of their own (--processes separate, composed:=false)"
     )
 

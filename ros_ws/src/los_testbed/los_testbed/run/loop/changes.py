@@ -1,4 +1,4 @@
-"""Settings that change while a run goes on: each at one tick, checked before, and kept for the record."""
+"""Settings that change during a run: each is checked, applied at one tick and recorded."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def parse_change(text: str) -> tuple[str, Any, float | None]:
     except (ValueError, TypeError, RecursionError):
         content = None
     if not isinstance(content, dict) or not {"name", "value"} <= set(content) <= {"name", "value", "at"}:
-        raise ValueError(f"fault must be a JSON object with name, value and perhaps at, got {str(text)[:200]!r}")
+        raise ValueError(f"fault must be a JSON object with name, value and optionally at, got {str(text)[:200]!r}")
     name, at = content["name"], content.get("at")
     if not isinstance(name, str):
         raise ValueError(f"name of a fault must be a text, got {name!r}")
@@ -97,7 +97,7 @@ class Changes:
     limits : mapping of str to float
         Largest values of the authorities: those of the start.
     who : callable
-        Name of the node that asks at this moment; empty if none does.
+        Name of the requesting node; empty without one.
 
     Examples
     --------
@@ -116,7 +116,7 @@ class Changes:
     who: Callable[[], str] = str
     due: int = NEVER
     now: int = -1
-    told: list[tuple[str, Any]] = field(default_factory=list)
+    unpublished: list[tuple[str, Any]] = field(default_factory=list)
     _pending: list[tuple[int, str, Any, str]] = field(default_factory=list)
     _applied: list[tuple[int, str, Any, str]] = field(default_factory=list)
     _changed: set[str] = field(default_factory=set)
@@ -174,20 +174,20 @@ class Changes:
             _, name, value, by = self._pending.pop(0)
             self.due = self._pending[0][0] if self._pending else NEVER
             self.appliers[name](value)
-            self.told.append((name, value))
+            self.unpublished.append((name, value))
             self._changed.add(name)
             if len(self._applied) < MAX_KEPT:
                 self._applied.append((since_start // TICK_NS, name, value, by))
 
     def restore(self) -> None:
-        """Another run begins: the settings of the start, and the changes that were requested before it, once more.
+        """Start of another run: the initial settings, and again the changes requested before it.
 
         A node that is inactive stays so.
         """
         for name in sorted(self._changed - {STOP, RESET, ACTIVE}):
             value = getattr(self.config, name)
             self.appliers[name](self.limits.get(name, value))
-            self.told.append((name, value))
+            self.unpublished.append((name, value))
         self._changed.clear()
         self._applied.clear()
         self._pending = sorted(self._initial, key=lambda change: change[0])
@@ -195,7 +195,7 @@ class Changes:
         self.now = -1
 
     def record(self) -> dict[str, str]:
-        """The changes so far, with who asked for them, as a value of the statistics; nothing where there were none."""
+        """The changes so far, with their requesters, as a value of the statistics; empty without changes."""
         rows = [
             {"tick": tick, "name": name, "value": value, **({"by": by} if by else {})}
             for tick, name, value, by in self._applied

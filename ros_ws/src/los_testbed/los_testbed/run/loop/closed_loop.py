@@ -42,7 +42,7 @@ SIMULATED_START_NS = 1_000_000_000
 
 
 class LoopDivergedError(RuntimeError):
-    """The loop left the finite numbers: the controllers do not stabilise this plant."""
+    """A signal is not finite: the controllers do not stabilise this plant."""
 
 
 def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
@@ -124,7 +124,7 @@ class SimulatedLoop:
 
     @classmethod
     def of(cls, parts: RunParts, own: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
-        """The loop of a run in the state in which it starts; `own` stands for the plant of `parts`.
+        """The loop of a run in the state in which it starts; `own` replaces the plant of `parts`.
 
         Without `readings` further sensors that no controller uses are left out.
         """
@@ -168,7 +168,7 @@ class SimulatedLoop:
     def _step_by_step(
         self, command: FloatArray, block: SampleBlock, rows: int, first: int
     ) -> tuple[RunFailedError | None, int]:
-        """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
+        """Ticks of a block, one call of each part a tick; the failure, and the ticks before it."""
         plant, estimate, control = self.plant, self.estimator.step, self.controller.step
         plant_step, done, who = plant.step, 0, "plant"
         camera = image_camera_of(plant)
@@ -196,7 +196,7 @@ class SimulatedLoop:
                     command[:] = u
                     done += 1
         except RAISED as error:
-            # a block of the user says itself who failed at which tick
+            # a user's block reports its failure and tick itself
             own = isinstance(error, BlockFailedError)
             text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
             failed = RunFailedError(text)

@@ -19,7 +19,7 @@ class CommandGate:
 
     A command is accepted if it can be read, is finite, within the actuator's limit and stamped with a
     tick that is newer than the last accepted one, not in the future and not older than the hold time. Reasons are
-    looked for in this order, and the first one counts; before the last two comes a sender that is not the matched one.
+    checked in this order, and the first one counts; a publisher that is not matched comes before the last two.
     Without a valid command the last one is held for `hold_ticks` and then faded to zero along a raised
     cosine of `fade_ticks`; when commands return they fade in along the same ramp, so there is no jump.
 
@@ -122,7 +122,7 @@ class CommandGate:
         np.multiply(self._held, self._weights[self._ramp], out=out)
 
     def begin(self, start_ns: int, command: FloatArray | None = None) -> None:
-        """Forget the past: a run begins at `start_ns` with a command (default zero) that counts as just given."""
+        """Reset: a run begins at `start_ns` with a command (default zero) that counts as just received."""
         self._held[:] = 0.0 if command is None else command
         self.last_stamp = start_ns - TICK_NS
         self._ramp = self.fade_ticks

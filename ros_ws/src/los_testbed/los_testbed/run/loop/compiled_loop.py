@@ -1,6 +1,6 @@
 """Plant, observer and controller as one piece of compiled code, where all three are the testbed's own.
 
-The bits are those of their `step` functions, one after the other (:mod:`titop_plant.simulation.plant_step` says the
+It is bit-identical to their `step` functions, one after the other (:mod:`titop_plant.simulation.plant_step` has the
 order of operations). Code of the user is called tick by tick, as in
 :class:`los_testbed.run.loop.closed_loop.SimulatedLoop`.
 """
@@ -65,7 +65,7 @@ class Signals(Protocol):
 
 
 class CompiledLoop:
-    """A loop whose parts are the testbed's own; their states are those of the parts, which it moves on.
+    """A loop of the testbed's own parts, whose states it advances.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class CompiledLoop:
     def of(cls, plant: object, estimator: object, controller: object, ticks: int) -> CompiledLoop | None:
         """The loop of these parts; None where one of them is of another kind, or compiled code does not pay.
 
-        A plant that is stepped by others is told to use compiled code, too.
+        A plant that is stepped separately is switched to compiled code, too.
         """
         if kernel_for(ticks) is None:
             return None

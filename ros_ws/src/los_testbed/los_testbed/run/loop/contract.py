@@ -1,4 +1,4 @@
-"""Contract of a plant of one's own, checked before the run: what is wrong is named, with attribute, shape or value."""
+"""Contract of a user's plant, checked before the run: errors name attribute, shape or value."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RunFailedError(RuntimeError):
 
 
 def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int, str] | None:
-    """Row and port of the first value that is not finite (`beyond`), values that are held aside; None if all are.
+    """Row and port of the first value that is not finite (`beyond`), except held values; None if all are.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def check_plant(plant: SteppedPlant) -> None:
         trial.step(command, measurement, truth)
         trial.reset()
     except RAISED as error:
-        raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {in_one_line(error)}") from error
+        raise ContractError(f"plant.step and plant.reset must accept {shapes}, got {in_one_line(error)}") from error
     if command.any():
-        raise ContractError("plant.step must leave its command alone, got another one after the step")
+        raise ContractError("plant.step must not change its command, got another one after the step")
     held = np.zeros(MEASUREMENTS, bool)
     held[HELD] = True
     for name, vector, may_be_nan in (("measurement", measurement, held), ("truth", truth, np.zeros(TRUTH, bool))):

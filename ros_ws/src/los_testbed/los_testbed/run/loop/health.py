@@ -1,7 +1,7 @@
 """State of a loop for /diagnostics, with the limits of ros2_control.
 
 Mean rate off by 5 Hz is a warning, by 10 Hz an error; a mean execution time of 1000 us is a warning, of
-2000 us an error; a loop that did nothing since the last report is stale.
+2000 us an error; a loop without a tick since the last report is stale.
 """
 
 from __future__ import annotations

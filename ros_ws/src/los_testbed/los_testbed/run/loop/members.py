@@ -1,8 +1,8 @@
-"""Processes of a run and the topics on which they send, in a list that only processes of the runner have open.
+"""Processes of a run and their published topics, in a list that only processes of the runner can open.
 
-A process lists itself, and each topic, before it has a publisher there: whoever sends on a listed topic and is of no
-listed process is not of the run, whatever its name. The list is a file in memory and inherited; another user cannot
-write to it.
+A process lists itself, and each topic, before it creates a publisher there: a publisher on a listed topic that is not
+of a listed process is foreign, whatever its name. The list is an inherited file in memory; another user cannot write to
+it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ PREFIX_BYTES = 12
 """The first bytes of an identifier are the same for everything in a process, and differ between processes."""
 
 OWN, OTHER, PENDING, OPEN = "own", "other", "pending", "open"
-"""What the list says of a publisher: of the run; not of it; the topic's node has not listed all of its topics yet; the
-list says nothing about the topic (there is none, or something else stands between the node and the topic)."""
+"""Standing of a publisher: of the run; foreign; undecided, as the topic's node has not listed all of its topics;
+unknown, as there is no list or it does not have the topic (a remap or a filter)."""
 
 
 class Members:

@@ -17,9 +17,9 @@ PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
 
 CPU_INDEX = {"plant": 0, "estimator": 1, "controller": 1, "recorder": None}
 """Index of a node's processor among those that its process may use; a pinned thread keeps its cache. The plant has one
-for itself: what it does between two ticks (its clock, requests, reports) must not hold up a late command. The recorder
-takes what is free of any: on a slow machine estimator and controller leave too little of theirs, and what it does not
-take in within 0.1 s is lost."""
+for itself: its work between two ticks (clock, requests, reports) must not delay a late command. The recorder is not
+pinned: on a slow machine estimator and controller leave too little time on theirs, and messages that it does not take
+within 0.1 s are lost."""
 
 _RESENDING = "dds.asyn"
 """Beginning of the name of Fast DDS's thread that sends lost messages again.
@@ -37,19 +37,19 @@ _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 
 
 def sharpen_timers() -> None:
-    """Let sleeps of this process end within 1 ns instead of 50 us; to be called before threads start."""
+    """Set the timer slack of this process to 1 ns instead of 50 us; call it before threads start."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def end_with_parent(parent: int) -> None:
-    """Let the kernel send SIGTERM to this process when the one that started it, of this number, is gone."""
+    """Have the kernel send SIGTERM to this process when its parent, of this number, has ended."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent:  # it went before the kernel was asked
+    if os.getppid() != parent:  # it ended before the request
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def disable_idle_states() -> bool:
-    """Keep all processors out of idle states while this process lives; whether the kernel permitted it.
+    """Disable idle states of all processors during this process; whether the kernel permitted it.
 
     An idle processor of a virtual machine takes tens of microseconds to wake up.
     """
@@ -82,7 +82,7 @@ def enlarge_receive_buffers(size: int) -> int:
 
 
 def prefer(nice: int) -> bool:
-    """Put this thread, and those that it starts, before ordinary ones; whether the kernel permitted it.
+    """Raise the priority of this thread and its children; whether the kernel permitted it.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def record(
     progress: Callable[[int], None] = lambda ticks: None,
     own: SteppedPlant | None = None,
 ) -> dict[str, dict[str, str]]:
-    """Simulate and record what a run is made of, as :func:`run_in_process`; `own` stands for the plant of `parts`."""
+    """Simulate and record the parts of a run, as :func:`run_in_process`; `own` replaces the plant of `parts`."""
     loop = SimulatedLoop.of(parts, own)
     plant, start, name = loop.plant, AT_REST, {}
     if own is None:
@@ -128,7 +128,7 @@ def _close(bag: BagWriter, metadata: Mapping[str, Mapping[str, str]], done: int)
         bag.close(metadata)
     except OSError as error:  # the disk is full
         if done:
-            advice = f"`los-testbed bag repair {bag.path}` makes a bag of what was written"
+            advice = f"`los-testbed bag repair {bag.path}` makes a bag of the written data"
             raise OSError(error.errno, f"{error.strerror}; {advice}", error.filename) from None
         raise
     finally:

@@ -1,7 +1,7 @@
 """Samples of a sensor that is slower than the loop, used when they come, with their age.
 
-No tick waits for such a sensor. A frame of a tick that is over is *old*: what is done with it is a choice, and each
-kind of irregular frame is counted under its name.
+No tick waits for such a sensor. A frame of a past tick is *old*: its treatment is configurable, and each kind of
+irregular frame is counted under its name.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from titop_plant.interface import TICK_NS
 CORRECT, _, DROP = OLD_FRAMES
 
 NAMES = ("absent", "late", "early", "off_phase", "out_of_order")
-"""Irregular frames: did not come; came later than the latency; came with a stamp that is still to come; with a stamp
-beside the grid of its frames; after a newer one."""
+"""Irregular frames: absent; later than the latency; with a future stamp; off the frame grid; out of order."""
 
 AGREED = 5
-"""So many frames in a row beside the grid that agree with each other are a new grid: the trigger was moved, or the
-frame that began the grid was beside it."""
+"""Consecutive frames off the grid, consistent with each other, that define a new grid: the trigger was moved, or the
+first frame was off the grid."""
 
 MAX_AHEAD = 64
-"""Frames that wait for their ticks: after a stall the frames of all of it may come before the other samples."""
+"""Frames buffered for their ticks: after a stall all its frames may arrive before the other samples."""
 
 BEGINNING = "frames_"
 """Of the names of the counts in the statistics of a node."""
@@ -110,11 +109,11 @@ class SlowSensor:
         return True
 
     def _compare_phase(self, stamp: int) -> None:
-        """Count a frame beside the grid of the others."""
+        """Count a frame off the grid."""
         if self._phase is None:
             self._phase = stamp % self.period_ns
         off = self._from(self._phase, stamp)
-        if abs(off) <= TICK_NS // 2:  # a clock of its own drifts
+        if abs(off) <= TICK_NS // 2:  # drift of a free-running clock
             self._phase += off
             self._agreed = 0
             return
@@ -126,7 +125,7 @@ class SlowSensor:
             self._phase, self._agreed = self._other_phase, 0
 
     def _from(self, phase: int, stamp: int) -> int:
-        """How far a stamp is from the nearest point of a grid [ns]."""
+        """Distance of a stamp from the nearest point of a grid [ns]."""
         return (stamp - phase + self.period_ns // 2) % self.period_ns - self.period_ns // 2
 
     def offer(self, tick: int, values: FloatArray, last: int) -> None:

@@ -1,4 +1,4 @@
-"""The loop of a run under a part of its disturbances alone: its tones, one source, code of the user, sensor noise.
+"""The loop of a run under a part of its disturbances alone: its tones, one source, user code, sensor noise.
 
 The loop is the one of the run as implemented; it is linear while no command is limited. So the lines of sight of all
 parts add up to that of the run, tick by tick: tones and sensor bias start in their steady states, which add up to the
@@ -26,12 +26,12 @@ from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.source_matrix import source_matrix
 
 NOISE = "sensor noise"
-"""Name of the part that noise and bias of the sensors are."""
+"""Name of the part with noise and bias of the sensors."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of what acts in a run.
+    """A part of the disturbances of a run.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Part:
 
 
 def parts_of(parts: RunParts) -> list[Part]:
-    """All that acts in a run: tones of the scenario, disturbance of the user, sources, noise of the sensors.
+    """All disturbances of a run: tones of the scenario, user's disturbance, sources, noise of the sensors.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def parts_of(parts: RunParts) -> list[Part]:
 
 
 def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
-    """Line of sight under one source alone, from rest, its start-up left out.
+    """Line of sight under one source alone, from rest, without its start-up.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _quiet(parts: RunParts) -> RunParts:
 
 
 def _laws(parts: RunParts) -> dict[str, SampledSystem] | None:
-    """Controllers with states of their own; None of code, which is made anew."""
+    """Controllers with separate states; None for code, which is created again."""
     return None if parts.code else {name: replace(law) for name, law in parts.models.items()}
 
 

@@ -1,10 +1,10 @@
-"""One publisher for each topic of the loop: whose a message is follows from the identifier of its publisher.
+"""One publisher for each topic of the loop, identified by the middleware's identifier.
 
-The middleware gives every publisher an identifier that no other one has, and tells it of every message. In a run with a
-runner the processes list themselves (:mod:`los_testbed.run.loop.members`), and nobody else can: all others are foreign.
-Without a list, as on several hosts, the publisher is found by the name of its node, or by its hold ticks; it
-is kept while it sends, replaced by a later one of the same node when it is silent, and has its place again when it
-comes back. Stamps, values and rates of a message say nothing about its sender, and are not looked at.
+The middleware gives every publisher a unique identifier, which comes with every message. In a run with a runner only
+its processes can list themselves (:mod:`los_testbed.run.loop.members`): all others are foreign. Without a list, as on
+several hosts, the publisher is found by the name of its node, or by its hold ticks; it is kept while it sends, replaced
+by a later one of the same node when it is silent, and matched again when it returns. Stamps, values and rates of a
+message do not identify its publisher, and are not used.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from los_testbed.run.loop.members import OPEN, OTHER, OWN, PENDING
 from pointing_analysis.read.messages.cdr import STAMP, STAMP_OFFSET
 
 SILENCE_NS = 500_000_000
-"""A publisher that sent nothing for this time [ns] may have been replaced: less than a node takes to start again, more
-than a node of a loop that does not keep pace is silent."""
+"""Silence [ns] after which a publisher may have been replaced: less than the restart of a node takes, more than a node
+of a slow loop is silent."""
 
 MAX_STREAMS = 64
 
 OURS, FOREIGN, UNMATCHED = "", "foreign", "unmatched"
-"""What a message is: of the matched publisher, of another one beside it, of one that is not yet decided on."""
+"""Class of a message: of the matched publisher, of a foreign one, of an undecided one."""
 
 
 @dataclass(eq=False)
@@ -36,7 +36,7 @@ class Stream:
     first_at, at : int
         When the first one and the last one were received (steady clock [ns]).
     standing : str
-        What the list of the run says of it.
+        Its standing in the list of the run.
     count, used : int
         How many were received in all, and while it was matched.
     hold : bool
@@ -69,14 +69,14 @@ def _not_listed(gid: bytes) -> str:
 
 @dataclass
 class SourceGuard:
-    """Tells the messages of a topic's matched publisher from those of others.
+    """Distinguishes the messages of a topic's matched publisher from those of others.
 
     Parameters
     ----------
     expected : str
         Full name of the node that should send; only it is matched without a hold tick.
     standing : callable
-        What the list of the run says of an identifier; without one there is no list.
+        Standing of an identifier in the list of the run; None: there is no list.
 
     Examples
     --------
@@ -113,7 +113,7 @@ class SourceGuard:
         return self._forgotten + sum(stream.count for stream in self.others.values())
 
     def sort(self, gid: bytes, now_ns: int, data: bytes) -> str:
-        """Tell what a message is: :data:`OURS`, :data:`FOREIGN` or :data:`UNMATCHED`.
+        """Classify a message: :data:`OURS`, :data:`FOREIGN` or :data:`UNMATCHED`.
 
         Parameters
         ----------
@@ -164,15 +164,15 @@ class SourceGuard:
         return stream
 
     def _accuse(self) -> None:
-        """The matched publisher goes on: those that sent meanwhile are not in its place."""
+        """The matched publisher continues: those that sent meanwhile do not replace it."""
         self._suspects = False
         for stream in self.others.values():
             stream.beside = True
 
     def _back(self, stream: Stream, now_ns: int) -> str:
-        """A publisher that was silent and replaced goes on: it has its place again, and its substitute was none.
+        """A silent, replaced publisher continues: it is matched again, and its substitute is foreign.
 
-        Those of the run's list follow each other; nobody takes their place.
+        Those of the run's list follow each other; they are not replaced by others.
         """
         del self._former[stream.gid]
         self._displace()
@@ -198,7 +198,7 @@ class SourceGuard:
         return [stream.gid for stream in self.others.values() if stream.beside]
 
     def undecided(self, now_ns: int) -> bool:
-        """Whether a stream may be that of a new publisher in the place of the matched one."""
+        """Whether a stream may be that of a new publisher that replaces the matched one."""
         return bool(self._candidates(now_ns))
 
     def _candidates(self, now_ns: int) -> list[Stream]:
@@ -259,8 +259,8 @@ class SourceGuard:
         self.node = nodes.get(stream.gid.hex()) or self.expected
         self._gids |= {endpoint.gid for endpoint in endpoints if endpoint.node == self.node}
 
-    def strangers(self, endpoints: Sequence[Endpoint]) -> list[Endpoint]:
-        """Publishers that are not the topic's own; those of which that is not yet known are left out.
+    def foreign_publishers(self, endpoints: Sequence[Endpoint]) -> list[Endpoint]:
+        """Foreign publishers of the topic; undecided ones are excluded.
 
         With a list of the run, all that are not in it; without one, those of other nodes than the matched one's or,
         before there is one, the expected one.

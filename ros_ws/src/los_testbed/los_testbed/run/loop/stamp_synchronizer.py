@@ -228,7 +228,7 @@ class StampSynchronizer:
             sensor.begin_again()
 
     def silent(self) -> list[tuple[int, int]]:
-        """Parts of which nothing has come, whatever its values, while others have, and for how long [ns]."""
+        """Parts that are silent while others are not, and for how long [ns]."""
         quiet = [
             (index, self.slow[index].silent_ns() if index in self.slow else self._newest - latest)
             for index, latest in enumerate(self.latest)

@@ -1,4 +1,4 @@
-"""Watch over the nodes of a run: whether each of them answers, and whether the ticks go on."""
+"""Watchdog of the nodes of a run: whether each of them responds, and whether ticks are done."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import time
 from collections.abc import Callable, Collection
 
 TOLD_S = 5.0
-"""So long a node may be silent, or no tick be done, before a line says so."""
+"""Silence of a node, or time without a tick, before a warning."""
 
 LOOK_S = 1.0
-"""A program that has not looked for longer than this has not run itself: that time counts for nobody."""
+"""Longest interval of calls that counts: after a longer one this program itself was stalled."""
 
 LATER_S = 2.0
-"""Ticks that stand still because of a node are noticed so much later than its silence, which says more."""
+"""Extra delay of the warning about ticks: the silence of a node that stops them is reported first."""
 
 TICKS = "ticks"
-"""What is watched beside the nodes."""
+"""Name of the ticks, which are watched besides the nodes."""
 
 
 class AnswerWatch:
-    """Who has been silent for how long, by what the nodes tell about once a second.
+    """Silence of the nodes, from their heartbeats about once a second.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class AnswerWatch:
         self._looked: float | None = None
 
     def heard(self, name: str) -> str:
-        """A node has told something, or a tick was done; a line where its silence was told before."""
+        """An event of a node, or a tick; a line if its silence was reported before."""
         now = self._clock()
         silence = now - self._heard.get(name, now)
         self._heard[name] = now
@@ -51,8 +51,8 @@ class AnswerWatch:
             return ""
         self._told.discard(name)
         if name == TICKS:
-            return f"the ticks go on after {silence:.0f} s"
-        return f"{name} answers again after {silence:.0f} s"
+            return f"the ticks continue after {silence:.0f} s"
+        return f"{name} responds again after {silence:.0f} s"
 
     def knows(self, name: str) -> bool:
         """Whether it is watched."""
@@ -66,11 +66,11 @@ class AnswerWatch:
             self._waits_for = ()
 
     def waits_for(self, topics: Collection[str]) -> None:
-        """What the plant says it waits for before the next tick; nothing where ticks are done."""
+        """Topics that the plant waits for before the next tick; empty while ticks are done."""
         self._waits_for = tuple(topics)
 
     def look(self) -> list[str]:
-        """Lines about those whose silence is not told yet; to be called at least once a second."""
+        """Lines about silences that are not yet reported; call it at least once a second."""
         now = self._clock()
         if self._looked is not None and (missed := now - self._looked - LOOK_S) > 0:
             self._heard = {name: heard + missed for name, heard in self._heard.items()}
@@ -88,13 +88,13 @@ class AnswerWatch:
         return [TICKS]
 
     def in_words(self, names: Collection[str]) -> str:
-        """What is said of a run that is ended because of these."""
+        """Message about a run that is ended because of these."""
         now = self._clock()
         return ", ".join(self._line(name, now) for name in names)
 
     def _line(self, name: str, now: float) -> str:
         silence = now - self._heard[name]
         if name == TICKS:
-            missing = f": nothing has come on {', '.join(self._waits_for)}" if self._waits_for else ""
+            missing = f": no message on {', '.join(self._waits_for)}" if self._waits_for else ""
             return f"no tick for {silence:.0f} s{missing}"
-        return f"{name} has not answered for {silence:.0f} s"
+        return f"{name} has not responded for {silence:.0f} s"

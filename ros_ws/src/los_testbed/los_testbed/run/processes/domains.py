@@ -1,4 +1,4 @@
-"""What one run of this machine has for itself: domain and namespace, a domain nobody uses, the place of its bag."""
+"""Exclusive resources of a run on this machine: domain and namespace, an unused domain, the path of its bag."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PORT_BASE, DOMAIN_GAIN, FIRST_PARTICIPANT, PARTICIPANT_GAIN = 7400, 250, 10, 2
 """Ports of DDS: base, step from domain to domain, the first participant's unicast discovery, step to the next one's."""
 
 PARTICIPANTS = 32
-"""So many of a machine are looked for: nodes may still run whose first participant has ended."""
+"""Participants checked per domain: nodes may still run after the first one has ended."""
 
 _NAMES_OF_THE_KERNEL = platform.system() == "Linux"
 """Elsewhere a lock of a file in the temporary folder, which the end of the process frees, too."""
@@ -48,7 +48,7 @@ def output_lock(bag: Path) -> Iterator[None]:
         Another run holds it.
     """
     place = hashlib.blake2b(str(bag.resolve()).encode(), digest_size=16).hexdigest()
-    with _held(f"bag_{place}", f"--output must be a new name that no other run has, got {bag}"):
+    with _held(f"bag_{place}", f"--output must not be in use by another run, got {bag}"):
         yield
 
 

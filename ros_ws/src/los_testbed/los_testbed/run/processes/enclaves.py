@@ -1,4 +1,4 @@
-"""What each node of a run may send and receive, as the two XML documents of DDS security 1.1 say it.
+"""Permissions of each node of a run, as the two XML documents of DDS security 1.1.
 
 The names are those of ROS 2 in the middleware: ``rt`` before a topic, ``rq`` and ``rr`` before request and reply of a
 service. Every node may hear all topics of the run; it may send its own only.
@@ -68,7 +68,7 @@ def heard_by(name: str, namespace: str) -> tuple[str, ...]:
 
 
 def _askers(name: str, space: str) -> list[str]:
-    """What is below the nodes by which requests are made: they have numbers in their names."""
+    """Nodes of clients, which have numbers in their names."""
     return [f"{space}/{LIVE}/*", f"{space}/{LIVE}_control_*"] if name == LIVE else [f"/{CONTROL}_*"]
 
 
@@ -99,7 +99,7 @@ def permissions(name: str, namespace: str, domain: int | None, begin: datetime, 
 
 
 def governance(domain: int | None) -> str:
-    """Governance document: nobody without a certificate, everything encrypted, access checked of every topic."""
+    """Governance document: certificate required, all traffic encrypted, access control on every topic."""
     root = _document("governance")
     rule = _add(_add(root, "domain_access_rules"), "domain_rule")
     _add_domains(rule, domain)

@@ -1,4 +1,4 @@
-"""A network of its own for the nodes of a run: nobody else is on their ROS domain.
+"""A separate network for the nodes of a run: no other program is on their ROS domain.
 
 A network namespace has a loopback interface of its own and no other. A process outside has no address by which it could
 reach a socket inside, whatever its domain, names and rate. A server for viewers listens outside: the runner opens its
@@ -34,7 +34,7 @@ LEFT_OUT = {*PROFILE_VARIABLES, TRANSPORT_VARIABLE, LOCALHOST_VARIABLE, "ROS_STA
 
 @dataclass(frozen=True)
 class Network:
-    """Network of the nodes of a run: that of this process, or one that exists as long as somebody is inside.
+    """Network of the nodes of a run: that of this process, or one that exists as long as a process is inside.
 
     Attributes
     ----------
@@ -114,12 +114,12 @@ def isolated_network() -> Iterator[Network]:
 def isolated_environment(variables: Mapping[str, str]) -> dict[str, str]:
     """Environment of nodes in a network of their own: UDP on its loopback interface, and no other way.
 
-    Settings of the user could add shared memory, which does not belong to a network: they are left out.
+    Settings of the user could add shared memory, which is not part of a network: they are ignored.
 
     Raises
     ------
     ValueError
-        Another middleware, of which it is not known by what it communicates.
+        Another middleware, whose transports are not known.
     """
     layer = variables.get(LAYER_VARIABLE, LAYER)
     if not layer.startswith(LAYER):

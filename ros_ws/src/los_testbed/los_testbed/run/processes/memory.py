@@ -1,17 +1,17 @@
-"""Memory of a run: what its processes need, and what shows that it was too little."""
+"""Memory of a run: the need of its processes, and signs of too little."""
 
 from __future__ import annotations
 
 import resource
 
 ADDRESS_SPACE = 1_150_000_000
-"""What a node of the telescope needs [bytes]; measured 1.065e9, most of it code and stacks of the middleware."""
+"""Need of a node of the telescope [bytes]; measured 1.065e9, most of it code and stacks of the middleware."""
 
 ADDRESS_SPACE_LIVE = 1_300_000_000
 """The node that serves viewers; measured 1.18e9."""
 
 ADDRESS_SPACE_COMMAND = 600_000 * 1024
-"""What any command needs; with less, packages fail to load at any place, and OpenBLAS asks for memory for ever."""
+"""Need of any command; with less, packages fail to load, and OpenBLAS retries allocations for ever."""
 
 TOO_LITTLE_MEMORY = "too little memory"
 WORDS = (
@@ -41,7 +41,7 @@ def _check(needed: int, purpose: str, advice: str) -> None:
 
 
 def check_address_space(live: bool) -> None:
-    """Refuse to start processes that would wait for each other for ever: a middleware without memory says nothing.
+    """Reject processes that would deadlock: a middleware without memory reports no error.
 
     Raises
     ------

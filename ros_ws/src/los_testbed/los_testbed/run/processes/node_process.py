@@ -81,7 +81,7 @@ class NodeProcess:
         number = max(number, -code)
         how = f"signal {number}" if number else f"exit code {code}"
         if code == -signal.SIGXCPU:
-            how += f": it computed for {MAX_BUSY_S:g} s without a pause at real-time priority"
+            how += f": it computed for {MAX_BUSY_S:g} s without yielding at real-time priority"
         if names_memory(self.errors):
             how += f": {TOO_LITTLE_MEMORY}"
         last = self.errors.strip().splitlines()[-1:] or [""]

@@ -15,7 +15,7 @@ SWITCHES = ("RCUTILS_COLORIZED_OUTPUT", "RCUTILS_LOGGING_USE_STDOUT", "RCUTILS_L
 """Variables that are 0 or 1; logging does not start with another value."""
 
 INDEX = ("share", "ament_index", "resource_index", "rmw_typesupport")
-"""Where each installed middleware layer has a file with its name."""
+"""Folder with a file named after each installed middleware layer."""
 
 
 def check_variables(environment: Mapping[str, str]) -> None:

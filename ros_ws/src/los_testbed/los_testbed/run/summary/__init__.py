@@ -1,1 +1,1 @@
-"""What is said of finished runs: metrics, verdicts, predictions, shares of the sources."""
+"""Results of finished runs: metrics, verdicts, predictions, shares of the sources."""

@@ -39,11 +39,11 @@ class ControlEffect:
 
     @property
     def remark(self) -> str:
-        """One line where control adds more than it removes, else empty."""
+        """One line if control increases the error, else empty."""
         if self.closed <= self.isolated:
             return ""
         return (
-            f"control adds more than it removes: RPE {self.closed:.3g} mas rms with it, "
+            f"control increases the error: RPE {self.closed:.3g} mas rms with it, "
             f"{self.isolated:.3g} mas rms on the isolator alone (model)"
         )
 

@@ -1,7 +1,7 @@
-"""What a bag states to be proven of its loop, compared with the certificates at hand.
+"""Bounds that a bag states as proven for its loop, compared with the local certificates.
 
-Whoever writes a bag can write any bound into it. What the certificates say is looked up anew, by the digests of the
-controllers in the bag and of the telescope, with the settings and the statistics of the run.
+A bag can state any bound. The certificates are looked up again, by the digests of the controllers in the bag and of the
+telescope, with the settings and the statistics of the run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ABOVE = 1.1
 
 
 def confirmed(run: Run) -> frozenset[str]:
-    """Keys of a bag's statements on proofs (`PROOF_KEYS`) that the certificates at hand say word for word of its loop.
+    """Keys of a bag's statements on proofs (`PROOF_KEYS`) that the local certificates confirm for its loop.
 
     None where the bag does not hold its configuration and controllers, or where the telescope's file is another now.
     """
@@ -59,7 +59,7 @@ def stated_lines(run: Run, lines: Mapping[str, str]) -> list[str]:
 def with_confirmed(run: Run, summary: Summary) -> Summary:
     """The summary of a run, whose bounds count as proven where they are :func:`confirmed`.
 
-    Not so a bound that the record is far above: it is not of the loop that was proven.
+    Except a bound far below the record: it is not of the proven loop.
     """
     if not any(one.proven for one in summary.beside) or PROOF_BOUNDS not in confirmed(run):
         return summary

@@ -29,7 +29,7 @@ def loop_curves(runs: Sequence[Recording]) -> list[tuple[LoopCurves, ...]]:
     """Of each run the loop broken at the mirror, and at the forces where they act.
 
     Nothing for a run whose loop is not known: another program's bag, a stage without fine control, a telescope that
-    moves or is no longer that of the run, a camera at another rate, code of the user.
+    moves or is no longer that of the run, a camera at another rate, user code.
     """
     return [_curves(run) if isinstance(run, Run) else () for run in runs]
 

@@ -63,7 +63,7 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     settings = dict(table.get("settings", {}))
     if set(settings) - SETTINGS:
         unknown = ", ".join(sorted(set(settings) - SETTINGS))
-        raise ValueError(f"{' / '.join(path)}: settings must be of {', '.join(sorted(SETTINGS))}, got {unknown}")
+        raise ValueError(f"{' / '.join(path)}: settings must be among {', '.join(sorted(SETTINGS))}, got {unknown}")
     values = {key: table[key] for key in ("loop", "scenario", "seed") if key in table}
     config = RunConfig.from_mapping({**settings, **values})
     parts = RunParts(config)

@@ -1,4 +1,4 @@
-"""Predicted against measured, for the report: what the model as implemented says of a recorded run, from the bag alone.
+"""Predicted and measured tones for the report: the model as implemented against a recorded run, from the bag alone.
 
 Configuration and controllers are those in the bag. The telescope's parameter file is not in it: its values
 must still be those of the run, by the hash in the bag.
@@ -27,7 +27,7 @@ LONGEST = 60.0
 """Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""
 
 CONTROLLERS = ("k_fsm", "k_pma")
-OTHER_FIGURES = "telescope's figures are no longer those of the run"
+OTHER_FIGURES = "telescope has changed since the run"
 LATE = 100
 """Ticks that may be missing at the end of a record; where more are, its recorder may have come late."""
 
@@ -75,8 +75,8 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
         if rig:
             config, start_of_run = config.emulated(), AT_REST
-        untold = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
-        parts = RunParts(config, controllers, None if untold else start_of_run)
+        unstated = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
+        parts = RunParts(config, controllers, None if unstated else start_of_run)
         if parts.physical.ramps:
             return None
         if value_of(parts.family.name(parts.physical)) != known:
@@ -89,28 +89,28 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)
         return Prediction(note=text)
     if not tones:
-        return Prediction(note=f"too few periods of each tone within the first {LONGEST:g} s, start-up left out")
+        return Prediction(note=f"too few periods of each tone within the first {LONGEST:g} s after start-up")
     return Prediction(tones, first, last)
 
 
 def _emulated(run: Run) -> str:
-    """Name of the telescope that a rig has said to simulate; "" for other runs and without a true line of sight."""
+    """Name of the telescope that a rig simulates; "" for other runs and without a true line of sight."""
     return "" if on_camera(run) else str(statistics_of(run, "plant").get("device_emulates", ""))
 
 
 def _check_controllers(run: Run) -> None:
     gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
     if gone:
-        raise ValueError(f"of code of the user no model is known, and the bag does not hold {' and '.join(gone)}")
+        raise ValueError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
 
 
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
     _check_controllers(run)
     if config.camera_dropout:
-        raise ValueError("camera frames were dropped at random and the model has them all")
+        raise ValueError("camera frames were dropped at random, and the model drops none")
     if start > 0:
-        raise ValueError("the prediction starts with the run, and only a later part of it is shown")
+        raise ValueError("the prediction starts with the run, and the report with a later part")
     if run["truth/los"].lost_before:
         raise ValueError("the record does not begin with the run: its first samples are lost")
     stamp = run["truth/los"].stamp

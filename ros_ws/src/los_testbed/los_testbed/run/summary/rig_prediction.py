@@ -30,7 +30,7 @@ RARE = 0.01
 
 
 def statistics_of(run: Run, node: str) -> Mapping[str, Any]:
-    """What a node said at the end of a run; nothing where the bag has none, or another type."""
+    """Last statistics of a node in a run; empty if the bag has none, or another type."""
     statistics = run.parameters.get("statistics")
     found = statistics.get(node) if isinstance(statistics, Mapping) else None
     return found if isinstance(found, Mapping) else {}
@@ -50,7 +50,7 @@ def rig_tones(
     shares = shares_of_text(str(plant.get("device_delay_ticks", "")))
     late = sum(share for ticks, share in shares.items() if ticks > LONGEST)
     if not shares or not all(0.0 <= share <= 1.0 for share in shares.values()):
-        raise ValueError("the bag does not say the delays of the rig")
+        raise ValueError("the bag does not hold the delays of the rig")
     if late > RARE:
         raise ValueError(f"{late:.0%} of the commands came more than {LONGEST} ticks after their measurements")
     shares = {ticks: share for ticks, share in shares.items() if ticks <= LONGEST}

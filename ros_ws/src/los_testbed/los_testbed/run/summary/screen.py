@@ -1,4 +1,4 @@
-"""What is printed: names and paths of others as they are, whatever they look like."""
+"""Terminal output: foreign names and paths are printed literally."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Screen(Console):
         return super().render_str(printable_lines(text), **options)
 
 
-STYLES = {"ok": "green", "kept": "green", "bad": "red"}
+STYLES = {"ok": "green", "within": "green", "bad": "red"}
 """Colours of marked cells."""
 
 

@@ -1,9 +1,9 @@
-"""What each part of a run's disturbances does to the line of sight (:mod:`los_testbed.run.loop.source_alone`).
+"""Contribution of each part of a run's disturbances to the line of sight (:mod:`los_testbed.run.loop.source_alone`).
 
 **Shares.** The lines of sight of the parts add up to that of the run. The share of a part in the relative error is its
 covariance with the whole in the windows of the relative error, over the variance of the whole, both axes: for
-independent parts its part of the sum of squares, and for any parts the shares add up to 1. What the parts do not make,
-by limited commands or what else is not linear, is a row of its own.
+independent parts its part of the sum of squares, and for any parts the shares add up to 1. The remainder, by
+limited commands or other nonlinearities, has its own row.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from titop_plant.interface import DT
 LONGEST = 20.0
 """Seconds of a run, from its start, that are simulated for each part and taken of the record."""
 TOGETHER, REST = "together", "not linear"
-"""Names of the row of the record, and of what the parts do not make of it."""
+"""Names of the row of the record, and of the remainder."""
 SMALL = 1e-3
-"""Relative size, rms in windows, of what the parts do not make that is not worth a row."""
+"""Largest relative remainder, rms in windows, without a row."""
 LATE = 100
 """Ticks that may be missing at the end of a record."""
 
@@ -51,12 +51,12 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     if not isinstance(run, Run) or "run.yaml" not in run.attachments or not (own or "disturbances" in run.parameters):
         return ()
     if acting is None:
-        raise ValueError("the bag is of an older version and does not say what acted: no shares of its sources")
+        raise ValueError("the bag is of an older version without its disturbances: no shares of sources")
     config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
     start = RunStart.from_bytes(run.attachments[START_FILE]) if START_FILE in run.attachments else AT_REST
     parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
     if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
-        raise ValueError("the files of the disturbances are no longer those of the run: no shares of them")
+        raise ValueError("the disturbance files have changed since the run: no shares of them")
     ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
     found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from pointing_analysis.report.model_results import ExpectedLines
 
 ON_CAMERA = (
-    "the device gives no true line of sight: the verdicts are on the camera's, with its noise, and say nothing of what "
-    "is faster than its frames"
+    "the device gives no true line of sight: the verdicts are on the camera's, with its noise, and do not cover "
+    "motion above its frame rate"
 )
 
 
@@ -59,7 +59,7 @@ class RunSummaries:
     remarks : tuple of tuple of str
         Of each run sentences beside its verdict.
     shares : tuple of tuple of SourceShare
-        Of each run what its sources of disturbance do.
+        Contributions of the disturbance sources of each run.
     """
 
     summaries: tuple[Summary, ...]
@@ -116,7 +116,7 @@ class JudgedRuns:
         Older bags of this testbed with the requirements of the reference telescope.
     summaries : tuple of Summary
     shares : tuple of tuple of SourceShare
-        Of each run what its sources of disturbance do.
+        Contributions of the disturbance sources of each run.
     remarks : tuple of tuple of str
         Of each run sentences beside its verdict; what is assumed, and why there are no shares.
     transient : float or None
@@ -211,17 +211,17 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
 
 
 def _lost_periods(run: Recording, summary: Summary) -> str:
-    """What a plant in real time could not send; empty where it lost no period."""
+    """Sentences about samples that a real-time plant did not send; empty if it lost no period."""
     plant = _statistics(run, "plant")
     lost = int(plant.get("lost_periods", 0))
     unsent = int(sum(plant.get(f"{UNSENT}{name}", 0) for name in (UNSENT_TICKS, "outside"))) - lost
-    told = [f"{lost} periods were lost: the plant went on with the command it had, and no sample was sent"] * (lost > 0)
-    told += [f"in {unsent} ticks the device gave not all samples, and none was sent"] * (unsent > 0)
-    if told and summary.windows_skipped:
-        told.append(f"{summary.windows_skipped} windows of {time_text(summary.window)} with one are left out")
+    sentences = [f"{lost} periods were lost: the plant held its command, and no sample was sent"] * (lost > 0)
+    sentences += [f"in {unsent} ticks samples of the device were incomplete, and none was sent"] * (unsent > 0)
+    if sentences and summary.windows_skipped:
+        sentences.append(f"{summary.windows_skipped} windows of {time_text(summary.window)} with one are excluded")
     if lost and not run.parameters.get("device"):  # a rig has no other mode
-        told.append("--mode lockstep loses none on any machine")
-    return "; ".join(told)
+        sentences.append("--mode lockstep loses none")
+    return "; ".join(sentences)
 
 
 def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
@@ -314,7 +314,7 @@ def say_outputs(console: Console, outputs: ReportOutputs) -> None:
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> ScreenTable:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
-    title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
+    title += f", first {summary.transient:g} s (start-up) excluded" if summary.transient else ", steady start"
     table = on_screen(replace(requirement_table(summary.rows).only(*BRIEF), title=title))
     table.add_section()
     judged = {row.quantity for row in summary.rows}
@@ -322,7 +322,7 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> ScreenTable:
         if figure.quantity not in judged:
             table.add_row(figure.name, figure.text)
     lost = metrics["samples_lost"]
-    verdict = "not known: cut off" if summary.open_end and not lost else met(not lost)
+    verdict = "not known: truncated" if summary.open_end and not lost else met(not lost)
     table.add_row("samples lost", summary.lost_text(lost), "0", "", marked(verdict))
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:

@@ -2,7 +2,7 @@
 
 For each index the run with the disturbance alone gives the measured amplitude of the tone, the model gives gamma times
 the limit, and the run with noise as well gives the noise and the quantile of its windows. What the limits of the RPE
-are compared with is the level that 99.7 % of the windows keep beside the tone and the noise
+are compared with is the level that 99.7 % of the windows stay below with tone and noise
 (:func:`titop_plant.telescope.error_budget.combined_level`), from the tone and the noise of the record: the quantile of
 its windows has the scatter of the few that are largest.
 """
@@ -35,7 +35,7 @@ SHOWN = 0.997
 """Part of the instants, or windows, that the table's levels hold for: that of the quantiles of a summary."""
 
 CONFIDENCE = 0.95
-"""Of the statement that a limit is kept, or that it is broken."""
+"""Of the statement that a limit is met, or exceeded."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def worst_tone_of(run: Run) -> WorstToneRun | None:
 
 
 def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> float:
-    """What the limits of an index are compared with: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
+    """Level that is compared with the limits of an index: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
 
     `omega` is the frequency of the tone [rad/s]; `errors` standard errors of the record's noise are added to the noise
     of the RPE.
@@ -101,27 +101,27 @@ def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> fl
     return combined_level(max(budget.slow, budget.fast), noise, SHOWN, turn=turn)
 
 
-def limits_kept(summary: Summary, index: str, omega: float, requirements: Sequence[Requirement]) -> str:
-    """What a run keeps of the limits of its index: "keeps 100, breaks 40".
+def limits_met(summary: Summary, index: str, omega: float, requirements: Sequence[Requirement]) -> str:
+    """Limits of an index that a run meets and exceeds: "meets 100, exceeds 40".
 
-    :func:`level` is compared with each limit. The noise of a short record scatters: a limit is kept, or broken, if it
-    is so with the upper, or the lower, bound of the noise at :data:`CONFIDENCE`, one-sided; else it is "within the
-    scatter".
+    :func:`level` is compared with each limit. The noise of a short record scatters: a limit is met if the level with
+    the upper one-sided bound of the noise at :data:`CONFIDENCE` is within it, exceeded if that with the lower bound is
+    not; else it is "within the scatter".
     """
     errors = float(special.ndtri(CONFIDENCE))
     least, most = level(summary, index, omega, -errors), level(summary, index, omega, errors)
     name = "APE" if index == "APE" else "RPE"
     unit = RAD_PER_ARCSEC if name == "APE" else RAD_PER_MAS
     bounds = sorted({r.limit / unit for r in requirements if judges(r, name, summary.window)}, reverse=True)
-    kept = [f"{b:g}" for b in bounds if most <= b]
+    met = [f"{b:g}" for b in bounds if most <= b]
     scattered = [f"{b:g}" for b in bounds if least <= b < most]
-    broken = [f"{b:g}" for b in bounds if b < least]
+    exceeded = [f"{b:g}" for b in bounds if b < least]
     texts = (
-        f"keeps {' and '.join(kept)}",
+        f"meets {' and '.join(met)}",
         f"{' and '.join(scattered)} within the scatter",
-        f"breaks {' and '.join(broken)}",
+        f"exceeds {' and '.join(exceeded)}",
     )
-    return ", ".join(text for text, names in zip(texts, (kept, scattered, broken)) if names)
+    return ", ".join(text for text, names in zip(texts, (met, scattered, exceeded)) if names)
 
 
 def judges(requirement: Requirement, index: str, window: float) -> bool:
@@ -143,7 +143,7 @@ COLUMNS = (
 
 
 def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Sequence[Requirement]) -> list[list[str]]:
-    """Rows of the table: stage, tone, run with noise, limits of the telescope that it keeps."""
+    """Rows of the table: stage, tone, run with noise, limits that it meets and exceeds."""
     table = []
     for loop, tone, summary in cells:
         quantile = summary.ape_p997 if tone.index == "APE" else summary.rpe_windows_p997
@@ -158,10 +158,10 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Seque
                 f"{figure(tone.measured)} {tone.unit}",
                 f"{figure(level(summary, tone.index, tone.omega))} {tone.unit}",
                 "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}",
-                limits_kept(summary, tone.index, tone.omega, requirements),
+                limits_met(summary, tone.index, tone.omega, requirements),
             ]
         )
     return table
 
 
-__all__ = ["COLUMNS", "WORST_INDICES", "WorstToneRun", "level", "limits_kept", "rows", "worst_tone_of"]
+__all__ = ["COLUMNS", "WORST_INDICES", "WorstToneRun", "level", "limits_met", "rows", "worst_tone_of"]

@@ -1,1 +1,1 @@
-"""Messages as bytes, between the nodes and the middleware."""
+"""Serialised messages between nodes and middleware."""

@@ -1,9 +1,9 @@
 """All samples, or all commands, of a tick in one message.
 
-A tick of the loop then needs one message each way. The topics of the single sensors and actuators carry the same values
-for everybody else, and are published after it. The message is a ``sensor_msgs/JointState``: each entry of ``name`` says
-what the entry of ``effort`` at its place is. A sensor without a sample at a tick is NaN. A sensor that is slower than
-the loop has an age besides: time from its sample to the tick [s], NaN without one.
+A tick of the loop then needs one message each way. The topics of the single sensors and actuators have the same values
+for other subscribers, and are published after it. The message is a ``sensor_msgs/JointState``: each entry of ``name``
+says what the entry of ``effort`` at its place is. A sensor without a sample at a tick is NaN. A sensor that is slower
+than the loop has an age besides: time from its sample to the tick [s], NaN without one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FRAME = "loop"
 
 @dataclass(frozen=True)
 class TickBundle:
-    """What one message of a tick holds.
+    """Content of the message of a tick.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class TickBundle:
 
     @property
     def names(self) -> list[str]:
-        """What each value is: topic and index, or topic and ``age``."""
+        """Name of each value: topic and index, or topic and ``age``."""
         names = [""] * self.size
         for topic in self.topics:
             for i, column in enumerate(range(topic.columns.start, topic.columns.stop)):

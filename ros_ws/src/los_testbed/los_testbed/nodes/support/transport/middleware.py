@@ -1,8 +1,8 @@
 """Settings of the middleware (Fast DDS) for a process; to be chosen before rclpy starts.
 
-Nodes talk UDP, not shared memory: as fast for such small messages (measured), and without its faults. A process that
-is killed while it holds the lock of a segment blocks others, a writer that meets a new or dead reader is held
-up for a third of a second by a health check, and files stay behind in /dev/shm.
+Nodes use UDP, not shared memory: as fast for such small messages (measured), without its faults. A process that is
+killed while it holds the lock of a segment blocks others, a health check delays a writer with a new or dead reader by
+a third of a second, and files remain in /dev/shm.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ WIDER_RANGES = (None, "SUBNET", "OFF", "SYSTEM_DEFAULT")
 
 
 def choose_middleware(environment: MutableMapping[str, str]) -> None:
-    """Set profile, transport and range of discovery in `environment`; a profile that the user names goes before it.
+    """Set profile, transport and discovery range in `environment`; a profile of the user takes precedence.
 
     For the range ``LOCALHOST`` the ROS middleware layer adds shared memory to every participant, whatever the
-    transport variable says. So that range is made by a profile, and the layer is told ``SUBNET``, which leaves
-    the profile alone. The profile binds every socket to 127.0.0.1, so ``ROS_STATIC_PEERS`` has no effect with it.
-    Another middleware than Fast DDS does not read the profile: its environment is left alone.
+    transport variable says. So that range is set by a profile, and the layer gets ``SUBNET``, which does not change
+    the profile. The profile binds every socket to 127.0.0.1, so ``ROS_STATIC_PEERS`` has no effect with it.
+    A middleware other than Fast DDS does not read the profile: its environment is not changed.
     """
     if not environment.get(LAYER_VARIABLE, LAYER).startswith(LAYER):
         return

@@ -1,4 +1,4 @@
-"""Publishers and subscriptions that carry bytes, and a wait on them, all outside any executor."""
+"""Publishers and subscriptions of serialised messages, and a wait on them, outside any executor."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from pointing_analysis.read.messages.message_types import ACCEL, HEADER, IMAGE, 
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header, IMAGE: Image}
 READER_DEPTH = 200
-"""Messages that a reader of the loop keeps: a foreign publisher must not push the others out within a few ticks."""
+"""History depth of a subscription of the loop: a foreign publisher must not displace the others within a few ticks."""
 
 LOCKSTEP_DEPTH = 5000
-"""The same where time waits for every message: what is pushed out would never come again."""
+"""The same in lockstep: a displaced message would never be sent again."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 SETTLE_S = 1.0
-"""Time that readers get for the last messages of a node that ends [s]; a reader that is gone costs all of it."""
+"""Longest wait for subscribers to receive a node's last messages [s]; with a dead subscriber all of it passes."""
 
 
 class NoExecutorGroup(CallbackGroup):  # type: ignore[misc, unused-ignore]
-    """Group of entities that no executor touches: their messages are taken by the loop."""
+    """Callback group of entities without executor: the loop takes their messages."""
 
     def can_execute(self, entity: Any) -> bool:
         """Nothing is executed."""
@@ -67,7 +67,7 @@ class RawPublisher:
         self.publish = self._handle.publish_raw
 
     def settle(self, deadline: float) -> bool:
-        """Wait until every reader has what was sent, at most until `deadline` (steady clock [s]); whether it has."""
+        """Wait until all subscribers have the messages, or until `deadline` (steady clock [s]); whether they do."""
         rest = max(0.0, deadline - time.monotonic())
         return bool(self._publisher.wait_for_all_acked(Duration(nanoseconds=int(rest * 1e9))))
 
@@ -77,7 +77,7 @@ class RawPublisher:
 
 
 def settle(publishers: Sequence[RawPublisher]) -> bool:
-    """Wait until what these sent last has arrived, at most :data:`SETTLE_S`; whether all of it has.
+    """Wait until the last messages of these have arrived, at most :data:`SETTLE_S`; whether all have.
 
     Readers drop the messages of a process that they have not yet taken in when they learn that it has left, and they
     learn that on another port.
@@ -90,9 +90,9 @@ def settle(publishers: Sequence[RawPublisher]) -> bool:
 class RawSubscription:
     """Subscription whose messages are taken as bytes.
 
-    A reliable reader hands on nothing until a lost message was sent again. That is right for a recorder; a loop
-    would rather miss one sample than get all the following ones late, so it reads without that (`reliable` False)
-    from the same reliable publishers.
+    A reliable subscription delivers nothing until a lost message was retransmitted. That suits a recorder; a loop
+    misses one sample rather than getting all following ones late, so it subscribes best effort (`reliable` False) to
+    the same reliable publishers.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class RawSubscription:
         """Oldest message with its times and its publisher, or None."""
 
     def sort(self, taken: Taken, now_ns: int) -> str:
-        """What :meth:`~los_testbed.run.loop.source_guard.SourceGuard.sort` says of the publisher of a message.
+        """Class of a message by :meth:`~los_testbed.run.loop.source_guard.SourceGuard.sort`.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class RawSubscription:
         return found
 
     def decide(self, now_ns: int) -> None:
-        """Look at the graph if there are messages of a publisher that is not yet decided on."""
+        """Query the graph if there are messages of an undecided publisher."""
         if self.guard.undecided(now_ns):
             self.guard.decide(self.endpoints(), now_ns)
 

@@ -1,4 +1,4 @@
-"""Refuse to run unprotected when ROS security was asked for.
+"""Reject an unprotected run if ROS security is requested.
 
 The middleware of the Python wheels is built without it, and with the permissive strategy it would run
 without protection after one line of warning.

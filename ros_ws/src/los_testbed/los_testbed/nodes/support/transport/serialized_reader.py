@@ -1,7 +1,7 @@
-"""Messages as bytes together with the identifier of their publisher, which rclpy reads and does not hand on.
+"""Serialised messages with the identifier of their publisher, which rclpy reads but does not expose.
 
-The middleware tells of every message which publisher sent it; the library ``rcl`` below rclpy gives that to its callers
-(``rcl_take_serialized_message``). It is loaded already: what is called here is the function that rclpy calls.
+The library ``rcl`` below rclpy returns the publisher of every message (``rcl_take_serialized_message``). It is already
+loaded: this module calls the function that rclpy calls.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ def _function(name: str) -> Any:
     for path in paths:
         if path.endswith("/librcl.so") and hasattr(library := ctypes.PyDLL(path), name):
             return getattr(library, name)
-    raise RuntimeError(f"rclpy must have loaded librcl.so with {name}, got another build: no sender can be told")
+    raise RuntimeError(
+        f"rclpy must have loaded librcl.so with {name}, got another build: publishers cannot be identified"
+    )
 
 
 class SerializedReader:
@@ -114,7 +116,7 @@ def publisher_gid(publisher: Any) -> bytes:
     Raises
     ------
     RuntimeError
-        The middleware does not tell.
+        The middleware does not provide it.
     """
     handle_of = _function("rcl_publisher_get_rmw_handle")
     handle_of.argtypes, handle_of.restype = [ctypes.c_void_p], ctypes.c_void_p
@@ -122,5 +124,5 @@ def publisher_gid(publisher: Any) -> bytes:
     gid_of.argtypes, gid_of.restype = [ctypes.c_void_p] * 2, ctypes.c_int
     gid = _Gid()
     if gid_of(handle_of(publisher.pointer), ctypes.byref(gid)):
-        raise RuntimeError("the middleware must tell the identifier of a publisher, got none")
+        raise RuntimeError("the middleware must provide the identifier of a publisher, got none")
     return bytes(gid.data)
