@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 from support.resonant_systems import EVERY, oscillator, structure, sum_of
 
+import lftkit.analysis.hinf.interval_norm
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.hinf.hamiltonian_norm import level_crossings
 from lftkit.analysis.hinf.interval_norm import interval_test
@@ -83,3 +84,23 @@ def test_hamiltonian_answers_alike_in_every_unit_of_time(factor: float) -> None:
     assert not level_crossings((A, B, C, D), peak * (1 + 1e-6)).size
     found = level_crossings((A, B, C, D), 2.0)
     assert found / factor == pytest.approx(crossings_of_an_oscillator(), rel=1e-6)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+@pytest.mark.parametrize("size", [0.05, 1.0, 20.0])
+def test_no_gain_of_an_interval_exceeds_its_bound(size: float, inverse: bool) -> None:
+    """On a fine grid, up to 0.7 of the distance of a pole, in w and in 1 / w: an enclosure that fails is no proof."""
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        poles = size * np.array([-0.3 + 2.0j, -0.3 - 2.0j, -rng.uniform(0.2, 3.0)])
+        left, right = rng.normal(size=(1, 3)) + 1j * rng.normal(size=(1, 3)), np.ones((3, 1), complex)
+        left[:, 1], left[:, 2] = left[:, 0].conj(), left[:, 2].real
+        form = FrequencyResponse(poles, left, right, np.zeros((1, 1)), None)
+        centre = rng.uniform(0.05, 0.3 if inverse else 6.0) * (1.0 / size if inverse else size)
+        distance = np.abs(1j / poles - centre if inverse else 1j * centre - poles).min()
+        half = rng.uniform(0.3, 0.7) * distance
+        one, other = np.array([centre]), np.array([half])
+        _, bound = lftkit.analysis.hinf.interval_norm._taylor_bound(form, form.residue_norms, one, other, inverse)
+        points = np.linspace(centre - half, centre + half, 400)
+        inside = points[points > 0.0]
+        assert np.abs(form.at(1.0 / inside if inverse else inside)).max() <= bound[0] * (1.0 + 1e-12)
