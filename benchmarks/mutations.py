@@ -37,7 +37,6 @@ TESTS: dict[str, tuple[str, ...]] = {
     "lftkit/analysis/norms.py": (
         "tests/unit/lftkit/analysis/test_hinf_norm.py",
         "tests/unit/lftkit/analysis/test_norm_laws.py",
-        "tests/unit/lftkit/analysis/test_norms_unit.py",
         "tests/published/test_norms.py",
     ),
     "lftkit/analysis/hinf/interval_norm.py": ("tests/unit/lftkit/analysis/test_interval_norm.py",),

@@ -62,7 +62,7 @@ def check_tuning(seed: int, kinds: list[str], order: int, feedthrough: bool, ite
 @settings(max_examples=2)
 @given(*PLANTS)
 def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
-    check_tuning(seed, kinds, order, feedthrough, iterations=4)
+    check_tuning(seed, kinds, order, feedthrough, iterations=2)
 
 
 @pytest.mark.slow

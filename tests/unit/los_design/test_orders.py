@@ -94,11 +94,6 @@ def test_a_design_begins_with_the_one_of_lower_order(telescope, monkeypatch) -> 
         assert above.provenance["tuned_values"] == pytest.approx(below.provenance["tuned_values"], rel=1e-5)
 
 
-def test_a_start_is_refused_with_a_loop_delay(telescope) -> None:
-    with pytest.raises(ValueError, match="start must be left out with a loop delay, got one"):
-        synthesis.design_observer(telescope, DesignOptions(), start=zero_controller("k-fsm"))
-
-
 @pytest.mark.parametrize("order", [pytest.param(0, marks=pytest.mark.slow), 1, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_design_of_another_order_is_stored_and_loads_again(order: int, telescope, tmp_path, monkeypatch) -> None:
     """Both controllers, K_PMA behind that K_FSM; with next to no effort."""
@@ -117,11 +112,6 @@ def test_a_design_of_another_order_is_stored_and_loads_again(order: int, telesco
         flags = f" --order {order}" + (" --starts 1" if kind == "k-pma" else "")
         assert again.provenance["command"] == f"los-testbed design {kind} --nominal --loop-delay 0 --seed 0{flags}"
         assert ("starts" in again.provenance) == (kind == "k-pma")
-
-
-def test_other_orders_are_refused_with_a_loop_delay() -> None:
-    with pytest.raises(ValueError, match="order must be 4 with a loop delay, at least 0 without, got 3"):
-        DesignOptions(order=3)
 
 
 def test_no_order_of_the_paper_s_table_is_worse_than_a_lower_one() -> None:

@@ -94,13 +94,6 @@ def test_curves_are_those_of_plain_algebra(case: PaperCase, stage: str) -> None:
         assert exact.size[k] == pytest.approx(by_hand(case, stage, values, float(exact.omega[k])), rel=1e-9)
 
 
-def test_stages_without_control_are_computed_once(case: PaperCase) -> None:
-    robust, nominal = case.clouds("robust"), case.clouds("nominal")
-    assert robust["isolator"] is nominal["isolator"] and robust["none"] is nominal["none"]
-    assert robust["fsm"] is not nominal["fsm"]
-    assert case.members[0] == {} and len(case.members) == 2
-
-
 def test_the_peak_of_a_curve_is_the_certified_gamma(case: PaperCase) -> None:
     """APE of K_FSM at the nominal member: the norm of the assembled loop with its weights."""
     (ape, *_) = paper_requirements(case.telescope, "fsm")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from fsm_pma_controller.problem import actuator_plant, actuator_structure
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.tuning import certify
-from los_design.synthesis import paper_problem, synthesis
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import continuous
@@ -22,7 +20,6 @@ from los_loop.continuous_loop import continuous_open_loop
 from titop_plant.telescope.load import load_telescope
 
 FILE = str(Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml")
-ARCSEC = np.pi / 648000.0
 
 
 def largest_error(telescope) -> float:
@@ -81,23 +78,3 @@ def test_the_nominal_k_pma_is_converged_and_certified(k_fsm) -> None:
     for requirement, upper in zip(asked, found.upper[:, 0], strict=True):
         assert upper == pytest.approx(k_pma.provenance["tuned_values"][requirement.name], rel=5e-3)
         assert upper <= k_fsm.provenance["tuned_values"]["APE"] * 1.001 or requirement.hard
-
-
-def test_a_design_goes_on_while_the_norms_show_hidden_peaks(monkeypatch) -> None:
-    """Of the nominal loop, at what was reached there; a frequency of two of them is one."""
-    answers, lines, looked = [[3.0, 5.0, 3.0], [], []], list[str](), []
-
-    def peaks(telescope, pair, stage, reached):
-        looked.append((stage, sorted(reached)))
-        return answers.pop(0)
-
-    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
-    monkeypatch.setattr(paper_problem, "hidden_peaks", peaks)
-    options = DesignOptions(nominal=True, loop_delay=0.0)
-    design_observer(load_telescope(FILE), options, lines.append)
-    assert looked == [("fsm", ["APE", "RPE", "mirror"])] * 2
-    assert [line for line in lines if line.startswith("goes on")] == [
-        "goes on: the nominal loop has peaks beside the samples at 3, 5 rad/s"
-    ]
-    first, second = (int(line.split()[2]) for line in lines if "samples," in line)
-    assert 0 < second - first < 30, "closely around two frequencies, nothing again"

@@ -1,22 +1,27 @@
-"""Redesign into a folder: steps, files, what is kept; three other telescopes with short settings."""
+"""Designs in a folder: steps, files, what is kept and made again; three other telescopes with short settings."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lftkit import SampledSystem
+from lftkit.support.job import Job
 from los_design import redesign
 from los_design.redesign import design_all
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import load_adversarial, load_worst_points
+from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.round_state import RoundState
+from los_design.synthesis.starts import zero_controller
 from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
 from los_loop.implemented_loop import ImplementedLoop
@@ -102,24 +107,6 @@ def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, telesco
     assert "begins" in stand_ins
 
 
-def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, telescope, tmp_path, monkeypatch) -> None:
-    late = tuple(replace(k, provenance={**k.provenance, "status": "out_of_time"}) for k in load_designs("implemented"))
-    pair, limits = redesign.design_pair, []
-
-    def ended(telescope, options, report, job, workers):
-        limits.append(options.wall_limit)
-        pair(telescope, options, report, job, workers)
-        return late
-
-    monkeypatch.setattr(redesign, "design_pair", ended)
-    design_all(telescope, tmp_path, replace(SHORT, wall_limit=60.0))
-    assert limits == [60.0] and (tmp_path / "rounds.json").exists()
-    monkeypatch.setattr(redesign, "design_pair", pair)
-    stand_ins.clear()
-    design_all(telescope, tmp_path, SHORT)
-    assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
-
-
 def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="output must be a writable folder, got"):
@@ -127,12 +114,6 @@ def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -
     with pytest.raises(ValueError, match=r"^loop_delay must be that of the testbed, 0\.0015 s, got 0$"):
         design_all(telescope, tmp_path, DesignOptions(loop_delay=0.0))
     assert stand_ins == []
-
-
-def test_a_digest_names_the_matrices() -> None:
-    k_fsm, k_pma = load_designs("implemented")
-    assert digest(k_fsm) == digest(replace(k_fsm, provenance={})) != digest(k_pma)
-    assert digest(replace(k_fsm, D=k_fsm.D + 1e-12)) != digest(k_fsm)
 
 
 def soft_isolator(table: dict[str, Any]) -> None:
@@ -190,3 +171,56 @@ def excess(check, table: Mapping[str, Any]) -> float:
         for name in names
     ]
     return max(*gammas, check.total("fsm+pma") / 40.0)
+
+
+PAIR = zero_controller("k-fsm"), zero_controller("k-pma")
+OPTIONS = DesignOptions(loop_delay=0.0)
+
+
+class Maker:
+    """Stand-in for a design of the pair in rounds, of which each call makes one."""
+
+    def __init__(self, *ends: str) -> None:
+        self.ends, self.rounds = list(ends), list[int]()
+
+    def __call__(self, job: Job) -> list[SampledSystem]:
+        state = RoundState.load(job) or RoundState(np.zeros(2))
+        RoundState(state.x, state.number + 1).save(job)
+        self.rounds.append(state.number + 1)
+        provenance = {"status": self.ends.pop(0), "command": "another"}
+        return [replace(system, provenance=provenance) for system in PAIR]
+
+
+def made(folder: Path, maker: Maker, options: DesignOptions = OPTIONS, telescope: str = "a", **given) -> list[str]:
+    systems = DesignFolder(folder, telescope, "make it", print).made(["one", "two"], maker, options, given)
+    assert all(system.provenance["command"] == "make it" for system in systems)
+    return [system.provenance["status"] for system in systems]
+
+
+def test_a_design_is_made_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    maker = Maker("converged")
+    assert made(tmp_path, maker) == ["converged"] * 2
+    assert capsys.readouterr().out == "one.json: converged\ntwo.json: converged\n"
+    before = [(tmp_path / name).read_bytes() for name in ("one.json", "two.json")]
+    assert made(tmp_path, maker, replace(OPTIONS, wall_limit=1.0, progress=True)) == ["converged"] * 2
+    assert before == [(tmp_path / name).read_bytes() for name in ("one.json", "two.json")]
+    assert maker.rounds == [1] and [path.name for path in (tmp_path / "build").iterdir()] == ["two.json"]
+
+
+@pytest.mark.parametrize("change", ["telescope", "options", "given", "file"])
+def test_another_design_is_made_anew(tmp_path: Path, change: str) -> None:
+    maker = Maker("converged", "rounds")
+    made(tmp_path, maker, k_fsm=PAIR[0])
+    if change == "file":
+        (tmp_path / "one.json").unlink()
+    options = replace(OPTIONS, seed=1) if change == "options" else OPTIONS
+    given = replace(PAIR[0], D=PAIR[0].D + 1.0) if change == "given" else PAIR[0]
+    assert made(tmp_path, maker, options, "b" if change == "telescope" else "a", k_fsm=given) == ["rounds"] * 2
+    assert maker.rounds == [1, 1]
+
+
+def test_a_design_that_its_wall_limit_ended_goes_on(tmp_path: Path) -> None:
+    maker = Maker("out_of_time", "converged")
+    assert made(tmp_path, maker) == ["out_of_time"] * 2
+    assert made(tmp_path, maker) == made(tmp_path, maker) == ["converged"] * 2
+    assert maker.rounds == [1, 2]

@@ -10,10 +10,8 @@ from los_design.synthesis import synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.rounds import Effort
-from los_design.synthesis.starts import stored_start, zero_controller
-from los_design.synthesis.store import continuous, load_designs, matrices_of
-from los_loop.closing import sampled_loop
-from los_loop.control_laws import ControlLaws
+from los_design.synthesis.starts import zero_controller
+from los_design.synthesis.store import continuous, load_designs
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -97,35 +95,6 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, telescope
     stage = ALONE if kind == "k-fsm" else BOTH
     assert set(found.provenance["tuned_values"]) == {*limits(telescope, stage), "all noise -> APE", "noise -> RPE"}
     assert not np.array_equal(found.A, other.A)
-
-
-def test_the_stored_start_stabilises_the_reference_telescope(telescope) -> None:
-    matrices = []
-    for kind in PORTS:
-        start = stored_start(kind)
-        matrices.append(np.block([[start.A, start.B], [start.C, start.D]]))
-    options, ports = DesignOptions(nominal=True), telescope.loop_ports
-    loop = sampled_loop(
-        control_loop_plant(telescope).at({}),
-        ControlLaws(
-            *(
-                synthesis._sampled(k, matrices_of(k, M, ports), telescope, options, None, ports)
-                for k, M in zip(PORTS, matrices)
-            ),
-            "fsm+pma",
-        ),
-        frame_ticks=20,
-    )
-    assert loop.spectral_radius() < 1.0
-
-
-def test_options_name_variant_and_delays() -> None:
-    assert DesignOptions().hold_delays == {"camera_period": 0.02, "command_hold": 0.5e-3}
-    assert DesignOptions().delay == pytest.approx(1e-3)
-    paper = DesignOptions(loop_delay=0.0, nominal=True)
-    assert (paper.hold_delays, paper.delay, paper.variant) == ({}, 0.0, "paper_nominal")
-    assert (DesignOptions().variant, DesignOptions(nominal=True).variant) == ("implemented", "implemented_nominal")
-    assert DesignOptions(loop_delay=2e-4).hold_delays["command_hold"] == 2e-4
 
 
 @pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])

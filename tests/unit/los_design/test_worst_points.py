@@ -6,10 +6,8 @@ found 40 mas broken by 1.484, and 66.8 mas with the mirror alone, where their ow
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -124,54 +122,9 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
 
-@dataclass
-class Resonance:
-    """A loop whose gain has one peak: at `omega` for the parameter 0.25, lower by half at a relative distance."""
-
-    omega: float
-    width: float
-    names: tuple[str, ...] = ("p",)
-    parameters: dict[str, float] = field(default_factory=dict)
-
-    def at(self, omega: float) -> SimpleNamespace:
-        return SimpleNamespace(omega=omega)
-
-    def at_each(self, omega: np.ndarray) -> Iterator[SimpleNamespace]:
-        return (self.at(float(w)) for w in omega)
-
-    def gain(self, omega: float, _: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
-        x, y = np.log(omega / self.omega) / self.width, point - 0.25
-        value = float(1.0 / (1.0 + x**2 + y[0] ** 2))
-        return value, -2.0 * y * value**2, float(-2.0 * x / self.width * value**2)
-
-    def all_responses(self, closed: SimpleNamespace, points: np.ndarray) -> np.ndarray:
-        gains = [self.gain(closed.omega, None, point)[0] for point in points]
-        return np.tile(np.array(gains)[:, None, None], (1, 30, 60))
-
-    def scale(self, *_: object) -> float:
-        return 1.0
-
-
 @pytest.fixture
 def search(system, telescope, pair) -> Search:
     return Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma"), SearchOptions(members=4))
-
-
-@pytest.mark.parametrize(("peak", "start"), [(378.2, 381.0), (381.0, 378.5), (310.0, 460.0)])
-def test_an_ascent_goes_on_beyond_the_edge_of_its_band(search: Search, peak: float, start: float) -> None:
-    """Bands end at 300, 380 and 450 rad/s."""
-    search.loop = Resonance(peak, 0.2)  # type: ignore[assignment]
-    value, omega, point = search.climb(search.metrics["fast"], start, np.array([0.9]))
-    assert value == pytest.approx(1.0, abs=1e-6) and omega == pytest.approx(peak, rel=1e-3)
-    assert point == pytest.approx([0.25], abs=1e-2)
-
-
-@pytest.mark.parametrize("peak", [90.0, 203.4, 378.2])
-def test_peaks_of_members_are_starts_though_the_grid_misses_them(search: Search, peak: float) -> None:
-    """Each member has one peak, found once whatever part of the axis it is in; width: a damping ratio of 0.2 %."""
-    search.loop = Resonance(peak, 4e-3)  # type: ignore[assignment]
-    found = [entry for part in search._fine_axis(["fast"]) for entry in search._at_peaks(part)["fast"]]
-    assert len(found) == 4 and all(abs(omega / peak - 1.0) < 2e-3 for _, omega, _ in found)
 
 
 def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> None:

@@ -17,11 +17,7 @@ from support.circle_reference import (
 )
 from support.resonant_systems import resonator, sum_of
 
-import lftkit.analysis.circle.circle_norm
-from lftkit.analysis.circle.circle_response import CircleResolvents, circle_modes
-from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
-from lftkit.analysis.eigenvectors import balanced
-from lftkit.analysis.hinf.level_iteration import bracketed_norm
+from lftkit.analysis.circle.exact_circle_norm import Quotient
 from lftkit.analysis.norms import h2_norm, hinf_norm
 
 EPS = np.finfo(float).eps
@@ -134,40 +130,6 @@ def test_what_cannot_be_decided_is_said() -> None:
     T = scipy.linalg.hilbert(50) + np.eye(50)
     norm = hinf_norm(T @ A @ scipy.linalg.inv(T), np.ones((50, 1)), np.ones((1, 50)), [[0.5]], dt=1.0)
     assert (norm.value, norm.upper, norm.certificate) == (0.5, np.inf, "none")
-
-
-def test_three_ways_agree() -> None:
-    """Modal form, resolvents and integers, on a system that all of them can do."""
-    rng = np.random.default_rng(8)
-    A, *others = (rng.normal(size=shape) for shape in ((6, 6), (6, 2), (3, 6), (3, 2)))
-    A *= 0.95 / np.abs(scipy.linalg.eigvals(A)).max()
-    B, C, D = others
-    given = *balanced(A, B, C), D
-    form, stable = circle_modes(given, 1.0 - 1e-14)
-    assert stable and form is not None
-    peaks = [lftkit.analysis.circle.circle_norm.circle_norm(way, 1e-6) for way in (form, CircleResolvents.of(given))]
-    quotient = Quotient.of(given)
-    assert quotient is not None and quotient.stable(1.0 - 1e-14)
-    value, upper, _ = bracketed_norm(ExactCircleModel(quotient, 1e-6))
-    for peak in peaks:
-        assert peak is not None
-        assert peak.value <= upper and value <= peak.upper
-        assert peak.value == pytest.approx(value, rel=1e-6) and peak.upper == pytest.approx(upper, rel=3e-6)
-
-
-def test_bound_covers_an_error_of_the_modal_form(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Poles of another matrix, 1e-6 away: the residual shows it, and the sides move apart or another way is taken."""
-    rng = np.random.default_rng(1)
-    A, B, C, D = rng.normal(size=(5, 5)), rng.normal(size=(5, 1)), rng.normal(size=(1, 5)), np.zeros((1, 1))
-    A *= 0.9 / np.abs(scipy.linalg.eigvals(A)).max()
-    honest = lftkit.analysis.circle.circle_response.modes
-    monkeypatch.setattr(lftkit.analysis.circle.circle_response, "modes", lambda X: honest(X + 1e-6 * np.ones_like(X)))
-    monkeypatch.setattr(lftkit.analysis.circle.circle_response, "corrected_modes", lambda _, found: found)
-    form, stable = circle_modes((A, B, C, D), 1.0 - 1e-14)
-    assert stable and form is not None
-    peak = lftkit.analysis.circle.circle_norm.circle_norm(form, 1e-9)
-    exact, _ = exact_norm((A, B, C, D))
-    assert peak.value <= exact <= peak.upper and peak.upper > peak.value * (1 + 1e-7)
 
 
 def test_schur_cohn_counts_the_circle_as_outside() -> None:

@@ -13,9 +13,10 @@ from oracles.accurate_response import extended_response
 
 from lftkit import Port, System, state_space
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
-from lftkit.analysis.frequency_grid import frequency_grid, logarithmic_grid, pole_range
+from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
 from lftkit.analysis.norms import h2_norm, hinf_norm
+from lftkit.analysis.real_schur import RealSchur
 
 
 def oscillators(n: int, zeta: float, rng: np.random.Generator):
@@ -101,27 +102,6 @@ def test_cancelling_modes_keep_their_digits() -> None:
     assert FrequencyResponse.of(*system.matrices).modal
     found = frequency_response(system, omega)
     assert np.max(np.abs(found - truth) / np.abs(truth)) < 1e-9
-
-
-def test_real_poles_pairs_and_feedthrough_add_up() -> None:
-    """1 / (s + 2) + 3 s / (s^2 + 0.2 s + 25) + 0.5, in mixed coordinates."""
-    A = scipy.linalg.block_diag(np.array([[-2.0]]), np.array([[0.0, 1.0], [-25.0, -0.2]]))
-    T = np.array([[1.0, 0.2, -0.3], [0.1, 1.0, 0.4], [0.5, -0.2, 1.0]])
-    inverse = np.linalg.inv(T)
-    form = FrequencyResponse.of(T @ A @ inverse, T @ [[1.0], [0.0], [1.0]], [[1.0, 0.0, 3.0]] @ inverse, [[0.5]])
-    s = 1j * np.array([0.0, 0.7, 5.0, 80.0])
-    expected = 1 / (s + 2) + 3 * s / (s**2 + 0.2 * s + 25) + 0.5
-    assert form.modal
-    np.testing.assert_allclose(form.at(s.imag)[:, 0, 0], expected, rtol=1e-13)
-    assert form.at([1.0, np.inf, -5.0])[1:].ravel() == pytest.approx([0.5, expected[2].conj()], rel=1e-13)
-
-
-def test_many_ports_are_summed_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = oscillators(6, 1e-2, np.random.default_rng(5)).at({})
-    omega = np.geomspace(0.1, 1e3, 37)
-    whole = FrequencyResponse.of(*data.matrices).at(omega)
-    monkeypatch.setattr("lftkit.analysis.frequency_response.MAX_ENTRIES", 40)
-    np.testing.assert_allclose(FrequencyResponse.of(*data.matrices).at(omega), whole, rtol=1e-11)
 
 
 def test_refined_solution_has_the_digits_that_the_matrices_determine() -> None:
@@ -249,21 +229,29 @@ def test_grid_lies_on_the_resonances() -> None:
         frequency_grid([pole], 1.0, 0.1)
 
 
-def test_range_of_poles_leaves_out_those_at_zero() -> None:
-    assert pole_range([]) == pole_range([0.0, 0.0j]) == (1.0, 1.0)
-    assert pole_range([1e-12, -3.0, 4.0 + 3.0j]) == (3.0, 5.0)
-    assert pole_range([1e-12, -3.0, 4.0 + 3.0j], zero=0.0) == (1e-12, 5.0)
-
-
-def test_steps_of_a_logarithmic_grid_are_equal() -> None:
-    assert logarithmic_grid(1.0, 1.001, 0.5).tolist() == [1.0, 1.001]
-    grid = logarithmic_grid(0.3, 70.0, 0.01)
-    steps = np.diff(np.log(grid))
-    assert grid[0] == 0.3 and grid[-1] == pytest.approx(70.0)
-    assert np.ptp(steps) < 1e-12 and 0.01 <= steps[0] < 0.0101
-
-
 def test_grid_goes_around_an_undamped_pole() -> None:
     grid = frequency_grid([2.0j, -2.0j], 0.2, 20.0, points=3)  # the middle of three points is the pole
     nearest = np.sort(np.abs(grid - 2.0))
     assert nearest[0] >= 2e-6 and nearest[1] < 1e-5 and grid[0] < 2.0 < grid[-1]
+
+
+@pytest.mark.parametrize("order", [1, 2, 7, 40])
+def test_solutions_are_those_of_the_linear_equations(order: int) -> None:
+    rng = np.random.default_rng(order)
+    units = 10.0 ** rng.uniform(-6, 6, order)
+    A = rng.standard_normal((order, order)) * units[:, None] / units
+    points = np.exp(1j * rng.uniform(0.1, 3.0, 5)) * 4.0 * np.sqrt(order)
+    forcing = (rng.standard_normal((order, 5)) + 1j * rng.standard_normal((order, 5))) * units[:, None]
+    found = RealSchur.of(A).solve(points, forcing)
+    for k, z in enumerate(points):
+        left = (z * found[:, k] - A @ found[:, k] - forcing[:, k]) / units
+        assert np.abs(left).max() < 1e-13 * order * np.abs(z) * np.abs(found[:, k] / units).max()
+
+
+def test_eigenvalues_are_those_of_a_known_matrix() -> None:
+    A = np.array([[0.5, 3.0, 1.0], [-3.0, 0.5, 2.0], [0.0, 0.0, 0.25]])
+    assert np.sort_complex(RealSchur.of(A).eigenvalues) == pytest.approx([0.25, 0.5 - 3j, 0.5 + 3j])
+
+
+def test_no_points_have_no_solutions() -> None:
+    assert RealSchur.of(np.eye(3)).solve(np.zeros(0, complex), np.zeros((3, 0), complex)).shape == (3, 0)

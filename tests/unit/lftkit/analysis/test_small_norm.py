@@ -1,18 +1,18 @@
-"""Norm of systems of few states: the way by one Hamiltonian matrix beside the intervals and beside closed forms."""
+"""Norms of few states: by numpy and by compiled code, beside the intervals; derivatives; gains of any size."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from oracles.accurate_response import extended_response
-from support.resonant_systems import mixed, oscillator, structure, sum_of
 
-from lftkit.analysis.eigenvectors import balanced
+import lftkit.analysis.norms
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.level_iteration import NormBracket, Peak, UndecidedError, bracketed_norm
-from lftkit.analysis.hinf.peak_search import climb, squared_gain
-from lftkit.analysis.hinf.small_norm import MAX_STATES, SmallModel
-from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.hinf.peak_search import squared_gain
+from lftkit.analysis.hinf.small_norm import COMPILED_STATES
+from lftkit.analysis.norms import HInfNorm, compiled, hinf_norm
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (4, 3), (2, 5)]
 
@@ -24,11 +24,6 @@ def random_system(seed: int, shape: tuple[int, int], feedthrough: float = 0.5) -
     A = rng.normal(size=(n, n)) / np.sqrt(n)
     A -= (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(n)
     return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), feedthrough * rng.normal(size=(p, m))
-
-
-def small(system: tuple[np.ndarray, ...], rtol: float) -> NormBracket:
-    A, B, C, D = system
-    return bracketed_norm(SmallModel.of((*balanced(A, B, C), D), rtol))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -43,57 +38,6 @@ def test_both_ways_give_one_norm(shape: tuple[int, int], feedthrough: float) -> 
             assert one.upper == pytest.approx(one.value * (1.0 + rtol), rel=1e-12)
             exact = extended_response(*system, [one.omega])[0] if np.isfinite(one.omega) else system[3]
             assert one.value == pytest.approx(np.linalg.norm(exact, 2), rel=0.02 * rtol)
-
-
-@pytest.mark.parametrize("rtol", [0.1, 1e-3, 1e-6, 1e-9])
-def test_peak_of_an_oscillator_is_bracketed(rtol: float) -> None:
-    exact = 1.0 / (2 * 0.05 * np.sqrt(1 - 0.05**2))
-    norm = small(mixed(sum_of(oscillator(3.0, 0.05), oscillator(40.0, 0.06))), rtol)
-    assert norm.value <= exact * (1.0 + 0.01 * rtol) and exact <= norm.upper <= exact * (1.0 + 1.01 * rtol)
-    assert norm.omega == pytest.approx(3.0 * np.sqrt(1 - 2 * 0.05**2), rel=0.1 * np.sqrt(rtol))
-
-
-def test_other_peak_is_found_by_the_crossings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search starts at the lower of two peaks that differ by 1e-5, and at a frequency where there is none."""
-    system = mixed(sum_of(oscillator(1.0, 0.01), oscillator(70.0, 0.01 * (1 + 1e-5))))
-    for start in (70.0, 8.0):
-
-        def first_peak(model: SmallModel, omega: float = start) -> Peak:
-            return Peak(omega, float(np.linalg.norm(model.with_derivatives(omega)[0], 2)))
-
-        monkeypatch.setattr(SmallModel, "first_peak", first_peak)
-        norm = small(system, 1e-8)
-        assert norm.value == pytest.approx(50.0 / np.sqrt(1 - 1e-4), rel=2e-8) and norm.omega == pytest.approx(1, 1e-3)
-
-
-@pytest.mark.parametrize("zeta", [1e-9, 1e-12])
-def test_damping_near_rounding_is_refused(zeta: float) -> None:
-    """And the other way has the right value."""
-    system = mixed(sum_of(oscillator(1.0, 0.1), oscillator(30.0, zeta)))
-    with pytest.raises(UndecidedError, match="the damping is near rounding"):
-        small(system, 1e-7)
-    assert hinf_norm(*sum_of(oscillator(1.0, 0.1), oscillator(30.0, zeta))).value == pytest.approx(0.5 / zeta, rel=1e-7)
-
-
-def test_systems_of_other_kinds_are_refused() -> None:
-    one = np.eye(3)
-    chain = -one + np.diag([1.0, 1.0], 1)
-    driven, observed = np.eye(4)[:, :1], np.eye(4)[2:3]
-    for system, reason in (
-        ((chain, one[:, 2:], one[:1], np.zeros((1, 1))), "no basis of eigenvectors"),
-        ((np.diag([-1.0, -2.0, 0.0]), one, one, 0 * one), "a pole is not left of the imaginary axis"),
-        ((np.diag([-1.0, -2.0, -3.0, -4.0]), driven, observed, np.zeros((1, 1))), "the modal terms cancel"),
-    ):
-        with pytest.raises(UndecidedError, match=reason):
-            small(system, 1e-7)
-
-
-def test_number_of_states_decides() -> None:
-    for states, certificate in ((MAX_STATES, "hamiltonian"), (MAX_STATES + 2, "interval")):
-        system = sum_of(*(oscillator(w, 0.1) for w in np.geomspace(1.0, 100.0, states // 2)))
-        norm = hinf_norm(*system)
-        assert norm.certificate == certificate
-        assert norm.value == pytest.approx(1.0 / (0.2 * np.sqrt(0.99)), rel=1e-7)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -116,16 +60,6 @@ def test_derivatives_of_response_and_gain_agree_with_differences(shape: tuple[in
         assert value[k + 1] == pytest.approx((above[k] - below[k]) / (2 * h), rel=1e-4, abs=1e-5)
 
 
-@pytest.mark.parametrize("start", [0.2, 0.9, 1.0, 1.1, 5.0])
-def test_climbing_ends_on_a_peak_from_both_sides(start: float) -> None:
-    form = FrequencyResponse.of(*structure(0.0))
-    gain = float(np.linalg.norm(form.at(start)[0], 2))
-    omega, found = climb(form.with_derivatives, start, gain, float(np.abs(1j * start - form.poles).min()), 1e-6)
-    assert found >= gain and found == pytest.approx(np.linalg.norm(form.at(omega)[0], 2), rel=1e-9)
-    near = np.linalg.norm(form.at(omega * (1.0 + np.linspace(-1e-3, 1e-3, 41))), 2, axis=(1, 2))
-    assert near.max() <= found * (1.0 + 1e-6)
-
-
 @pytest.mark.parametrize("size", [1e-160, 1e-60, 1e60])
 def test_gains_whose_powers_are_no_numbers_are_not_lost(size: float) -> None:
     """Of one input, where the gain is a root of a sum of squares, and of two; at both ends of the range."""
@@ -135,3 +69,81 @@ def test_gains_whose_powers_are_no_numbers_are_not_lost(size: float) -> None:
         found = hinf_norm(A, B * size, C, D)
         assert found.value == pytest.approx(expected.value * size, rel=1e-7)
         assert found.value <= found.upper <= found.value * (1.0 + 2e-7)
+
+
+pytest.importorskip("numba")
+FEW_SHAPES = [(1, 1), (2, 2), (3, 1), (2, 4), (3, 3)]
+System = tuple[np.ndarray, ...]
+
+
+def random_few_states(seed: int, shape: tuple[int, int], dt: float | None) -> System:
+    rng = np.random.default_rng(seed)
+    n, (p, m) = int(rng.integers(1, COMPILED_STATES + 1)), shape
+    A = rng.normal(size=(n, n))
+    poles = np.linalg.eigvals(A)
+    if dt is None:
+        A -= (poles.real.max() + 10.0 ** rng.uniform(-3.0, 0.0)) * np.eye(n)
+    else:
+        A *= (1.0 - 10.0 ** rng.uniform(-3.0, -0.3)) / np.abs(poles).max()
+    return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), seed % 2 * rng.normal(size=(p, m))
+
+
+@pytest.fixture
+def by_numpy(monkeypatch: pytest.MonkeyPatch) -> Callable[[System, float | None, str], HInfNorm]:
+    """`hinf_norm` where numba is not installed."""
+
+    def norm(system: System, dt: float | None, certificate: str = "auto") -> HInfNorm:
+        with monkeypatch.context() as patch:
+            patch.setattr(lftkit.analysis.norms, "compiled", lambda: None)
+            return hinf_norm(*system, dt=dt, certificate=certificate)
+
+    return norm
+
+
+@pytest.mark.parametrize("shape", FEW_SHAPES)
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_values_are_those_without_compiled_code(shape: tuple[int, int], dt: float | None, by_numpy) -> None:
+    kernel, used = compiled(), 0
+    for seed in range(12):
+        system = random_few_states(seed, shape, dt)
+        one, other = hinf_norm(*system, dt=dt), by_numpy(system, dt)
+        assert one.value == pytest.approx(other.value, rel=1e-10)
+        assert one.upper == pytest.approx(other.upper, rel=1.1e-7)
+        third = by_numpy(system, dt, "interval")  # shares no step with the other two
+        assert one.value <= third.upper and third.value <= one.upper
+        balanced = tuple(map(np.ascontiguousarray, system))
+        found = kernel.norm(balanced, 1e-7, balanced, 0.0, 0.0) if dt is None else kernel.circle_norm(balanced, 1e-7)
+        used += found[0] >= 0.0
+    assert used >= 7
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_what_is_not_sound_is_left_to_the_other_ways(dt: float | None) -> None:
+    """Unstable, poles at the circle to rounding, no basis of eigenvectors, hidden gain."""
+    one, gap = np.eye(2), 0.0 if dt is None else 1.0
+    for a in (0.1, 0.0, *([] if dt is None else [-1e-15])):
+        norm = hinf_norm((a + gap) * one, one, one, 0.0 * one, dt=dt)
+        assert (norm.value, norm.certificate) == (np.inf, "unstable")
+    chain = np.array([[gap - 0.5, 1.0], [0.0, gap - 0.5]])
+    assert hinf_norm(chain, one[:, 1:], one[:1], np.zeros((1, 1)), dt=dt).value == pytest.approx(4.0, rel=1e-7)
+    hidden = hinf_norm((gap - 0.5) * one, one[:, :1], one[1:], np.zeros((1, 1)), dt=dt)
+    assert hidden.value == 0.0 and hidden.upper < 1e-12
+
+
+def test_one_compilation_serves_every_layout():
+    """Each further one takes 20 to 30 s: systems have read-only matrices, and slices are of any layout."""
+    kernel = compiled()
+    assert kernel is not None
+    A, B, C, D = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.eye(2), np.eye(2), np.zeros((2, 2))
+    hinf_norm(A, B, C, D)
+    hinf_norm(A / 8, B, C, D, dt=1.0)
+    before = len(kernel.norm.signatures), len(kernel.circle_norm.signatures)
+    for given in (A, np.asfortranarray(A), np.eye(5)[::2, ::2][:2, :2] - 2 * np.eye(2)):
+        for writeable in (True, False):
+            matrices = [np.asfortranarray(given), B.T, C[::-1], D.copy()]
+            for M in matrices:
+                M.flags.writeable = writeable
+            hinf_norm(*matrices)
+            hinf_norm(*matrices, rtol=np.float64(1e-6))
+            hinf_norm(*(np.asarray(M / 8) for M in matrices), dt=np.float64(0.1))
+    assert (len(kernel.norm.signatures), len(kernel.circle_norm.signatures)) == before

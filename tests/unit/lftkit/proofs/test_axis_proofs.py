@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston
 
 from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
-from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.axis.bounds import axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
@@ -84,14 +83,6 @@ def test_an_inexact_basis_of_eigenvectors_is_within_the_bound() -> None:
         z, e = model.responses(0.7, 1e-3, np.eye(5, dtype=complex))
         exact = refined_response(system.A, system.B, system.C, system.D, 0.7)
         assert np.all(np.abs(z.c[0] - exact[:4]) <= z.rad) and np.all(np.abs(e.c[0] - exact[4:]) <= e.rad)
-
-
-def test_a_proof_passes_from_its_file(proof: AxisProof, tmp_path: Path) -> None:
-    path = tmp_path / "proof.npz"
-    proof.to_file(path)
-    checked: Any = check_proof(path)
-    assert checked.stable and checked.kind == "gain" and checked.level == proof.level
-    assert checked.band == (0.0, np.inf) and checked.box["k1"] == (0.8, 1.2)
 
 
 def _system(proof: AxisProof, **changes: Any) -> dict[str, Any]:
@@ -186,13 +177,6 @@ def test_a_margin_where_the_interconnection_becomes_singular() -> None:
         assert check_axis_proof(bounds.proof).stable
 
 
-def test_a_gain_without_states() -> None:
-    """``y = p / (1 - p / 2) u`` with p up to 1."""
-    p, ports = RealParameter("p", 0.0, -1.0, 1.0), ([("u", 1)], [("y", 1)])
-    bounds = axis_gain(System([], [], [], [[0.5, 1.0], [1.0, 0.0]], *ports, channels=("p",), elements=(p,)))
-    assert bounds.lower == pytest.approx(2.0) and bounds.upper <= 2.1 and check_axis_proof(bounds.proof).stable
-
-
 def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
     ports = [("u", 1)], [("y", 1)]
     p = RealParameter("p", 0.0, -0.1, 0.1)
@@ -208,15 +192,6 @@ def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
             axis_stability(system)
     assert worst_case_gain(certain).status == "closed"
     assert not axis_takes(chain, [(-0.1, 0.1)])
-
-
-def test_an_unstable_member_is_named() -> None:
-    system = chain_of_masses(5, 1.5, damping=0.1)
-    bounds = axis_gain(system)
-    assert bounds.status == "unstable" and bounds.proof is None
-    assert linalg.eigvals(system.at(bounds.point).A).real.max() >= 0.0
-    margin = axis_stability(system, options=replace(AXIS, gap=0.2))  # a spring without stiffness: 1 / 1.5
-    assert margin.upper == pytest.approx(2.0 / 3.0, rel=1e-5) and margin.upper <= 1.2 * margin.lower
 
 
 def test_the_aircraft_in_a_box_four_times_as_large() -> None:

@@ -20,6 +20,7 @@ from lftkit.proofs import (
 from lftkit.proofs.state_space.disk_search import about
 
 LONG = BoundOptions(wall_limit=3600.0)
+ROUGH = replace(LONG, gap=0.3)
 DISKS = [dynamic("e", bound=0.1), complex_gain("e", 0.0, 0.1)]
 
 
@@ -34,10 +35,10 @@ def unstable_lag(disk: Expression, dt: float = 0.0) -> System:
 def test_a_stable_box_beside_the_nominal_value(disk: Expression, dt: float) -> None:
     """1 / (2 - 1 - 0.1) at k = 2."""
     for box in ((2.0, 3.0), (2.0, 2.0)):
-        bounds = worst_case_gain(unstable_lag(disk, dt), {"k": box}, options=LONG)
+        bounds = worst_case_gain(unstable_lag(disk, dt), {"k": box}, options=ROUGH)
         assert bounds.status == "closed" and bounds.lower == pytest.approx(1.0 / 0.9, rel=1e-6)
         assert bounds.point["k"] == pytest.approx(2.0)
-        assert check_proof(bounds.proof).level == bounds.upper <= 1.05 * bounds.lower
+        assert check_proof(bounds.proof).level == bounds.upper <= 1.3 * bounds.lower
 
 
 @pytest.mark.parametrize("box", [(1.05, 3.0), (1.05, 1.3), (0.9, 1.5)])

@@ -1,14 +1,20 @@
-"""Choice of the parameter to bisect: what a smaller interval gains decides, not the loss."""
+"""What is bisected in certified bounds, and unstable corners of a box."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
-from support.uncertain_examples import aligned_modes
+from scipy import linalg
+from support.uncertain_examples import aligned_modes, transport_aircraft
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs.sampled_loop import BisectionOptions, LoopProof, box_of, check_loop_proof, loop_model, prove_level
+from lftkit.arrays import FloatArray
+from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.branching import Branching
+from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
+from lftkit.proofs.state_space.search import ray_factor, smallest_unstable_factor
 
 SLOW, FAST, ZETA = 1.0, 10.0, 0.05
 
@@ -41,31 +47,6 @@ def test_the_stiffness_of_the_oscillator_that_resonates_is_bisected(omega: float
     assert branching.axis(tuple(small), box, omega, losses) == 1 - axis, "there is nothing left to bisect in it"
 
 
-def test_losses_decide_where_nothing_is_gained() -> None:
-    """A level twenty times below the truth: no level near it can be proven, whichever parameter is held."""
-    system = two_oscillators()
-    branching = Branching(loop_model(system, dt=0.01), 0.05 / (2.0 * ZETA))
-    box = box_of(system)
-    assert [branching.axis(box, box, 1.0, np.eye(2)[k]) for k in (0, 1)] == [0, 1]
-
-
-def test_time_that_is_up_is_kept() -> None:
-    """No measurement after the end: losses decide."""
-    system = two_oscillators()
-    branching = Branching(loop_model(system, dt=0.01), 0.9 / (2.0 * ZETA), until=0.0)
-    box = box_of(system)
-    assert [branching.axis(box, box, 1.0, np.eye(2)[k]) for k in (0, 1)] == [0, 1]
-
-
-def test_a_box_is_bisected_at_most_as_often_as_asked() -> None:
-    """A level that no scalings of the whole box prove: without bisections its parts of the band stay open at once."""
-    system = aligned_modes(2, damping=0.1)
-    claim = loop_model(system, dt=0.1), box_of(system), (0.98, 1.02), 10.0
-    whole, cut = (prove_level(*claim, options=BisectionOptions(deepest=deepest)) for deepest in (0, 3))
-    assert not whole.strips and {box for box, _ in whole.uncovered} == {box_of(system)}
-    assert len({strip.box for strip in cut.strips}) > 1
-
-
 @pytest.mark.parametrize("fixed", [(0,), (0, 1)])
 def test_fixed_parameters_are_proven_too(fixed: tuple[int, ...]) -> None:
     """An interval without width: D would be infinite. The bound is that of the parameters that are left."""
@@ -76,3 +57,50 @@ def test_fixed_parameters_are_proven_too(fixed: tuple[int, ...]) -> None:
     assert not found.uncovered
     proof = LoopProof(model, tuple(p.name for p in system.parameters), box, band, 11.0, tuple(found.strips))
     assert check_loop_proof(proof).box == box
+
+
+PARAMETERS = 7
+
+
+def random_system(seed: int) -> System:
+    """Six states, seven parameters of which two occur twice, and a feedthrough; intervals of unequal sides."""
+    rng = np.random.default_rng(seed)
+    names = tuple(f"p{i}" for i in range(PARAMETERS))
+    channels = (*names, "p1", "p4")
+    A = rng.normal(size=(6, 6))
+    A -= (linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
+    B, C = 0.3 * rng.normal(size=(6, 9)), 0.3 * rng.normal(size=(9, 6))
+    parameters = tuple(RealParameter(n, 0.0, -rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0)) for n in names)
+    return System(
+        A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels=channels, elements=parameters
+    ).sorted_channels()
+
+
+def ends_of(system: System) -> FloatArray:
+    return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters])
+
+
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 8))])
+def test_no_corner_is_unstable_much_earlier_than_the_one_found(seed: int) -> None:
+    system, largest = random_system(seed), 20.0
+    search = CornerSearch(system, ends_of(system))
+
+    def ray(corner: FloatArray) -> float:
+        return ray_factor(system, search.offset(corner), largest)
+
+    found, corner = earliest_unstable_corner(search, largest, ray, samples=8, seed=0)
+    every = min(ray(np.array(c)) for c in itertools.product((-1.0, 1.0), repeat=PARAMETERS))
+    assert corner is not None and found == pytest.approx(ray(corner), rel=1e-6)
+    assert every <= found * (1.0 + 1e-6) and found <= 1.001 * every
+
+
+def test_the_unstable_corner_of_the_aircraft() -> None:
+    """One of 16 384 corners is unstable from 5.4281 times the box."""
+    system = transport_aircraft().sorted_channels()
+    box = [(p.lower, p.upper) for p in system.parameters]
+    factor, point, frequency = smallest_unstable_factor(system, box, 10.0)
+    assert factor == pytest.approx(5.4281, abs=2e-4) and frequency == pytest.approx(0.623, abs=1e-3)
+    nominal = np.array([p.nominal for p in system.parameters])
+    signs = [-1, 1, -1, 1, 1, 1, 1, -1, 1, -1, -1, -1, 1, 1]
+    np.testing.assert_array_equal(np.sign(point - nominal), signs)
+    np.testing.assert_allclose(np.abs(point - nominal), factor * 0.1 * np.abs(nominal), rtol=1e-9)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.trusted_code import CHECKERS, file_of, imported_by
 from support.uncertain_examples import aligned_modes, chain_of_masses
 
 from lftkit import proofs, real, s
@@ -17,8 +18,6 @@ from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performa
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import KINDS, proof_kind
 from lftkit.proofs.proof_files import read_content, write_content
-from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
-from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.state_space import Proof
 from lftkit.proofs.trusted.cells import digest
 from lftkit.support.format_names import EARLIER_NAMES
@@ -71,19 +70,6 @@ def test_the_proof_of_bounds_passes_as_object_content_and_file(tmp_path: Path) -
             assert check_proof(what).level == bounds.upper
         assert proof_kind(path) == ("cells", "axis")[number] in KINDS
     assert check_proof(cells.proof.content).stable
-
-
-def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
-    system = aligned_modes(1, damping=0.1)
-    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
-    found = prove_level(model, box, band, 6.0)
-    proof = LoopProof(model, ("k0",), box, band, 6.0, tuple(found.strips))
-    path = tmp_path / "loop"
-    with path.open("wb"):
-        write_loop_proof(proof, path)
-    for what in (proof, path):
-        checked = check_proof(what)
-        assert isinstance(checked, CheckedLoop) and checked.level == 6.0
 
 
 @pytest.mark.parametrize(
@@ -219,3 +205,20 @@ def test_robust_performance_needs_a_stable_nominal_member_in_the_box() -> None:
         robust_performance((1 / (s - 1 + p)).system("u", "y"))
     with pytest.raises(ValueError, match="box must contain the nominal values"):
         robust_performance((1 / (s + 1 + p)).system("u", "y"), 2.0, {"p": (0.1, 0.2)})
+
+
+def test_the_checks_import_only_their_own_package() -> None:
+    folder = file_of(CHECKERS[0]).parent
+    files = imported_by(*CHECKERS)
+    assert files == {path for path in folder.glob("*.py") if path.name != "__init__.py"}, "and all of it is used"
+    for path in files:
+        lines = [line for line in path.read_text("utf-8").splitlines() if "lftkit." in line and "import" in line]
+        assert all(line.lstrip().startswith("from lftkit.proofs.trusted.") for line in lines), "for types neither"
+
+
+def test_what_runs_is_what_is_counted() -> None:
+    """Modules of lftkit that a process has loaded when it can check, but for empty ones of packages."""
+    code = f"import sys, {', '.join(CHECKERS)}; print(*(m for m in sys.modules if m.startswith('lftkit.')))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    allowed = {path.resolve() for path in imported_by(*CHECKERS)} | {file_of("lftkit.support.on_demand").resolve()}
+    assert {f for m in loaded if (f := file_of(m).resolve()) not in allowed and f.name != "__init__.py"} == set()

@@ -177,16 +177,3 @@ def test_the_disk_margin_of_a_discrete_integrator() -> None:
     found = worst_case_disk_margin(loop)
     assert found.upper == pytest.approx(2.0 * (2.0 - 1.0) / (2.0 + 1.0), rel=1e-6)
     assert found.lower <= found.upper <= 1.05 * found.lower
-
-
-def test_a_pole_at_minus_one_is_an_error() -> None:
-    p = RealParameter("p", 0.0, -0.5, 0.5)
-    matrices = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))
-    system = System(*matrices, *PORTS, channels=("p",), elements=(p,), dt=0.1)
-    with pytest.raises(ValueError, match="z = -1"):
-        worst_case_gain(system)
-
-
-def test_the_axis_method_is_for_continuous_time() -> None:
-    with pytest.raises(ValueError, match="continuous time"):
-        worst_case_gain(lag(), options=BoundOptions(method="axis"))

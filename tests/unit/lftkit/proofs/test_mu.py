@@ -112,14 +112,6 @@ def test_scaling_of_blocks_changes_nothing() -> None:
     assert two.upper == pytest.approx(one.upper, rel=1e-5) and two.lower == pytest.approx(one.lower, rel=1e-5)
 
 
-def test_a_real_structure_that_no_perturbation_makes_singular() -> None:
-    """M = j: 1 - j delta has no real zero. The bounds are zero and what rounding leaves of it."""
-    bounds = mu([[1j]], [real_block()])
-    assert bounds.lower == 0.0 and bounds.perturbation is None and bounds.upper < 1e-6
-    assert check_mu([[1j]], [real_block()], bounds.certificate) >= 1.0
-    assert mu(np.zeros((2, 2)), [real_block(2)]).upper == 0.0
-
-
 def test_altered_certificates_are_refused() -> None:
     structure = STRUCTURES[2]
     M = random_matrix(structure, 0)

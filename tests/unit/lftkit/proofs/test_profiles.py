@@ -112,9 +112,3 @@ def test_margins_of_a_disk_are_its_ends(skew: float) -> None:
         assert factor.real.max() == pytest.approx(high, abs=1e-8)
         nearest = factor[np.abs(np.abs(factor) - 1.0) < 1e-4]
         assert np.abs(np.angle(nearest)).max() == pytest.approx(disk_phase(margin, skew), abs=1e-3)
-
-
-def test_loops_of_other_sizes_are_refused() -> None:
-    bare = aligned_modes(1, 0.1).select(outputs=())
-    with pytest.raises(ValueError, match="one input and one output"):
-        worst_case_disk_margin(bare)

@@ -82,38 +82,3 @@ def test_quiet_is_quiet_but_for_the_log(at_once, capsys):
         bar.print("round 1")
         lines_of(at_once, 3)
     assert capsys.readouterr() == ("", "") and "round 1" in at_once.read_text()
-
-
-def test_what_is_short_says_nothing(capsys, monkeypatch):
-    monkeypatch.setattr(progress, "FIRST_S", 3600.0)
-    with Progress("short"):
-        pass
-    assert capsys.readouterr() == ("", "")
-
-
-def test_short_computations_one_after_the_other_have_a_line_each_interval(tmp_path, monkeypatch):
-    """None of them lasts until its own first line; an outer one that each of them hides does not either."""
-    monkeypatch.setattr(progress, "FIRST_S", 3600.0)
-    log = tmp_path / "run.log"
-    choose_output(quiet=True, interval=1e-3, log=log)
-    monkeypatch.setattr(progress._output, "due", time.monotonic())
-    with Progress("outer"):
-        lines_of(log, 1)
-        number = 0
-        while len(log.read_text().splitlines()) < 4 or "inner" not in log.read_text():
-            number += 1
-            with Progress(f"inner {number}"):
-                time.sleep(2e-3)
-    choose_output()
-
-
-def test_the_first_line_counts_from_the_begin_of_the_program(tmp_path, monkeypatch):
-    """Not from the first computation: what a program imports before it is silent, too."""
-    monkeypatch.setattr(progress, "FIRST_S", 0.2)
-    log = tmp_path / "run.log"
-    choose_output(quiet=True, interval=3600.0, log=log)
-    time.sleep(0.2)
-    monkeypatch.setattr(progress, "FIRST_S", 3600.0)  # of the computation alone
-    with Progress("design"):
-        assert lines_of(log, 1)[0].startswith("design: ")
-    choose_output()

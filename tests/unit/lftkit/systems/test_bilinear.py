@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit.analysis.norms import hinf_norm
 from lftkit.systems.sampled.bilinear import (
     continuous_point,
-    discrete_gradient,
     discrete_point,
     to_continuous,
     to_discrete,
@@ -45,24 +41,6 @@ def test_maps_are_inverse_to_each_other(dt: float) -> None:
     for there, back in ((to_discrete, to_continuous), (to_continuous, to_discrete)):
         for given, found in zip(system(), back(*there(*system(), dt), dt)):
             np.testing.assert_allclose(found, given, rtol=1e-11, atol=1e-11)
-
-
-def test_period_of_the_way_back_is_two_unless_given() -> None:
-    for a, b in zip(to_continuous(*system()), to_continuous(*system(), 2.0)):
-        assert np.array_equal(a, b)
-
-
-def test_static_gain_stays() -> None:
-    D = np.array([[2.0, -1.0]])
-    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), D
-    for found in (to_discrete(*empty, 0.1), to_continuous(*empty, 0.1)):
-        assert [m.shape for m in found] == [(0, 0), (0, 2), (1, 0), (1, 2)] and np.array_equal(found[3], D)
-
-
-@pytest.mark.parametrize("dt", [0.0, -0.1, np.nan, np.inf])
-def test_period_must_be_positive(dt: float) -> None:
-    with pytest.raises(ValueError, match=rf"dt must be positive, got {dt}"):
-        to_discrete(*system(), dt)
 
 
 def test_poles_without_an_image_are_refused() -> None:
@@ -121,20 +99,6 @@ def test_frequencies_are_warped_as_points_of_the_circle(dt: float, share: float)
     assert unwarped_frequency(np.inf, dt) == pytest.approx(np.pi / dt)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_norm_and_frequency_of_the_peak_are_those_of_the_image(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n, dt = int(rng.integers(1, 9)), float(10.0 ** rng.uniform(-3.0, 0.0))
-    A = rng.normal(size=(n, n))
-    A *= (1.0 - 10.0 ** rng.uniform(-3.0, -0.5)) / np.abs(np.linalg.eigvals(A)).max()
-    given = A, rng.normal(size=(n, 2)), rng.normal(size=(3, n)), rng.normal(size=(3, 2))
-    here, there = hinf_norm(*given, dt=dt), hinf_norm(*to_continuous(*given, dt))
-    assert here.value <= there.upper * (1.0 + 1e-9) and there.value <= here.upper * (1.0 + 1e-9)
-    at = warped_frequency(here.omega, dt)
-    gain = np.linalg.norm(response(to_continuous(*given, dt), 1j * at), 2) if np.isfinite(at) else here.value
-    assert gain == pytest.approx(there.value, rel=1e-6)
-
-
 @pytest.mark.parametrize("dt", [0.01, 2.0])
 def test_gramians_stay_where_the_root_of_the_period_is_shared(dt: float) -> None:
     A, B, C, _ = system()
@@ -144,29 +108,3 @@ def test_gramians_stay_where_the_root_of_the_period_is_shared(dt: float) -> None
     Q = linalg.solve_continuous_lyapunov(A.T, -(C / root).T @ (C / root))
     np.testing.assert_allclose(linalg.solve_discrete_lyapunov(a, b @ b.T), P, rtol=1e-9)
     np.testing.assert_allclose(linalg.solve_discrete_lyapunov(a.T, c.T @ c), Q, rtol=1e-9)
-
-
-@pytest.mark.parametrize("dt", [0.3, 2.0])
-def test_gradient_is_that_of_differences(dt: float) -> None:
-    given = to_discrete(*system(), dt)
-    rng = np.random.default_rng(1)
-    slopes = [rng.normal(size=M.shape) for M in given]
-    found = discrete_gradient(*given[:3], slopes, dt)
-    assert found[3] is slopes[3]
-
-    def value(matrices: Sequence[np.ndarray]) -> float:
-        return sum(float(np.sum(G * M)) for G, M in zip(slopes, to_continuous(*matrices, dt)))
-
-    for number in range(4):
-        for index in np.ndindex(given[number].shape):
-            ends = []
-            for step in (1e-6, -1e-6):
-                moved = [M.copy() for M in given]
-                moved[number][index] += step
-                ends.append(value(moved))
-            assert found[number][index] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-5)
-
-
-def test_gradient_without_states_is_that_of_the_feedthrough() -> None:
-    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2))
-    assert discrete_gradient(*empty[:3], empty) is empty

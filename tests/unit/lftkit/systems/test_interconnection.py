@@ -37,20 +37,6 @@ def test_order_of_systems_and_connections_does_not_matter(make) -> None:
     assert first.occurrences() == second.occurrences() == {"k": 2, "m": 1}
 
 
-def test_feedback_equals_the_textbook_formula(make) -> None:
-    rng = np.random.default_rng(6)
-    g = make(rng, 3, {"u": 2}, {"y": 2}, ("k",))
-    k = make(rng, 2, {"y": 2}, {"u": 2}, ("m",))
-    loop = connect(
-        {"g": g, "k": k},
-        [(("d", "k.u"), "g.u"), ("g.y", "k.y")],
-        inputs=[Port("d", 2)],
-        outputs={"y": "g.y"},
-    )
-    G, K = response(g), response(k)
-    np.testing.assert_allclose(response(loop), np.linalg.solve(np.eye(2) - G @ K, G), rtol=1e-11)
-
-
 def test_closing_a_controller_commutes_with_choosing_parameters(make) -> None:
     rng = np.random.default_rng(7)
     plant = make(rng, 4, {"w": 1, "u": 2}, {"z": 1, "y": 2}, ("k", "m", "k"))
@@ -76,9 +62,9 @@ def test_series_and_parallel(make) -> None:
     a, b = make(rng, 2, {"u": 2}, {"v": 2}, ("k",)), make(rng, 2, {"v": 2}, {"y": 2}, ("m",))
     np.testing.assert_allclose(response(series(a, b, {"v": "v"})), response(b) @ response(a), rtol=1e-12)
     c = make(rng, 3, {"u": 2}, {"v": 2}, ("m",))
-    np.testing.assert_allclose(response(parallel(a, c, -1.0)), response(a) - response(c), rtol=1e-12)
-    with pytest.raises(ValueError, match="parallel systems must have the same ports"):
-        parallel(a, b)
+    for signs in ((), (1.0,), (-1.0,)):
+        expected = response(a) + (signs or (1.0,))[0] * response(c)
+        np.testing.assert_allclose(response(parallel(a, c, *signs)), expected, rtol=1e-12)
 
 
 def test_inverting_a_channel_twice_gives_the_system_back(make) -> None:
@@ -90,42 +76,10 @@ def test_inverting_a_channel_twice_gives_the_system_back(make) -> None:
     np.testing.assert_allclose(T[:2, :2] @ H[:2, :2], np.eye(2), atol=1e-10)
 
 
-def test_a_channel_without_feedthrough_is_not_invertible() -> None:
-    with pytest.raises(ValueError, match="channel u -> y must be invertible"):
-        invert(static_gain(np.zeros((1, 1)), [Port("u", 1)], [Port("y", 1)]), {"u": "y"})
-
-
-def test_transform_of_ports(make) -> None:
-    system = make(np.random.default_rng(11), 2, {"u": 2}, {"y": 2}, ("k",))
-    T = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, -1.0]])
-    wide = transform(system, inputs={"u": (T, Port("x", 3))}, outputs={"y": (T.T, Port("z", 3))})
-    np.testing.assert_allclose(response(wide), T.T @ response(system) @ T, rtol=1e-12)
-    with pytest.raises(ValueError, match="must be 2 x 3"):
-        transform(system, inputs={"u": (np.eye(2), Port("x", 3))})
-
-
 def two(b_in: Port | None = None):
     u, y = Port("u", 1), Port("y", 1)
     second = b_in or u
     return {"a": static_gain([[1.0]], [u], [y]), "b": static_gain(np.ones((1, second.size)), [second], [y])}
-
-
-@pytest.mark.parametrize(
-    ("systems", "wires", "message"),
-    [
-        (two(), [("r", "a.u"), ("a.y", "b.u"), ("r", "b.u")], "'b.u' must have one driver, got two: a.y and r"),
-        (two(), [("r", "a.u")], "every input must have a driver, got none for b.u"),
-        (two(), [("r", "a.u"), ("a.y", "b.w")], "input must be one of a.u, b.u, got 'b.w'"),
-        (two(), [("r", "a.u"), ("c.y", "b.u")], "source must be one of .*, got 'c.y'"),
-        (two(b_in=Port("u", 2)), [("r", "a.u"), ("a.y", "b.u")], "same size, got 1 and 2"),
-        (two(b_in=Port("u", 1, "N")), [("r", "a.u"), ("a.y", "b.u")], "same unit, got '1' and 'N'"),
-        (two(), [("b.y", "a.u"), ("a.y", "b.u")], "must be well posed"),
-        ({"a.x": two()["a"]}, [], "must not contain a dot"),
-    ],
-)
-def test_connect_refuses_doubt(systems, wires, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        connect(systems, wires, inputs=[Port("r", 1)], outputs={"y": next(iter(systems)) + ".y"})
 
 
 OPERATIONS = {
@@ -183,24 +137,6 @@ def test_any_wiring_equals_its_matrices(make) -> None:
     assert [(p.name, p.size) for p in whole.outputs] == [("e", 2), ("q", 1), ("w", 1)]
 
 
-def test_a_source_counts_as_often_as_it_stands_in_a_sum(make) -> None:
-    g = make(np.random.default_rng(14), 2, {"u": 1}, {"y": 1}, ())
-    twice = connect({"g": g}, [(("r", "r"), "g.u")], inputs=[Port("r", 1)], outputs={"y": ("g.y", "g.y")})
-    np.testing.assert_allclose(response(twice), 4.0 * response(g), rtol=1e-12)
-
-
-def test_parallel_adds_unless_told_otherwise(make) -> None:
-    rng = np.random.default_rng(15)
-    a, b = (make(rng, 2, {"u": 2, "w": 1}, {"y": 2, "z": 1}, ("k",)) for _ in range(2))
-    for sum_of_both in (parallel(a, b), parallel(a, b, 1.0)):
-        np.testing.assert_allclose(response(sum_of_both), response(a) + response(b), rtol=1e-12)
-    with pytest.raises(ValueError, match="sign must be"):
-        parallel(a, b, 0.5)
-    other = make(rng, 2, {"u": 2, "w": 1}, {"y": 2, "x": 1}, ("k",))
-    with pytest.raises(ValueError, match="parallel systems must have the same ports"):
-        parallel(a, other)
-
-
 def test_inverting_some_channels_solves_for_their_inputs(make) -> None:
     """Two channels of different size, their ports in another order than in the system, a third one kept."""
     system = make(np.random.default_rng(16), 3, {"a": 1, "b": 2, "c": 1}, {"p": 2, "q": 1, "r": 1}, ("k", "m", "k"))
@@ -212,21 +148,6 @@ def test_inverting_some_channels_solves_for_their_inputs(make) -> None:
     result = response(turned) @ np.r_[y[3], y[:2], u[3]]
     np.testing.assert_allclose(result, np.r_[u[1:3], y[2], u[0]], rtol=1e-10, atol=1e-12)
     assert turned.occurrences() == system.occurrences()
-
-
-@pytest.mark.parametrize(("kept_in", "kept_out"), [(1, 3), (3, 1)])
-def test_inverting_a_channel_beside_kept_ports_of_different_number(make, kept_in: int, kept_out: int) -> None:
-    system = make(np.random.default_rng(20), 3, {"a": 2, "c": kept_in}, {"p": 2, "q": kept_out}, ("k", "m"))
-    turned = invert(system, {"a": "p"})
-    u = np.random.default_rng(21).standard_normal(2 + kept_in)
-    y = response(system) @ u
-    np.testing.assert_allclose(response(turned) @ np.r_[y[:2], u[2:]], np.r_[u[:2], y[2:]], rtol=1e-10, atol=1e-12)
-
-
-def test_channels_of_different_size_are_not_inverted(make) -> None:
-    system = make(np.random.default_rng(18), 1, {"u": 2}, {"y": 1}, ())
-    with pytest.raises(ValueError, match="must be square"):
-        invert(system, {"u": "y"})
 
 
 def test_transform_of_one_port_leaves_the_others_where_they_are(make) -> None:
@@ -246,30 +167,6 @@ def test_transform_of_one_port_leaves_the_others_where_they_are(make) -> None:
     ):
         with pytest.raises(ValueError):
             transform(system, **wrong)
-
-
-@pytest.mark.parametrize(
-    ("wires", "outputs", "message"),
-    [
-        ([("r", "a.u"), ("r", "b.u"), ("a.y", "b.u")], {"y": "b.y"}, "b.u"),
-        ([((), "a.u"), ("r", "b.u")], {"y": "b.y"}, "empty|at least one"),
-        ([("r", "a.u"), ("r", "b.u")], {"y": ("a.y", "s")}, "same size"),
-        ([("r", "a.u"), ("r", "b.u")], {"y": "c.y"}, "c.y"),
-        ([], {"y": "b.y"}, "a.u, b.u"),
-        ([("r", "b.u")], {"y": "b.y"}, "a.u"),
-    ],
-)
-def test_more_that_connect_refuses(wires, outputs, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        connect(two(), wires, inputs=[Port("r", 1), Port("s", 2)], outputs=outputs)
-
-
-def test_star_refuses_free_ports_of_one_name(make) -> None:
-    rng = np.random.default_rng(20)
-    a = make(rng, 1, {"a": 1, "b": 1}, {"c": 1, "z": 1}, ())
-    b = make(rng, 1, {"d": 1, "e": 1}, {"f": 1, "z": 1}, ())
-    with pytest.raises(ValueError, match="z"):
-        star(a, b, {"upper.c": "lower.d"})
 
 
 def test_series_keeps_the_ports_of_its_ends(make) -> None:

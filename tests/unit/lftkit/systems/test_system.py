@@ -1,11 +1,17 @@
-"""The uncertain system itself: values, names, refusals."""
+"""The uncertain system and models with named ports: values, names, conversion, sampling."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, from_control, state_space, static_gain
+from lftkit import Port, RealParameter, System, complex_gain, s
+from lftkit.analysis.frequency_response import direct_response
+from lftkit.proofs import robust_stability
+from lftkit.systems.connection.feedback import cascade
+from lftkit.systems.connection.filters import transfer
+from lftkit.systems.sampled.sampling import sampled
+from lftkit.tuning.structures.structures import pid
 
 
 def gain(k: RealParameter) -> System:
@@ -21,30 +27,8 @@ def test_delta_zero_is_nominal_and_values_are_physical() -> None:
     assert system.at({"k": 4.5}).D[0, 0] == pytest.approx(4.5, abs=1e-15)
 
 
-def test_nominal_result_is_a_control_system_with_signal_names(make) -> None:
-    nominal = make(np.random.default_rng(1)).nominal().to_control()
-    assert nominal.input_labels == ["u[0]", "u[1]", "w"]
-    assert nominal.output_labels == ["y[0]", "y[1]", "z"]
-    assert nominal.nstates == 4
-
-
 def test_occurrences_count_the_channels(make) -> None:
     assert make(np.random.default_rng(1)).occurrences() == {"k": 2, "m": 1}
-
-
-def test_a_value_outside_its_range_names_the_parameter() -> None:
-    with pytest.raises(ValueError, match=r"'k'.*\[1, 5\].*got 6"):
-        gain(RealParameter("k", 2.0, 1.0, 5.0)).at({"k": 6.0})
-
-
-def test_an_unknown_parameter_lists_those_there_are() -> None:
-    with pytest.raises(ValueError, match=r"parameter must be one of k, got 'q'"):
-        gain(RealParameter("k", 2.0, 1.0, 5.0)).at({"q": 2.0})
-
-
-def test_an_unknown_port_lists_those_there_are(make) -> None:
-    with pytest.raises(ValueError, match=r"input port must be one of u, w, got 'v'"):
-        make(np.random.default_rng(1)).select(inputs=["v"])
 
 
 def test_ill_posed_values_are_refused() -> None:
@@ -56,41 +40,6 @@ def test_ill_posed_values_are_refused() -> None:
     assert system.at({"k": 0.5}).D[0, 0] == pytest.approx(1.0)
     with pytest.raises(ValueError, match="must be well posed"):
         system.at({"k": 1.0})
-
-
-@pytest.mark.parametrize(
-    ("D", "message"),
-    [([[1.0, 2.0]], "matrix D must be 1 x 1"), ([[np.nan]], "must be finite")],
-)
-def test_matrices_are_checked_at_the_door(D, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        static_gain(D, [Port("u", 1)], [Port("y", 1)])
-
-
-def test_a_port_name_may_not_come_twice() -> None:
-    with pytest.raises(ValueError, match="port names must be unique, got 'u' twice"):
-        static_gain(np.zeros((1, 2)), [Port("u", 1), Port("u", 1)], [Port("y", 1)])
-
-
-def test_one_name_with_two_definitions_is_refused() -> None:
-    k, other = RealParameter("k", 0.0, -1.0, 1.0), RealParameter("k", 0.0, -2.0, 1.0)
-    empty = np.zeros((0, 0))
-    with pytest.raises(ValueError, match="must have one definition, got two"):
-        System(
-            empty,
-            empty,
-            empty,
-            np.zeros((3, 3)),
-            (Port("u", 1),),
-            (Port("y", 1),),
-            channels=("k", "k"),
-            elements=(k, other),
-        )
-
-
-def test_arrays_cannot_be_written(make) -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        make(np.random.default_rng(1)).A[0, 0] = 1.0
 
 
 def test_sub_system_by_names_and_sampling(make) -> None:
@@ -124,14 +73,60 @@ def test_normalised_family_is_the_same_family(make) -> None:
     assert unit.occurrences() == system.occurrences()
 
 
-def test_round_trip_through_control() -> None:
-    system = state_space([[-1.0]], [[1.0]], [[2.0]], [[0.5]], [Port("u", 1)], [Port("y", 1)])
-    again = from_control(system.nominal().to_control())
-    np.testing.assert_array_equal(again.A, system.A)
-    assert [p.name for p in again.inputs] == ["u"]
+def plant() -> System:
+    rng = np.random.default_rng(0)
+    ports_in, ports_out = [Port("w", 2, "N"), Port("u", 1, "N")], [Port("z", 1, "rad"), Port("y", 2, "m")]
+    A = rng.normal(size=(4, 4)) - 3 * np.eye(4)
+    return System(
+        A, rng.normal(size=(4, 3)), rng.normal(size=(3, 4)), rng.normal(size=(3, 3)), ports_in, ports_out, "p"
+    )
 
 
-@pytest.mark.parametrize(("nominal", "lower", "upper"), [(0.0, 1.0, 2.0), (3.0, 1.0, 2.0), (np.nan, 0.0, 1.0)])
-def test_a_parameter_needs_its_nominal_value_in_range(nominal: float, lower: float, upper: float) -> None:
-    with pytest.raises(ValueError, match="parameter 'k'"):
-        RealParameter("k", nominal, lower, upper)
+def test_channel_picks_by_name_in_the_order_asked_for() -> None:
+    part = plant()["y", ("u", "w")]
+    assert [p.name for p in part.inputs] == ["u", "w"]
+    whole, w = plant(), 0.7
+    expected = direct_response(*whole.matrices, w)[1:][:, [2, 0, 1]]
+    assert direct_response(*part.matrices, w) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("s", [0.0, 0.3j, 2.0j])
+def test_transfer_and_series_are_products(s: complex) -> None:
+    first, second = transfer([1, 2, 3], [2, 4, 8]), transfer([1, 0], [1, 5])
+    value = (s**2 + 2 * s + 3) / (2 * s**2 + 4 * s + 8) * s / (s + 5)
+    assert direct_response(*cascade(first, second).matrices, s.imag).item() == pytest.approx(value)
+
+
+def test_tustin_keeps_stability_and_the_gain_at_zero() -> None:
+    system = sampled(plant(), 1e-2)
+    assert np.abs(np.linalg.eigvals(system.A)).max() < 1
+    dc = system.C @ np.linalg.solve(np.eye(4) - system.A, system.B) + system.D
+    assert dc == pytest.approx(direct_response(*plant().matrices, 0.0).real)
+
+
+def test_pid_response() -> None:
+    K = pid("e", "u", derivative_filter=0.1)
+    n, x = K.order, np.array([2.0, 3.0, 0.5])
+    M = K.gain_matrix(x)
+    s = 1.5j
+    value = M[n:, n:] + M[n:, :n] @ np.linalg.solve(s * np.eye(n) - M[:n, :n], M[:n, n:])
+    assert value.item() == pytest.approx(2.0 + 3.0 / s + 0.5 * s / (0.1 * s + 1))
+    only_d = pid("e", "u", derivative_filter=0.1, terms="D")
+    assert (only_d.order, only_d.size) == (1, 1)
+
+
+def test_the_unstable_member_of_a_margin_can_be_looked_at() -> None:
+    """c within 0.2 of 1 in ``1 / (s + c)``: five radii away there is a pole at zero."""
+    lag = (1 / (s + complex_gain("c", 1.0, 0.2))).system("u", "y")
+    margin = robust_stability(lag)
+    assert margin.upper == pytest.approx(5.0)
+    assert abs(lag.at(margin.point, beyond_range=True).poles()).max() < 1e-6
+    assert lag.at({"c": 2.0}, beyond_range=True).poles() == [-2.0]
+    beyond = lag.response([1.0], {"c": 1.0 + 1j}, beyond_range=True)
+    assert beyond.ravel() == pytest.approx([1 / (1.0 + 2j)])
+    with pytest.raises(ValueError, match=r"element 'c' must be within 0\.2 of 1, got 2"):
+        lag.at({"c": 2.0})
+    with pytest.raises(ValueError, match=r"element 'c' must be within 0\.2 of 1, got nan"):
+        lag.at({"c": np.nan}, beyond_range=True)
+    with pytest.raises(ValueError, match="value of 'c' must be real"):
+        lag.at({"c": 1.0 + 2.0j}, beyond_range=True)

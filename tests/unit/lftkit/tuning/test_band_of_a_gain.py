@@ -65,8 +65,3 @@ def test_the_worst_case_is_that_of_the_band() -> None:
     k, w = np.meshgrid(np.linspace(3.9, 4.5, 601), np.linspace(2.0, 2.2, 41))
     scan = float((1.0 / np.abs(k - w * w + 0.02j * k * w)).max())
     assert found.value == pytest.approx(scan, rel=2e-2) and 2.0 <= found.omega <= 2.1
-
-
-def test_what_is_refused() -> None:
-    with pytest.raises(ValueError, match="band must be a lowest and a higher highest frequency"):
-        HinfGain("w", "z", band=(3.0, 1.0))

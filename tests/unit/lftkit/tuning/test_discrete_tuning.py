@@ -11,7 +11,7 @@ from scipy import linalg
 
 from lftkit import hinf_norm
 from lftkit.systems.connection.feedback import close_loop
-from lftkit.systems.sampled.image import image_of, sampled_from_image
+from lftkit.systems.sampled.image import image_of
 from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
@@ -26,14 +26,12 @@ from lftkit.tuning import (
     MinLoopGain,
     Overshoot,
     Sensitivity,
-    StableStateSpace,
     StepTracking,
     TuningOptions,
     TuningRequirement,
     gain,
     pid,
     state_space,
-    tune,
     tune_discrete,
     worst_case,
 )
@@ -110,48 +108,6 @@ def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
     assert 4.0 * result.values[1, 0] == pytest.approx(np.max(gains), rel=1e-4)
 
 
-def test_an_image_has_the_response_of_its_system_and_leads_back() -> None:
-    rng = np.random.default_rng(4)
-    model = System(
-        0.5 * rng.standard_normal((3, 3)),
-        rng.standard_normal((3, 2)),
-        rng.standard_normal((1, 3)),
-        rng.standard_normal((1, 2)),
-        [("u", 2)],
-        [("y", 1)],
-        dt=0.2,
-    )
-    image, z = image_of(model), np.exp(0.7j)
-    s = 2.0 / 0.2 * (z - 1.0) / (z + 1.0)
-    there = image.C @ np.linalg.solve(s * np.eye(3) - image.A, image.B) + image.D
-    here = model.C @ np.linalg.solve(z * np.eye(3) - model.A, model.B) + model.D
-    assert there == pytest.approx(here, rel=1e-12)
-    back = sampled_from_image(image, 0.2)
-    for first, second in zip(back.matrices, model.matrices):
-        assert first == pytest.approx(second, abs=1e-12)
-
-
-def test_what_has_no_discrete_form_is_refused_in_one_line() -> None:
-    plant, static = delayed_lag(), gain([("y", 1)], [("u", 1)])
-    for law, got in ((0.0, "continuous time"), (0.2, r"sampling period 0\.2 s")):
-        part = pid("y", "u", derivative_filter=0.1, dt=law)
-        for structure in (part, Decentralised((part,))):
-            with pytest.raises(
-                ValueError, match=rf"^structure of u must be made for sampling period 0\.1 s, got {got}$"
-            ):
-                tune_discrete([plant], [HinfGain("w", "z")], structure)
-    with pytest.raises(
-        ValueError, match=r"^structure of u must be made for continuous time, got sampling period 0\.1 s$"
-    ):
-        tune([System.static([[1.0]], [("u", 1)], [("y", 1)])], [], pid("y", "u", derivative_filter=0.1, dt=0.1))
-    with pytest.raises(ValueError, match="must have entries of discrete matrices, got StableStateSpace"):
-        tune_discrete([plant], [HinfGain("w", "z")], StableStateSpace([("y", 1)], [("u", 1)], 1))
-    with pytest.raises(ValueError, match=r"sampling period must be 0\.1 s, got 0\.2 s$"):
-        tune_discrete([plant, delayed_lag(0.2)], [HinfGain("w", "z")], static)
-    with pytest.raises(ValueError, match=r"band must begin below pi / T = 31\.4159 rad/s, got 40$"):
-        tune_discrete([plant], [HinfGain("w", "z", band=(40.0, 50.0))], static)
-
-
 def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
     """x+ = pole x + w + u with the outputs x (to be measured and controlled)."""
     return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
@@ -193,11 +149,6 @@ def test_weights_of_goals_count_at_the_image_of_the_circle() -> None:
     assert held(-1.0, MaxLoopGain("u", 0.5 * crossover), plant) == pytest.approx(2.0, rel=1e-3)
 
 
-def test_discrete_models_are_refused_by_the_continuous_tuner() -> None:
-    with pytest.raises(ValueError, match=r"got discrete ones: tune_discrete takes them$"):
-        tune([lag_on_samples()], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]))
-
-
 @pytest.mark.parametrize("k", [-0.2, -0.5, -0.9])
 def test_variances_poles_and_bands_of_a_lag_on_samples_are_those_of_closed_forms(k: float) -> None:
     """x+ = (0.5 + k) x + w: noise of unit density has samples of variance 1 / T."""
@@ -222,17 +173,6 @@ def test_a_step_response_on_samples_is_compared_sample_by_sample() -> None:
     least = sum(np.exp(-2.0 * number * dt / tau) for number in range(400))
     wanted = np.sqrt(np.sum(np.square(error)) / least) / 0.1
     assert held(k, StepTracking("r", "z", time_constant=tau), plant) == pytest.approx(wanted, rel=5e-3)  # leak of 1e-3
-
-
-def test_slopes_of_the_poles_of_an_image_are_differences() -> None:
-    asked = ClosedLoopPoles(min_decay=1.0, min_damping=0.4, max_frequency=9.0).on_image(lag_on_samples())
-    assert isinstance(asked, ClosedLoopPoles)
-    poles = np.array([-3.0 + 4.0j, -30.0 + 1.0j, -2.0 + 0j])
-    values, slopes, number = asked.pieces(poles)
-    for step in (1e-6, 1e-6j):
-        change = (asked.pieces(poles + step)[0] - asked.pieces(poles - step)[0]) / 2.0
-        assert change == pytest.approx((np.conj(slopes) * step).real, rel=1e-5, abs=1e-12)
-    assert number.tolist() == [0, 1, 2] * 3 and len(values) == 9
 
 
 def test_the_optimal_regulator_of_samples_is_found() -> None:
@@ -412,24 +352,3 @@ def test_a_worst_case_in_discrete_time_is_that_of_the_unit_circle() -> None:
         assert found.value == pytest.approx(10.0) and found.parameters["a"] == pytest.approx(at)
         assert found.omega == pytest.approx(omega, abs=1e-6)
         assert poles.value == pytest.approx(2.0 + np.log(0.9) / 0.1, rel=1e-4)
-
-
-def test_a_delay_in_discrete_time_is_refused() -> None:
-    plant, K = drawn_loop(np.random.default_rng(0))
-    for asked in (
-        lambda: certify([plant], K, [HinfGain("w", "z")], 0.1),
-        lambda: worst_case(lambda _: plant, {"a": (0.0, 1.0)}, K, [HinfGain("w", "z")], loop_delay=0.1),
-    ):
-        with pytest.raises(
-            ValueError, match=r"loop_delay must be 0 in discrete time, where delays are states, got 0\.1 s"
-        ):
-            asked()
-
-
-def test_controllers_of_another_period_are_refused() -> None:
-    plant, _ = drawn_loop(np.random.default_rng(0))
-    other = System([[0.5]], [[0.1]], [[0.1]], [[0.0]], [("y", 1)], [("u", 1)], dt=0.1)
-    with pytest.raises(ValueError, match="same sampling period"):
-        certify([plant], other, [HinfGain("w", "z")])
-    with pytest.raises(ValueError, match="same sampling period"):
-        worst_case(lambda _: plant, {"a": (0.0, 1.0)}, other, [HinfGain("w", "z")])

@@ -15,12 +15,10 @@ from lftkit.analysis.batched_linalg import (
     smooth_slopes,
     solve,
 )
-from lftkit.analysis.norms import hinf_norm
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.full_order import reduced_starts
-from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
@@ -81,25 +79,6 @@ def test_value_is_the_certified_norm_on_published_plants(name: str) -> None:
     unstable = problem.abscissa(x) >= 0.0
     assert np.isfinite(ExactValue(problem)(x)[0]) is not unstable
     assert checked or unstable or not starts
-
-
-def test_abscissa_and_its_gradient() -> None:
-    structure = state_space([Y], [U], 2)
-    problem = Problem([plant(0)], [HinfGain("w", "z")], structure)
-    x = 0.3 * np.random.default_rng(5).standard_normal(structure.size)
-    value, gradient = ExactValue(problem).abscissa(x)
-    assert value == pytest.approx(problem.abscissa(x), rel=1e-12)
-    f = ExactValue(problem).abscissa
-    differences = [(f(x + h)[0] - f(x - h)[0]) / 2e-6 for h in 1e-6 * np.eye(len(x))]
-    assert gradient == pytest.approx(np.array(differences), abs=1e-6 * float(np.linalg.norm(gradient)))
-
-
-def test_problems_that_it_does_not_suit() -> None:
-    structure = state_space([Y], [U], 1)
-    soft = HinfGain("w", "z")
-    assert not ExactValue.suits(Problem([plant(0)], [replace(soft, hard=True)], structure))
-    assert not ExactValue.suits(Problem([plant(0)], [soft], structure, loop_delay=0.1))
-    assert not ExactValue.suits(Problem([plant(0)], [soft], state_space([Y], [U], 60)))
 
 
 @pytest.mark.parametrize("form", ["full", "modal", "tridiagonal"])
@@ -164,24 +143,3 @@ def test_smooth_gains_bound_the_largest_and_have_the_stated_slopes(shape: tuple[
     assert np.all(gains <= largest_gains(T) * min(shape) ** (1.0 / power) * (1 + 1e-12))
     slope = (smooth_gains(T + 1e-6 * step, power) - smooth_gains(T - 1e-6 * step, power)) / 2e-6
     assert np.real(np.sum(smooth_slopes(T, power).conj() * step, axis=(1, 2))) == pytest.approx(slope, rel=1e-6)
-
-
-@pytest.mark.parametrize("defect", [0.0, 1.0])
-def test_controller_response_with_and_without_a_basis_of_eigenvectors(defect: float) -> None:
-    A = np.array([[-1.0, defect], [0.0, -1.0 - (0.0 if defect else 1.0)]])
-    K = np.block([[A, np.ones((2, 3))], [np.arange(4.0).reshape(2, 2), np.zeros((2, 3))]])
-    omega = np.array([0.0, 0.3, 7.0, np.inf])
-    found = controller_response(K, 2, omega)
-    for w, G in zip(omega[:3], found):
-        assert pytest.approx(K[2:, :2] @ np.linalg.solve(1j * w * np.eye(2) - A, K[:2, 2:]), rel=1e-9) == G
-    assert not found[3].any()
-
-
-def test_without_feedback_the_value_is_the_norm_of_the_plant() -> None:
-    model = plant(4)
-    problem = Problem([model], [HinfGain("w", "z")], state_space([Y], [U], 0))
-    value, _ = ExactValue(problem)(np.zeros(6))
-    w, z = model.input_indices(["w"]), model.output_indices(["z"])
-    assert np.exp(value) == pytest.approx(
-        hinf_norm(model.A, model.B[:, w], model.C[z], model.D[np.ix_(z, w)]).value, rel=1e-7
-    )

@@ -1,17 +1,18 @@
-"""Feasibility comes first: feasible points are never left, and `infeasible` is said after looking for one."""
+"""Feasibility comes first: least violations, hard requirements alone, and structures without a free parameter."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lftkit.systems.system import System
-from lftkit.tuning.descent.grid_source import Point, point_at
-from lftkit.tuning.descent.smooth_phase import smooth_phase
+from lftkit.tuning import tune_discrete, tune_robust
 from lftkit.tuning.options import TuningOptions
-from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
-from lftkit.tuning.structures.structures import gain
+from lftkit.tuning.structures.structures import AffineStructure, gain, pid
 from lftkit.tuning.tuner import tune
 
 STATIC = gain([("y", 1)], [("u", 1)])
@@ -22,37 +23,6 @@ def lag(pole: float) -> System:
     D = [[0, 0], [0, 1], [0, 0]]
     C = [[1.0], [0.0], [1.0]]
     return System([[pole]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
-
-
-def problem(effort: float) -> Problem:
-    """With u = -k y: the soft gain 1 / (k + 1/2) falls for ever, the effort k / (k + 1/2) must stay below a bound."""
-    needs = [HinfGain("w", "z"), HinfGain("w", "effort", bound=effort, hard=True)]
-    return Problem([lag(-0.5)], needs, STATIC)
-
-
-@pytest.mark.parametrize("gain_before", [0.1, 2.0, 4.49, 4.51, 50.0, 1e4])
-def test_smooth_phase_ends_feasible_and_no_higher_than_it_began(gain_before: float) -> None:
-    """The effort is at most 0.9 up to k = 4.5."""
-    p = problem(0.9)
-    first = point_at(p, np.array([-gain_before]))
-    found = smooth_phase(p, first.x, 400, np.inf, -np.inf).point
-    assert found.feasible and found.hard <= 1.0 + 1e-6
-    assert not first.better_than(found)
-    assert -found.x.item() == pytest.approx(4.5, rel=0.03)
-
-
-def test_points_are_compared_by_feasibility_before_value() -> None:
-    found = point_at(problem(0.9), np.array([-1.0])).found
-
-    def point(soft: float, hard: float) -> Point:
-        return Point(np.zeros(1), found, soft, hard)
-
-    assert point(10.0, 1.0).better_than(point(1e-9, 1.001))
-    assert not point(1e-9, 1.001).better_than(point(10.0, 1.0))
-    assert point(9.0, 1.1).better_than(point(1.0, 1.2)), "of two infeasible ones the smaller violation"
-    assert point(1.0, 0.99).better_than(point(1.1, 0.5)), "of two feasible ones the lower soft value"
-    assert not point(np.inf, np.inf).feasible and point(-np.inf, 0.5).feasible
-    assert not point(0.9995, 1.0).better_than(point(1.0, 1.0), 1e-3)
 
 
 @pytest.mark.parametrize("gain_before", [8e4, 1e-3])
@@ -98,3 +68,104 @@ def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float
     result = tune([plant], needs, STATIC, initial=[[start]], options=TuningOptions(starts=0))
     assert result.status == "infeasible"
     assert result.hard == pytest.approx(2.0 - 0.1 / 10.0, rel=1e-9)
+
+
+FEW = TuningOptions(starts=4)
+
+
+def oscillator() -> System:
+    return System([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
+
+
+def plain_lag() -> System:
+    return System([[-1]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
+
+
+def first_order(pole: float, dt: float = 0.0) -> System:
+    """``x' = pole x + w + u``."""
+    ports: Any = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *ports, dt=dt)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("starts", [1, 4, 24])
+@pytest.mark.parametrize(
+    ("model", "asked", "structure"),
+    [
+        (oscillator(), [ClosedLoopPoles(min_decay=0.01)], pid("y", "u", derivative_filter=0.05)),
+        (oscillator(), [ClosedLoopPoles(min_decay=0.4, min_damping=0.5)], pid("y", "u", derivative_filter=0.05)),
+        (plain_lag(), [ClosedLoopPoles(max_frequency=10.0)], gain([("y", 1)], [("u", 1)])),
+        (plain_lag(), [ClosedLoopPoles(min_decay=2.0, max_frequency=2.1)], gain([("y", 1)], [("u", 1)])),
+        (plain_lag(), [HinfGain("u", "y", bound=0.9, hard=True)], gain([("y", 1)], [("u", 1)])),
+    ],
+)
+def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure: AffineStructure, starts: int) -> None:
+    """The first feasible point is the end: two models, of which the second is the first."""
+    result = tune([model, model], asked, structure, options=TuningOptions(starts=starts))
+    assert str(result.status) == "converged" and result.advice.startswith("every hard requirement is met")
+    assert result.soft == -np.inf and result.hard <= 1.0 and result.feasible and result.starts == (-np.inf,)
+    assert result.certificate is not None and np.all(result.certificate.upper <= 1.0)
+    assert result.stationarity == 0.0
+
+
+def test_hard_requirements_alone_that_nothing_meets() -> None:
+    """``s + 1 - k`` has its pole at k - 1: not faster than 3 and slower than 2 rad/s at once."""
+    result = tune([plain_lag()], [ClosedLoopPoles(3.0, max_frequency=2.0)], gain([("y", 1)], [("u", 1)]), options=FEW)
+    assert str(result.status) == "infeasible" and result.hard > 1.0
+
+
+def test_hard_requirements_alone_over_a_box_and_in_discrete_time() -> None:
+    asked = [ClosedLoopPoles(min_decay=1.0)]
+    robust = tune_robust(lambda v: first_order(v["a"]), {"a": (0.5, 1.5)}, asked, gain([("y", 1)], [("u", 1)]))
+    assert str(robust.status) == "converged" and robust.controller.D.item() <= -2.5 + 1e-6
+    sampled = tune_discrete([first_order(0.99, 0.1)], asked, gain([("y", 1)], [("u", 1)]), options=FEW)
+    assert str(sampled.status) == "converged" and abs(0.99 + sampled.controller.D.item()) <= np.exp(-0.1)
+
+
+def held(kp: float) -> AffineStructure:
+    return pid("y", "u", derivative_filter=0.1).with_fixed({"Kp": kp, "Ki": -1.0, "Kd": 0.0})
+
+
+@pytest.mark.parametrize("starts", [0, 4])
+def test_a_structure_without_free_parameters(starts: int) -> None:
+    """``1 / (s - 1 + 5 + 1 / s)`` has its peak at 1 rad/s, of 1/4; with Kp = 5 the loop is unstable."""
+    options, plant = TuningOptions(starts=starts), first_order(1.0)
+    for asked, status in (
+        (HinfGain("w", "z"), "converged"),
+        (HinfGain("w", "z", hard=True), "converged"),
+        (HinfGain("w", "z", bound=0.01, hard=True), "infeasible"),
+    ):
+        result = tune([plant], [asked], held(-5.0), options=options)
+        assert str(result.status) == status and result.advice.startswith("the structure has no free parameter")
+        assert max(result.soft, result.hard) == pytest.approx(0.25 / asked.bound, rel=1e-6)
+        assert result.certificate is not None and result.certificate.upper.item() >= 0.25 / asked.bound
+        unstable = tune([plant], [asked], held(5.0), options=options)
+        assert str(unstable.status) == "not_stabilised" and unstable.certificate is None and unstable.abscissa > 0.0
+
+
+def test_a_structure_without_free_parameters_over_a_box() -> None:
+    """``1 / (s - a + 5 + 1 / s)``: 1 / (5 - a) at most."""
+    asked, box = [HinfGain("w", "z")], {"a": (0.5, 1.5)}
+    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.0))
+    assert str(result.status) == "converged" and result.soft == pytest.approx(1.0 / 3.5, rel=1e-6)
+    assert result.worst[0].parameters["a"] == pytest.approx(1.5)
+    box = {"a": (4.0, 6.0)}
+    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.5), active=[{"a": 4.0}])
+    assert str(result.status) == "not_stabilised"
+
+
+@pytest.mark.parametrize(("k", "status"), [(-0.5, "converged"), (2.0, "not_stabilised")])
+def test_a_discrete_structure_without_free_parameters(k: float, status: str) -> None:
+    """x+ = 0.5 x + w + k x."""
+    structure = gain([("y", 1)], [("u", 1)]).with_fixed({(0, 0): k})
+    result = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], structure)
+    assert str(result.status) == status and result.controller.D.item() == k and result.controller.dt == 0.1
+    assert result.soft == (pytest.approx(1.0) if k < 0 else np.inf)
+
+
+def test_a_discrete_pid_without_free_parameters() -> None:
+    """``1 / (z + 0.1 (T / 2) (z + 1) / (z - 1))`` with T = 0.1 s."""
+    law = pid("y", "u", derivative_filter=0.1, dt=0.1).with_fixed({"Kp": -0.5, "Ki": -0.1, "Kd": 0.0})
+    found = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], law)
+    z = np.exp(1j * np.linspace(1e-3, np.pi, 100_000))
+    assert str(found.status) == "converged"
+    assert found.soft == pytest.approx(np.abs(1.0 / (z + 0.005 * (z + 1.0) / (z - 1.0))).max(), rel=1e-6)

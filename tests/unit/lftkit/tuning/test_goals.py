@@ -1,4 +1,4 @@
-"""Goals for loops against closed forms, evaluated by the certificate on known loops."""
+"""Goals for loops against closed forms, evaluated by the certificate on known loops; weights of any linear form."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
-from lftkit import real, s
+from lftkit import s
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning import (
@@ -32,6 +33,7 @@ from lftkit.tuning import (
     worst_case,
 )
 from lftkit.tuning.goals import resolved
+from lftkit.tuning.structures.structures import controller
 
 
 def plant(numerator: Any, denominator: Any) -> System:
@@ -142,24 +144,6 @@ def test_overshoot_is_that_of_a_second_order_system() -> None:
     assert value(Overshoot("r", "z", percent=percent), model, feedback(1.0)) == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Margins("u"), "gain_margin or phase_margin must ask for something, got 1 and 0"),
-        (lambda: Margins("u", gain_margin=0.5), "gain_margin must be at least 1"),
-        (lambda: Sensitivity(()), "location must name at least one command or measurement of the controller"),
-        (lambda: MinLoopGain("u", crossover=-1.0), r"crossover must be positive \[rad/s\], got -1"),
-        (lambda: Tracking("r", "z", response_time=0.0), "response_time must be positive, got 0"),
-        (lambda: Overshoot("r", "z", percent=0.0), "percent must be between 0 and 100, got 0"),
-        (lambda: resolved([INTEGRATOR], [Sensitivity("v")]), "location must be an input or an output of .*; got 'v'"),
-        (lambda: resolved([], [Sensitivity("u")]), "a design needs at least one model, got none"),
-    ],
-)
-def test_wrong_goals_are_refused(make: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 def test_goals_are_tuned_beside_requirements() -> None:
     """Fastest tracking with |T| <= 1 and a sensitivity of at most 1.2 in spite of a lag of 0.1 s in the loop."""
     model = plant([10.0], [1.0, 10.0, 0.0])
@@ -195,7 +179,36 @@ def test_goals_hold_over_a_box_of_parameters() -> None:
     assert worst[1].parameters["gain"] == pytest.approx(2.0)
 
 
-def test_goal_on_an_uncertain_model_names_its_elements() -> None:
-    k = real("k", 1.0, percent=10)
-    with pytest.raises(ValueError, match=r"must be certain.*got elements k"):
-        tune([(k / (s**2 + s + k)).system("u", "y")], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]))
+LAW = gain([("y", 1)], [("u", 1)])
+
+
+def fed_lag() -> System:
+    """``x' = -x + w + u``."""
+    ports: Any = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    return System([[-1]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *ports)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("weight", "same"),
+    [
+        (1 / (s + 1), transfer([1.0], [1.0, 1.0])),
+        (signal.TransferFunction([1.0], [1.0, 1.0]), transfer([1.0], [1.0, 1.0])),
+        (2.0, System.static([[2.0]], [("in", 1)], [("out", 1)])),
+        ([[2.0]], System.static([[2.0]], [("in", 1)], [("out", 1)])),
+        (np.array([[2]]), System.static([[2.0]], [("in", 1)], [("out", 1)])),
+    ],
+)
+def test_what_is_a_linear_system_is_a_weight(weight: Any, same: System) -> None:
+    K = controller(LAW, [-1.0])
+    for side in ("weight_in", "weight_out"):
+        given, made = (HinfGain("w", "z", **{side: w}) for w in (weight, same))
+        assert isinstance(getattr(given, side), System)
+        assert certify([fed_lag()], K, [given]).values == certify([fed_lag()], K, [made]).values
+    assert isinstance(Sensitivity("u", weight=weight).weight, System)
+
+
+def test_an_expression_is_a_weight_of_a_run() -> None:
+    """The pole is at most at -5 rad/s: 1/5 at zero frequency, where the weight is 1."""
+    goals = [HinfGain("w", "z", weight_out=1 / (s + 1)), ClosedLoopPoles(max_frequency=5.0)]
+    found = tune([fed_lag()], goals, LAW, options=TuningOptions(starts=1))
+    assert found.soft == pytest.approx(0.2, rel=1e-4)

@@ -1,21 +1,24 @@
-"""Exact gradients of every kind of requirement against central differences, structure by structure."""
+"""Exact gradients of every kind of requirement against central differences, and the feedback before the tuning."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from lftkit.analysis.frequency_response import direct_response
+from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
-from lftkit.tuning.gains.gains import singular_slopes
+from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.gains.plant_responses import PlantResponses
+from lftkit.tuning.gains.prefeedback import prefeedback
 from lftkit.tuning.pieces import Piece
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
 from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
-from lftkit.tuning.structures.structures import Structure, gain, gain_matrix_of, pid, state_space
+from lftkit.tuning.structures.structures import Structure, controller, gain, pid, state_space
 
 Y, U = (Port("y", 3),), (Port("u", 2),)
 
@@ -110,35 +113,6 @@ def largest(pieces: tuple[Piece, ...]) -> list[Piece]:
     return list(best.values())
 
 
-def test_gradient_of_the_gain_at_a_fixed_frequency_equals_the_analytic_derivative() -> None:
-    """T is analytic in K: u^H T v is differentiated along the imaginary direction."""
-    model = random_model(2)
-    plant = PlantResponses(model, ("y",), ("u",), (HinfGain("w", "z"),))
-    K = gain_matrix_of(System([[-1, 0.3], [0, -2]], 0.1 * np.ones((2, 3)), np.eye(2), 0.05 * np.ones((2, 3)), Y, U))
-    omega = np.array([0.7])
-    arrays = plant.arrays(omega)
-    values, rows, columns = singular_slopes(plant, arrays, K, 2, 0)
-    gradient = np.real(np.outer(rows[0, 0], columns[0, :, 0]))
-    P11, P12, P21, P22 = arrays.P11[0][0], arrays.P12[0][0], arrays.P21[0][0], arrays.P22[0]
-
-    def response(matrix: np.ndarray) -> np.ndarray:
-        Kw = matrix[2:, 2:] + matrix[2:, :2] @ np.linalg.solve(0.7j * np.eye(2) - matrix[:2, :2], matrix[:2, 2:])
-        return P11 + P12 @ np.linalg.solve(np.eye(2) - Kw @ P22, Kw @ P21)
-
-    U_, s, Vh = np.linalg.svd(response(K))
-    assert values[0, 0] == pytest.approx(s[0], rel=1e-12)
-    # sigma is not analytic, u^H T v is: its derivative along every entry by one complex step in each of Re and Im
-    left, right = U_[:, 0].conj(), Vh[0].conj()
-    for i, j in np.ndindex(K.shape):
-        step = 1e-7j
-        moved = K.astype(complex)
-        moved[i, j] += step
-        other = K.astype(complex)
-        other[i, j] -= step
-        slope = left @ (response(moved) - response(other)) @ right / (2.0 * step)
-        assert gradient[i, j] == pytest.approx(slope.real, rel=1e-7, abs=1e-9)
-
-
 def test_decentralised_and_pid_pull_gradients_back() -> None:
     parts = (pid("e", "a", derivative_filter=0.1), state_space([("f", 2)], [("b", 1)], 2))
     structure = Decentralised(parts)
@@ -152,3 +126,51 @@ def test_decentralised_and_pid_pull_gradients_back() -> None:
     assert structure.pullback(x, G) == pytest.approx(expected, abs=1e-7)
     K = structure.gain_matrix(x)
     assert not K[4, 5:].any() and not K[:2, 2:4].any(), "each part sees its own measurements only"
+
+
+def oscillator(damping: float = 0.0) -> System:
+    """Undamped mass on a spring: force and disturbance at the mass, position and rate measured."""
+    A, B = [[0, 1], [-4, -damping]], [[0, 0], [1, 1]]
+    return System(A, B, [[1, 0], [1, 0], [0, 1]], np.zeros((3, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 2)])
+
+
+def problem(delay: float = 0.0) -> tuple[Problem, np.ndarray]:
+    requirements = [
+        HinfGain("w", "z", name="peak"),
+        H2Gain("w", "z", name="rms"),
+        HinfGain("w", "z", bound=0.3, hard=True, name="bound"),
+        ClosedLoopPoles(min_decay=0.05),
+    ]
+    structure = state_space([("y", 2)], [("u", 1)], 1)
+    x = structure.parameters_of(System([[-1.0]], [[0.2, 0.1]], [[0.3]], [[-0.5, -0.4]], [("y", 2)], [("u", 1)]))
+    return Problem([oscillator(), oscillator(0.1)], requirements, structure, loop_delay=delay), x
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+@pytest.mark.parametrize("power", [5.0, 40.0])
+def test_smooth_gradient_equals_central_differences(power: float, delay: float) -> None:
+    p, x = problem(delay)
+    objective = SmoothObjective(p, x, p.evaluate(x))
+    objective.power = power
+    _, gradient = objective(x)
+    h = 1e-6
+    differences = [(objective(x + h * e)[0] - objective(x - h * e)[0]) / (2 * h) for e in np.eye(len(x))]
+    assert gradient == pytest.approx(differences, rel=1e-5, abs=1e-6 * float(np.abs(gradient).max()))
+
+
+def test_prefeedback_moves_undamped_poles_and_leaves_the_closed_loop() -> None:
+    plant = oscillator()
+    A, B, C = plant.A, plant.B, plant.C
+    F = prefeedback(A, B[:, 1:], C[1:], np.zeros((2, 1)))
+    poles = np.linalg.eigvals(A + B[:, 1:] @ F @ C[1:])
+    assert np.all(np.abs(poles.real) > 1e-3 * np.abs(poles))
+    assert not prefeedback(oscillator(0.5).A, B[:, 1:], C[1:], np.zeros((2, 1))).any()
+    K = gain([("y", 2)], [("u", 1)])
+    x = np.array([-0.3, -0.7])
+    responses = PlantResponses(plant, ("y",), ("u",), (HinfGain("w", "z"),))
+    omega = np.array([0.0, 1.0, 2.0, 5.0])  # 2 rad/s is the open-loop pole
+    own = responses.controller(K.gain_matrix(x), 0, omega)
+    T = responses.closed(responses.arrays(omega), own, (0,))[0][0]
+    loop = close_loop(plant, controller(K, x), ["w"], ["z"])
+    expected = [direct_response(*loop.matrices, w) for w in omega]
+    assert np.abs(T - np.array(expected)).max() < 1e-9

@@ -31,21 +31,6 @@ def test_fixed_parameter_leaves_the_others_free(fixed: dict[str | tuple[int, int
     assert pytest.approx(whole.gain_matrix(np.array([3.0, 7.0, 0.25]))) == K
 
 
-@pytest.mark.parametrize(
-    ("fixed", "message"),
-    [
-        ({(2, 2): 1.0}, "entry (2, 2) depends on Kp and Kd: fix parameters by name"),
-        ({"Kx": 1.0}, "parameter must be one of Kp, Ki, Kd, got 'Kx'"),
-        ({"Kd": 1.0, (2, 1): -1.0}, "Kd must be fixed once, got 1 and 0.5"),
-        ({"Kd": float("nan")}, "value of Kd must be finite, got nan"),
-    ],
-)
-def test_wrong_fixed_parameters_are_refused(fixed: dict[str | tuple[int, int], float], message: str) -> None:
-    with pytest.raises(ValueError) as refused:
-        pid("e", "u", derivative_filter=0.5).with_fixed(fixed)
-    assert str(refused.value) == message
-
-
 def test_names_follow_the_parts_of_the_gain_matrix() -> None:
     structure = state_space([("y", 2)], [("u", 1)], 1)
     assert structure.names == ("A[0,0]", "B[0,0]", "B[0,1]", "C[0,0]", "D[0,0]", "D[0,1]")
@@ -124,18 +109,6 @@ def test_bounds_that_do_not_matter_change_nothing_in_the_optimum() -> None:
     result = tune([lag()], needs, structure, initial=[[0.0]], options=TuningOptions(starts=0))
     assert result.status == "converged" and result.at_bounds == ()
     assert result.x[0] == pytest.approx(-4.0, rel=1e-3)
-
-
-def test_given_start_outside_its_bounds_is_refused() -> None:
-    structure = STATIC.with_bounds({"D[0,0]": (-3.0, 0.0)})
-    with pytest.raises(ValueError, match=r"start of D\[0,0\] must be within its bounds \(-3, 0\), got 7"):
-        tune([lag()], [HinfGain("w", "z")], structure, initial=[[7.0]])
-
-
-@pytest.mark.parametrize("limits", [{"D[0,0]": (1.0, 1.0)}, {"D[0,0]": (2.0, 1.0)}, {"D[0,0]": (np.nan, 1.0)}])
-def test_empty_interval_is_refused(limits: dict[str, tuple[float, float]]) -> None:
-    with pytest.raises(ValueError, match="must be a lowest and a higher highest value"):
-        STATIC.with_bounds(limits)
 
 
 def test_fixed_parameters_leave_the_bounds_of_the_others() -> None:

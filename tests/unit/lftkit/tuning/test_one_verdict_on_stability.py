@@ -11,9 +11,7 @@ from scipy import linalg
 from lftkit.systems.system import System
 from lftkit.tuning import DescentOptions, HinfGain, TuningOptions, gain, tune
 from lftkit.tuning.descent.single_start import screen, tune_from
-from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.structures.structures import AffineStructure
 
 PORTS: Any = [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)]
 LIMITS = DescentOptions(iterations=5)
@@ -67,17 +65,6 @@ def test_a_start_at_the_limit_has_a_result(seed: int) -> None:
         assert np.isfinite(result.soft) or result.status == "not_stabilised"
 
 
-def test_a_start_in_a_singular_algebraic_loop_is_not_stabilised() -> None:
-    """y = x + u with u = y has no solution; the other start has."""
-    matrices = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 1.0]]
-    plant = System(*matrices, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-    problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]))
-    x = np.array([1.0])
-    assert problem.stability_pieces(x, 1.0) == (np.inf, []) and not problem.evaluate(x).poles
-    result = tune([plant], [HinfGain("w", "z")], problem.structure, initial=[x, [0.0]], options=TuningOptions(starts=0))
-    assert np.isfinite(result.soft) and result.soft <= 1.0
-
-
 class Failing:
     """Gain whose computation fails for positive values."""
 
@@ -128,25 +115,3 @@ def test_mistakes_of_the_program_are_not_taken_for_arithmetic(error: type[Except
     structure: Any = Failing(error)
     with pytest.raises(error):
         tune([lag()], NEEDS, structure, initial=[[1.0], [-0.5]], options=TuningOptions(starts=0))
-
-
-def test_what_a_start_had_reached_before_its_arithmetic_failed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bundle method fails; the point of the smooth phase before it stays."""
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise FloatingPointError("overflow")
-
-    monkeypatch.setattr("lftkit.tuning.descent.single_start.minimise", fail)
-    structure = gain([("y", 1)], [("u", 1)])
-    assert isinstance(structure, AffineStructure)
-    result = tune([lag()], NEEDS, structure, initial=[[-0.5]], options=TuningOptions(starts=0))
-    assert result.status == "failed" and result.soft < 0.3 and "overflow" in result.advice
-
-
-def test_no_minimisation_of_violations_ends_a_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of the starts on the hard requirements alone may fail."""
-    problem = Problem([lag()], NEEDS, gain([("y", 1)], [("u", 1)]))
-    worse = tune_from(problem, np.array([-0.5]), 0, LIMITS, 0.3)
-    monkeypatch.setattr(Problem, "stability_pieces", lambda *_: (_ for _ in ()).throw(FloatingPointError("overflow")))
-    assert feasibility_runs(problem, [worse], 0, LIMITS, 0.3) == []
-    assert tune_from(problem, np.array([-0.5]), 0, LIMITS, 0.3).status == "failed"

@@ -1,4 +1,4 @@
-"""The outer loop: what enters, when it ends and with which status; and the order of points in every descent."""
+"""The outer loop: what enters, when it ends, with which status, worst cases that are good enough, order of points."""
 
 from __future__ import annotations
 
@@ -100,3 +100,28 @@ def test_a_worst_case_below_the_target_is_not_worse() -> None:
     assert met.soft < met.worst[0].value < 0.26
     exact = tune_robust(**common, options=RobustOptions(TuningOptions(starts=0), search))
     assert len(exact.active) > 1 and exact.soft == pytest.approx(0.2, rel=1e-3)
+
+
+def build_scaled(p: Mapping[str, float]) -> System:
+    """x' = -x + w + u, z = p x, y = x: the gain is p / (1 - k)."""
+    return System(
+        [[-1.0]], [[1.0, 1.0]], [[p["p"]], [1.0]], [[0.0, 0.0]] * 2, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    )
+
+
+@pytest.mark.parametrize(("met", "models"), [(0.65, 1), (-float("inf"), 2)])
+def test_worst_cases_up_to_the_value_given_end_the_rounds(met: float, models: int) -> None:
+    """With k >= -1 the nominal model reaches 1/2 and the worst parameter 0.6, which is above what was tuned."""
+    free = gain([("y", 1)], [("u", 1)])
+    result = tune_robust(
+        build_scaled,
+        {"p": (1.0, 1.2)},
+        [HinfGain("w", "z")],
+        free.with_bounds(dict.fromkeys(free.names, (-1.0, 0.0))),
+        active=[{"p": 1.0}],
+        initial=[[0.0]],
+        options=RobustOptions(TuningOptions(starts=0, met=met), WorstCaseOptions(samples=4, climbs=1, iterations=4)),
+    )
+    (worst,) = result.worst
+    assert str(result.status) == "converged" and len(result.active) == models
+    assert worst.value == pytest.approx(0.6, rel=1e-3)

@@ -1,4 +1,4 @@
-"""Prox-linear steps and the descent made of them: slopes against differences, known optima, hard requirements kept."""
+"""Descents from points that meet, violate or touch a limit: known optima, looks that never rise, interruptions."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ import json
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from lftkit.systems.system import System
 from lftkit.tuning import DescentOptions, DescentState, descend
 from lftkit.tuning.descent.grid_source import GridSource
 from lftkit.tuning.descent.minimax.minimax import lower_point
-from lftkit.tuning.descent.minimax.prox_linear import prox_linear
-from lftkit.tuning.descent.smooth_objective import SmoothObjective
-from lftkit.tuning.descent.smooth_phase import smooth_phase
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.structures.structures import gain, gain_sizes, state_space
+from lftkit.tuning.structures.structures import gain, state_space
 
 
 def lag() -> System:
@@ -56,67 +54,6 @@ def two_axes(delay: float) -> tuple[Problem, np.ndarray]:
     return Problem([model], requirements, structure, loop_delay=delay), structure.parameters_of(K)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05])
-def test_linearised_values_have_the_slopes_of_their_differences(delay: float) -> None:
-    problem, x = two_axes(delay)
-    objective = SmoothObjective(problem, x, problem.evaluate(x))
-    (values, gradients, hard), h = objective.linearised(x), 1e-6
-    assert len(values) > 4 and hard.any() and not hard.all()
-    for k, e in enumerate(np.eye(len(x))):
-        more, less = objective.linearised(x + h * e)[0], objective.linearised(x - h * e)[0]
-        assert len(more) == len(less) == len(values)
-        differences = (more - less) / (2 * h)
-        assert gradients[:, k] == pytest.approx(differences, rel=1e-5, abs=1e-6 * np.abs(gradients).max())
-
-
-@pytest.mark.parametrize("start", [0.5, -0.5, -20.0])
-def test_the_optimum_on_a_hard_requirement_is_reached_from_both_sides(start: float) -> None:
-    problem = limited()
-    x = np.array([start])
-    objective = SmoothObjective(problem, x, problem.evaluate(x))
-    objective.steps, objective.slow = 60, 1e-9
-    found = prox_linear(objective, x)
-    assert found.x == pytest.approx([-4.0], rel=2e-3)
-
-
-def test_a_step_never_raises_the_value_and_keeps_what_is_met() -> None:
-    problem, x = two_axes(0.0)
-    objective = SmoothObjective(problem, x, problem.evaluate(x))
-    objective.steps, objective.slow = 1, 0.0
-    soft, hard = objective.largest(x)
-    weight = 1.0
-    first = soft
-    for _ in range(6):
-        found = prox_linear(objective, x, weight=weight)
-        x, weight = found.x, found.weight
-        new_soft, new_hard = objective.largest(x)
-        assert new_soft <= soft + max(hard, 0.0) and new_hard <= max(hard, 0.0)
-        soft, hard = new_soft, new_hard
-    assert soft < first - 0.01
-
-
-def test_the_smooth_phase_ends_at_the_optimum_of_a_finite_maximum() -> None:
-    found = smooth_phase(limited(), np.array([-0.5]), 400, np.inf, 0.0)
-    assert found.point.feasible and found.point.soft == pytest.approx(0.2, rel=2e-3)
-
-
-def test_sizes_of_entries_scale_with_the_controller_and_zero_parts_have_none() -> None:
-    rng = np.random.default_rng(0)
-    K = rng.standard_normal((5, 4))
-    units = (np.diag([10.0, 0.1]), np.diag([5.0]))
-    sizes = gain_sizes(K, 3)
-    scaled = K.copy()
-    scaled[3:] = units[0] @ scaled[3:]
-    scaled[:, 3:] = scaled[:, 3:] @ units[1]
-    assert gain_sizes(scaled, 3)[3:, :3] == pytest.approx(units[0] @ sizes[3:, :3])
-    assert gain_sizes(scaled, 3)[:3, 3:] == pytest.approx(sizes[:3, 3:] @ units[1])
-    assert gain_sizes(scaled, 3)[3:, 3:] == pytest.approx(units[0] @ sizes[3:, 3:] @ units[1])
-    no_output = K.copy()
-    no_output[3:] = 0.0
-    assert np.isinf(gain_sizes(no_output, 3)[3:]).all() and np.isfinite(gain_sizes(no_output, 3)[:3]).all()
-    assert np.isinf(gain_sizes(np.zeros((2, 2)), 0)).all()
-
-
 OPTIONS = DescentOptions(600, 1e-5, patience=2, retries=3, confirm=True)
 
 
@@ -144,3 +81,42 @@ def test_looks_never_rise_and_an_interrupted_descent_goes_on_with_the_same_bits(
 def test_an_unstable_start_is_refused() -> None:
     with pytest.raises(ValueError, match="start must have finite gains"):
         descend(GridSource(limited()), np.array([2.0]))
+
+
+OPTIMUM = 0.0909
+
+
+def washed_out() -> System:
+    """y = z = s / (s + 0.1) (w + u) / (s + 1): a pole of the controller at 0 cancels the zero, and remains there."""
+    return System(
+        [[-1.0, 0.0], [1.0, -0.1]],
+        [[1.0, 1.0], [0.0, 0.0]],
+        [[1.0, -0.1], [0.0, 0.0], [1.0, -0.1]],
+        [[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]],
+        [("w", 1), ("u", 1)],
+        [("z", 1), ("effort", 1), ("y", 1)],
+    )
+
+
+def at_the_limit(seed: int) -> tuple[Problem, np.ndarray]:
+    """A controller with a pole that the loop leaves 5e-12 rad/s from the limit, in random coordinates."""
+    requirements = [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.9, hard=True)]
+    problem = Problem([washed_out()], requirements, state_space([("y", 1)], [("u", 1)], 2))
+    T = np.random.default_rng(seed).standard_normal((2, 2))
+    B, C = np.array([[0.3], [1.0]]), np.array([[-0.3, -1.0]])
+
+    def start(pole: float) -> np.ndarray:
+        A, inverse = np.diag([pole, -20.0]), np.linalg.inv(T)
+        K = System(T @ A @ inverse, T @ B, C @ inverse, [[-0.2]], [("y", 1)], [("u", 1)])
+        return np.asarray(problem.structure.parameters_of(K))
+
+    goal = -problem.min_decay - 5e-12
+    return problem, start(optimize.brentq(lambda p: problem.abscissa(start(p)) - goal, -1e-4, 0.0, xtol=1e-16))
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_pole_at_the_limit_does_not_end_the_descent(seed: int) -> None:
+    problem, x = at_the_limit(seed)
+    found = descend(GridSource(problem), x, DescentOptions(iterations=200, tolerance=1e-4)).point
+    assert found.soft == pytest.approx(OPTIMUM, rel=1e-3) and found.hard <= 1.0
+    assert found.found.abscissa < -problem.min_decay

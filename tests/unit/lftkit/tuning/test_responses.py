@@ -15,7 +15,6 @@ from scipy import linalg
 from lftkit.tuning import Descent, DescentOptions, DescentState, descend
 from lftkit.tuning.responses import (
     ControllerBlock,
-    GrowingSamples,
     PlantSamples,
     ResponseGain,
     ResponseLook,
@@ -26,12 +25,10 @@ from lftkit.tuning.responses import (
     parameters_of,
 )
 from lftkit.tuning.responses.blocks import (
-    ControllerResponse,
     active_commands,
     entry_sizes,
     with_least_decay,
 )
-from lftkit.tuning.responses.chain import gram_sum
 from lftkit.tuning.responses.problem import CHUNK, close
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
@@ -145,23 +142,6 @@ def test_gradients_agree_with_differences() -> None:
     np.testing.assert_allclose(slope @ direction, differences, rtol=1e-6)
 
 
-def test_threads_share_responses_that_are_computed_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    computed: list[bool] = []
-    matrix = ControllerResponse.matrix
-
-    def watched(self: ControllerResponse, active: tuple[int, ...], index: np.ndarray) -> np.ndarray:
-        computed.append(all("K" in vars(part) for part in self.parts))
-        return matrix(self, active, index)
-
-    omega, x = np.geomspace(0.05, 20.0, 3 * CHUNK // 2), controller(5)
-    one = problem(omega)
-    expected = one.values(x)
-    monkeypatch.setattr(ControllerResponse, "matrix", watched)
-    np.testing.assert_array_equal(replace(one, threads=2).values(x), expected)
-    assert len(computed) == 2  # two parts of the samples, each for both loops
-    assert all(computed)
-
-
 def test_planes_of_close_singular_values_are_below_the_gain() -> None:
     """Two equal axes: each plane is a lower bound of the largest singular value, also away from the point."""
     twice = np.kron(np.array([[1.0, 0.4], [0.7, 1.0]]), np.eye(2))
@@ -221,42 +201,6 @@ def test_the_metric_weighs_the_changes_of_all_errors_near_the_largest_value() ->
         total += float(weight.sum())
     assert total > 1.0
     assert d @ one.metric(x, values, sharpness) @ d == pytest.approx(expected / total, rel=1e-6)
-
-
-def test_a_part_of_the_pairs_is_a_problem_of_its_own() -> None:
-    x, one = controller(5), problem(OMEGA)
-    chosen = np.array([7, 2, 5])
-    np.testing.assert_array_equal(one.at(chosen).values(x), one.values(x)[:, chosen])
-    np.testing.assert_array_equal(one.at(chosen).noise(x), one.noise(x))
-
-
-def test_samples_grow_and_what_was_asked_before_stays() -> None:
-    parts = [samples(OMEGA[k : k + 3]) for k in range(0, 9, 3)]
-    growing = GrowingSamples(parts[0])
-    first = growing.all()
-    for part in parts[1:]:
-        growing.append(part)
-    np.testing.assert_array_equal(growing.all().response, np.concatenate([p.response for p in parts]))
-    np.testing.assert_array_equal(growing.all().omega, np.concatenate([p.omega for p in parts]))
-    np.testing.assert_array_equal(first.response, parts[0].response)
-    assert (len(first), growing.all().measurements, growing.all().commands) == (3, MEASURED, COMMANDS)
-
-
-def test_the_metric_is_the_sum_of_squares_of_the_changes() -> None:
-    """The quadratic form against differences of the controllers' responses."""
-    x, rng = controller(3), np.random.default_rng(5)
-    one = problem(OMEGA)
-    at_frequency, weight = np.array([1, 4, 9]), np.array([0.5, 2.0, 1.0])
-    L = rng.standard_normal((3, 2, COMMANDS)) + 1j * rng.standard_normal((3, 2, COMMANDS))
-    R = rng.standard_normal((3, MEASURED, 5)) + 1j * rng.standard_normal((3, MEASURED, 5))
-    response, positions = one.controllers(x, at_frequency)
-    H = gram_sum(response, (0, 1), positions, weight, L, R)
-    np.testing.assert_allclose(H, H.T, atol=1e-12 * np.abs(H).max())
-    d, h = rng.standard_normal(len(x)), 1e-6
-    both = [one.controllers(x + sign * h * d, at_frequency)[0].matrix((0, 1), positions) for sign in (1.0, -1.0)]
-    change = L @ ((both[0] - both[1]) / (2 * h)) @ R
-    expected = np.sum(weight * np.sum(np.abs(change) ** 2, axis=(1, 2)))
-    assert d @ H @ d == pytest.approx(expected, rel=1e-6)
 
 
 def stable(x: np.ndarray) -> bool:
@@ -385,15 +329,6 @@ def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) 
     assert np.array_equal(after[2:], M[2:]) and np.array_equal(after[:, 2:], M[:, 2:])
     if before.real.min() < -1.0:
         assert moved.real.min() == pytest.approx(before.real.min())
-
-
-def test_poles_that_decay_stay_and_so_do_those_that_are_not_tuned() -> None:
-    M = np.vstack([np.hstack([-0.5 * np.eye(2), np.ones((2, 4))]), np.ones((2, 6))])
-    x = M.ravel()
-    assert with_least_decay([replace(BLOCKS[0], least_decay=0.1)], x) is x
-    assert with_least_decay([BLOCKS[0]], -x) is not None and np.array_equal(with_least_decay([BLOCKS[0]], -x), -x)
-    held = replace(BLOCKS[0], least_decay=0.1, free=np.zeros(BLOCKS[0].shape, dtype=bool))
-    assert np.array_equal(with_least_decay([held], -x), -x)
 
 
 def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:

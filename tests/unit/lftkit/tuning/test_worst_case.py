@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Mapping
 
@@ -24,8 +23,6 @@ from support.worst_case_plants import (
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
-
-worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 
 
 def test_interior_worst_case_is_found_by_the_climb() -> None:
@@ -61,42 +58,6 @@ def test_poles_over_the_box() -> None:
     needs = [ClosedLoopPoles(max_frequency=1.0)]
     found = worst_case(oscillator, {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}, OPEN, needs, options=options)
     assert found[0].value == pytest.approx(1.8, rel=1e-6) and found[0].parameters["b"] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("box", "message"), [({}, "box of parameters is empty"), ({"a": (1.0, 0.0)}, "'a': expected finite bounds")]
-)
-def test_bad_boxes(box: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        worst_case(oscillator, box, OPEN, [HinfGain("w", "z")])
-
-
-def test_same_seed_same_answer() -> None:
-    box = {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}
-    options = WorstCaseOptions(samples=5, climbs=1, seed=3)
-    first, again = (worst_case(oscillator, box, OPEN, [HinfGain("w", "z")], options=options) for _ in range(2))
-    assert first == again
-
-
-def test_runners_up_have_their_peaks_elsewhere() -> None:
-    """Two oscillators, each excited most at its own corner of the box: the second peak is reported beside the first."""
-
-    def build(p: dict) -> System:
-        A = np.zeros((4, 4))
-        for k, w in enumerate((1.0, 10.0)):
-            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -0.02 * w]]
-        B = np.array([[0.0, 0.0], [p["slow"], 0.0], [0.0, 0.0], [0.9 * p["fast"], 0.0]])
-        C = np.array([[1.0, 0.0, 10.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
-        return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-
-    box = {"slow": (0.1, 1.0), "fast": (0.1, 1.0)}
-    none = System.static([[0.0]], [("y", 1)], [("u", 1)])
-    (found,) = worst_case(build, box, none, [HinfGain("w", "z")], options=WorstCaseOptions(samples=10, climbs=0))
-    assert found.omega == pytest.approx(1.0, rel=0.05)
-    assert len(found.others) == 1
-    value, parameters = found.others[0]
-    assert 0.85 < value / found.value < 1.0
-    assert parameters["fast"] == 1.0 and parameters["slow"] < 1.0
 
 
 def test_runner_up_beside_a_peak_at_infinite_frequency() -> None:
@@ -146,34 +107,6 @@ def test_points_depend_on_the_seed_only(n: int) -> None:
     assert (first[:-8] == other[:-8]).all() == (n <= 7)
 
 
-def test_effort_has_its_documented_default() -> None:
-    assert WorstCaseOptions() == WorstCaseOptions(60, 2, 15, 1e-5, 0, 300.0)
-    (found,) = worst_case(lambda p: first_order(p["a"]), {"a": (1.0, 2.0)}, OPEN, [GAIN])
-    assert found.evaluations > 1 + 2 + 60
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"samples": -1}, {"climbs": -1}, {"iterations": 0}, {"step": 0.0}, {"step": -1e-3}, {"step": 0.1}, {"step": 0.15}],
-)
-def test_options_without_meaning_are_refused(wrong: dict) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        WorstCaseOptions(**wrong)
-
-
-def test_options_at_their_limits_are_accepted() -> None:
-    options = WorstCaseOptions(samples=0, climbs=0, iterations=1, step=0.099)
-    assert (options.samples, options.climbs, options.iterations) == (0, 0, 1)
-
-
-@pytest.mark.parametrize(
-    "bounds", [(1.0, 0.0), (np.nan, 1.0), (0.0, np.nan), (0.0, np.inf), (-np.inf, 0.0), (np.inf, np.inf)]
-)
-def test_bounds_that_are_swapped_or_not_finite_are_refused_by_name(bounds: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="'wrong': expected finite bounds"):
-        worst_case(oscillator, {"a": (0.0, 1.0), "wrong": bounds}, OPEN, [GAIN])
-
-
 def test_worst_damping_and_frequency_of_a_mode_are_those_of_the_closed_form() -> None:
     build = Recorder(lambda p: mode(2.0, p["damping"]))
     needs = [HinfGain("w", "z", bound=4.0), ClosedLoopPoles(min_damping=0.1), H2Gain("w", "z", bound=0.5)]
@@ -187,18 +120,6 @@ def test_worst_damping_and_frequency_of_a_mode_are_those_of_the_closed_form() ->
         assert case.parameters == {"damping": pytest.approx(0.05, rel=1e-14)}
         assert (case.requirement, case.sampled, case.evaluations) == (need.name, case.value, 3)
     assert [p["damping"] for p in build.asked] == pytest.approx([0.175, 0.05, 0.3], rel=1e-12)
-
-
-def test_hard_requirements_are_searched_as_soft_ones_are() -> None:
-    needs = [HinfGain("w", "z", hard=h, name=f"{h}") for h in (True, False)]
-    hard, soft = worst_case(lambda p: first_order(bump(p)), {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}, OPEN, needs)
-    assert (hard.requirement, soft.requirement) == ("True", "False")
-    assert (hard.value, hard.parameters, hard.omega, hard.sampled) == (
-        soft.value,
-        soft.parameters,
-        soft.omega,
-        soft.sampled,
-    )
 
 
 def test_climb_reaches_the_largest_gain_between_the_samples() -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
-import scipy.optimize
-from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, first_order, mode, mode_peak, modes
+from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, first_order, mode, modes
 
 from lftkit.systems.system import System
 from lftkit.tuning.options import TuningOptions
@@ -17,111 +15,10 @@ from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.structures.structures import gain
 
-worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
-
-
-def captured(monkeypatch: pytest.MonkeyPatch, build: Callable, box: dict, need, **options) -> list[tuple]:
-    """What each climb gave to scipy: objective, start and settings; the climbs themselves are left out."""
-    calls: list[tuple] = []
-    monkeypatch.setattr(scipy.optimize, "minimize", lambda fun, x0, **settings: calls.append((fun, x0, settings)))
-    worst_case(build, box, OPEN, [need], options=WorstCaseOptions(samples=0, **options))
-    return calls
-
-
-def test_climbs_start_at_the_worst_samples_and_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Values at the middle and the corners: 3.5, 2 and 5."""
-    calls = captured(monkeypatch, lambda p: first_order(p["a"]), {"a": (2.0, 5.0)}, GAIN, climbs=2, iterations=7)
-    assert [x0.tolist() for _, x0, _ in calls] == [[1.0], [0.5]]
-    for _, _, settings in calls:
-        assert settings["bounds"] == [(0.0, 1.0)] and settings["jac"] is True
-        assert settings["options"] == {"maxiter": 7, "maxfun": 14}
-
-
-@pytest.mark.parametrize("need", [GAIN, H2Gain("w", "z"), HinfGain("w", "z", bound=7.0)])
-@pytest.mark.parametrize("point", [[0.3, 0.6], [0.0, 1.0], [1.0, 0.0]])
-def test_objective_is_minus_the_logarithm_with_its_gradient(
-    monkeypatch: pytest.MonkeyPatch, need: HinfGain | H2Gain, point: list[float]
-) -> None:
-    """Mode of frequency 1 + a and damping b; at the edges of the box the difference is one-sided, inside the box."""
-    box = {"a": (0.2, 0.9), "b": (0.1, 0.4)}
-    build = Recorder(lambda p: mode(1.0 + p["a"], p["b"]))
-    (objective, _, _), *_ = captured(monkeypatch, build, box, need, climbs=1)
-
-    def logarithm(x: np.ndarray) -> float:
-        w, damping = 1.2 + 0.7 * x[0], 0.1 + 0.3 * x[1]
-        peak = mode_peak(w, damping)[0] if isinstance(need, HinfGain) else np.sqrt(1.0 / (4.0 * damping * w**3))
-        return -float(np.log(peak / need.bound))
-
-    x = np.array(point)
-    value, gradient = objective(x)
-    steps = 1e-4 * np.eye(2)
-    differences = [(logarithm(x + d) - logarithm(x - d)) / 2e-4 for d in steps]
-    assert value == pytest.approx(logarithm(x), abs=1e-6)
-    np.testing.assert_allclose(gradient, differences, rtol=1e-3)
-    asked = build.table()
-    assert (asked.min(axis=0) >= np.array([0.2, 0.1]) - 1e-12).all()
-    assert (asked.max(axis=0) <= np.array([0.9, 0.4]) + 1e-12).all()
-
-
-def test_difference_step_is_the_asked_fraction_of_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
-    build = Recorder(lambda p: first_order(p["a"]))
-    (objective, _, _), *_ = captured(monkeypatch, build, {"a": (2.0, 6.0)}, GAIN, climbs=1, step=0.01)
-    for x, expected in ((0.5, [4.0, 3.96, 4.04]), (0.0, [2.0, 2.0, 2.04]), (1.0, [6.0, 5.96, 6.0])):
-        build.asked.clear()
-        objective(np.array([x]))
-        assert build.table().ravel() == pytest.approx(expected[:1] + sorted(expected[1:]), rel=1e-12)
-
-
-def test_points_a_little_outside_are_taken_at_the_edge(monkeypatch: pytest.MonkeyPatch) -> None:
-    build = Recorder(lambda p: first_order(p["a"]))
-    (objective, _, _), *_ = captured(monkeypatch, build, {"a": (2.0, 6.0)}, GAIN, climbs=1)
-    for x, inside in ((-0.01, 0.0), (1.01, 1.0)):
-        assert objective(np.array([x]))[0] == objective(np.array([inside]))[0]
-    assert build.table().min() >= 2.0 and build.table().max() <= 6.0
-
-
-def test_climb_keeps_the_first_of_its_best_points_and_not_its_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """1 + a^2 (1 - a^2) is 1 at the middle and the corners; the steps are given instead of chosen."""
-    monkeypatch.setattr(
-        scipy.optimize,
-        "minimize",
-        lambda fun, x0, **settings: [fun(np.array([x])) for x in (0.4, 0.25, 0.75, 0.45)],
-    )
-    build = Recorder(lambda p: first_order(1.0 + p["a"] ** 2 * (1.0 - p["a"] ** 2)))
-    options = WorstCaseOptions(samples=0, climbs=1)
-    (found,) = worst_case(build, {"a": (-1.0, 1.0)}, OPEN, [GAIN], options=options)
-    assert found.parameters == {"a": -0.5} and found.value == pytest.approx(1.1875, rel=1e-9)
-    assert found.evaluations == 3 + 4 and len(build.asked) == 3 + 3 * 4
-
-
-def test_of_equally_bad_points_the_first_is_reported() -> None:
-    options = WorstCaseOptions(samples=0, climbs=3)
-    (found,) = worst_case(lambda p: first_order(1.0 + p["a"] ** 2), {"a": (-1.0, 1.0)}, OPEN, [GAIN], options=options)
-    assert found.parameters == {"a": -1.0} and found.value == found.sampled == pytest.approx(2.0, rel=1e-9)
-
-
-def test_climb_at_a_corner_that_is_a_maximum_ends_at_once() -> None:
-    """One evaluation with two differences for each parameter that is free; one that is fixed costs nothing."""
-    box = {"a": (2.0, 2.5), "fixed": (3.0, 3.0), "b": (1.0, 4.0)}
-    build = Recorder(lambda p: first_order(p["a"] * p["fixed"] / p["b"]))
-    (found,) = worst_case(build, box, OPEN, [GAIN], options=WorstCaseOptions(samples=0, climbs=1))
-    assert found.parameters == {"a": 2.5, "fixed": 3.0, "b": 1.0}
-    assert found.value == pytest.approx(7.5, rel=1e-9)
-    assert found.evaluations == 1 + 8 + 1 and len(build.asked) == 1 + 8 + 1 + 2 * 2
-    assert {p["fixed"] for p in build.asked} == {3.0}
-
 
 def test_box_of_width_zero_gives_its_only_point() -> None:
     (found,) = worst_case(lambda p: first_order(p["a"]), {"a": (0.7, 0.7)}, OPEN, [GAIN])
     assert found.value == found.sampled == pytest.approx(0.7, rel=1e-9) and found.parameters == {"a": 0.7}
-
-
-def test_narrow_boxes_are_climbed_too() -> None:
-    """A worst case between the corners of boxes much narrower than 1."""
-    box = {"a": (0.25, 0.4), "b": (-0.3, 0.1)}
-    options = WorstCaseOptions(samples=0, climbs=1, iterations=30)
-    (found,) = worst_case(lambda p: first_order(bump(p)), box, OPEN, [GAIN], options=options)
-    assert found.value == pytest.approx(1.0, rel=1e-6) and found.sampled < 0.999
 
 
 def test_gain_of_zero_is_a_value_as_others_are() -> None:
@@ -184,50 +81,6 @@ def test_climb_that_meets_an_unstable_loop_ends_there() -> None:
     assert np.isfinite(found.sampled)
 
 
-class Clock:
-    """Stands for the module `time`: one second for each model that was built, or none at all."""
-
-    def __init__(self, build: Recorder, rate: float = 1.0) -> None:
-        self.build, self.rate = build, rate
-
-    def monotonic(self) -> float:
-        return 1000.0 + self.rate * len(self.build.asked)
-
-
-def timed(monkeypatch: pytest.MonkeyPatch, limit: float, rate: float = 1.0) -> tuple:
-    build = Recorder(lambda p: first_order(bump(p)))
-    monkeypatch.setattr(worst_case_module, "time", Clock(build, rate))
-    options = WorstCaseOptions(samples=4, climbs=2, wall_limit=limit)
-    (found,) = worst_case(build, {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}, OPEN, [GAIN], options=options)
-    return found, build
-
-
-def test_wall_limit_of_zero_answers_the_middle_of_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, build = timed(monkeypatch, 0.0)
-    assert found.evaluations == len(build.asked) == 1
-    assert found.parameters == {"a": 0.0, "b": 0.0}
-    assert found.value == found.sampled == pytest.approx(bump(found.parameters), rel=1e-9)
-
-
-def test_wall_limit_among_the_samples_gives_the_worst_of_those_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, build = timed(monkeypatch, 4.0)
-    assert found.evaluations == len(build.asked) == 5, "the limit itself is not yet over it"
-    assert found.value == pytest.approx(max(bump(p) for p in build.asked), rel=1e-9)
-
-
-def test_wall_limit_within_a_climb_ends_it_after_its_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, build = timed(monkeypatch, 9.5)
-    assert found.evaluations == len(build.asked) == 9 + 1, "no difference and no second climb after the limit"
-    assert found.value == found.sampled
-
-
-def test_limit_that_is_reached_and_not_exceeded_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, build = timed(monkeypatch, 0.0, rate=0.0)
-    unlimited, other = timed(monkeypatch, 1e9)
-    assert found == unlimited and build.asked == other.asked
-    assert found.evaluations > 9 + 2 and found.value == pytest.approx(1.0, rel=1e-5)
-
-
 def test_runners_up_are_the_worst_of_two_other_peaks_in_order() -> None:
     """Four modes of peaks 4, 3, 2 and 1, a decade apart: the fourth peak is one too many."""
     names = ("p0", "p1", "p2", "p3")
@@ -243,33 +96,6 @@ def test_runners_up_are_the_worst_of_two_other_peaks_in_order() -> None:
     (_, second), (_, third) = found.others
     assert (second["p0"], second["p1"]) == pytest.approx((0.05, 1.0))
     assert (third["p0"], third["p1"], third["p2"]) == pytest.approx((0.05, 0.05, 1.0))
-
-
-def test_peak_that_is_the_same_everywhere_has_no_runner_up() -> None:
-    (found,) = worst_case(lambda p: mode(1.0, p["a"]), {"a": (0.01, 0.05)}, OPEN, [GAIN])
-    assert found.others == ()
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "apart"),
-    [
-        (1.0, 1.05, False),
-        (10.0, 9.0, False),
-        (10.0, 8.9, True),
-        (10.0, 8.5, True),
-        (100.0, 95.0, False),
-        (0.01, 0.02, True),
-        (0.0, 0.0, False),
-        (0.0, 1e-3, True),
-        (2.0, 2.0, False),
-        (np.inf, 1.0, True),
-        (np.inf, np.inf, False),
-        (np.inf, 0.0, True),
-    ],
-)
-def test_peaks_more_than_a_tenth_apart_are_different(a: float, b: float, apart: bool) -> None:
-    with np.errstate(all="raise"):
-        assert worst_case_module._apart(a, b) is apart and worst_case_module._apart(b, a) is apart
 
 
 def test_plant_with_a_pole_at_the_frequency_of_the_peak_is_climbed() -> None:
