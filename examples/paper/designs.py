@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from lftkit import SampledSystem
+from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
 from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.figures.paper_case import FAMILY
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.round_state import Kept
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import QUICK, design_actuators, design_observer, design_pair
 from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
@@ -46,13 +46,13 @@ class Designs:
         """Both nominal designs, with their worst members over the family."""
         options = replace(self.options, nominal=True)
 
-        def k_fsm(kept: Kept) -> list[SampledSystem]:
-            return [design_observer(self.telescope, options, said("k_fsm_nominal"), kept)]
+        def k_fsm(job: Job) -> list[SampledSystem]:
+            return [design_observer(self.telescope, options, said("k_fsm_nominal"), job)]
 
         (observer,) = self.designs.made(["k_fsm_nominal"], k_fsm, options)
 
-        def k_pma(kept: Kept) -> list[SampledSystem]:
-            made = design_actuators(self.telescope, observer, options, said("k_pma_nominal"), kept)
+        def k_pma(job: Job) -> list[SampledSystem]:
+            made = design_actuators(self.telescope, observer, options, said("k_pma_nominal"), job)
             worst = [case for stage in MIRROR_STAGES for case in self.over_the_family(observer, made, stage)]
             return [replace(made, provenance={**made.provenance, FAMILY: worst})]
 
@@ -72,13 +72,13 @@ class Designs:
         """Both robust designs."""
         options = self.options
 
-        def k_fsm(kept: Kept) -> list[SampledSystem]:
-            return [design_observer(self.telescope, options, said("k_fsm"), kept)]
+        def k_fsm(job: Job) -> list[SampledSystem]:
+            return [design_observer(self.telescope, options, said("k_fsm"), job)]
 
         (first,) = self.designs.made(["k_fsm_alone"], k_fsm, options)
 
-        def pair(kept: Kept) -> tuple[SampledSystem, SampledSystem]:
-            return design_pair(self.telescope, options, said("pair"), kept, observer=first)
+        def pair(job: Job) -> tuple[SampledSystem, SampledSystem]:
+            return design_pair(self.telescope, options, said("pair"), job, observer=first)
 
         self.designs.made(["k_fsm", "k_pma"], pair, options, {"k_fsm": first})
 

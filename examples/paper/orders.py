@@ -17,10 +17,10 @@ from typing import Any
 
 from lftkit import SampledSystem
 from lftkit.support.atomic_output import write_text
+from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
 from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.round_state import Kept
 from los_design.synthesis.synthesis import design_actuators, design_observer
 from titop_plant.telescope.load import load_telescope
 
@@ -60,10 +60,10 @@ class Orders:
         def report(text: str) -> None:
             print(f"{name}: {text}", flush=True)
 
-        def make(kept: Kept) -> list[SampledSystem]:
+        def make(job: Job) -> list[SampledSystem]:
             if observer is None:
-                return [design_observer(self.telescope, options, report, kept, start)]
-            return [design_actuators(self.telescope, observer, options, report, kept, start)]
+                return [design_observer(self.telescope, options, report, job, start)]
+            return [design_actuators(self.telescope, observer, options, report, job, start)]
 
         given = {"k_fsm": observer, "start": start}
         return self.designs.made([name], make, options, {key: one for key, one in given.items() if one is not None})[0]
