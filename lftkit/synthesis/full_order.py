@@ -252,7 +252,7 @@ def _best(given: StandardPlant, generalised: ExtendedPlant, weight: float = 0.0)
     if not known:
         return None
     best = min(known, key=lambda one: one.value)
-    confirmed = not weight and best.value <= ABOVE[-2] * found[1]
+    confirmed = not weight and found[0] <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * found[1]
     return replace(best, lower=found[0] if confirmed else -np.inf, regularised=weight)
 
 
