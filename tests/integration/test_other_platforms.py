@@ -55,7 +55,10 @@ def test_a_place_is_held_by_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with domains.output_lock(tmp_path / "bag"):
         with domains.output_lock(tmp_path / "other"), domains.domain_lock(3, "/a/b"):
             pass
-        with pytest.raises(ValueError, match="--output must be a new name"), domains.output_lock(tmp_path / "bag"):
+        with (
+            pytest.raises(ValueError, match="--output must not be in use by another run"),
+            domains.output_lock(tmp_path / "bag"),
+        ):
             pass
     with domains.output_lock(tmp_path / "bag"):
         pass

@@ -109,7 +109,7 @@ def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, telesco
 
 def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="output must be a writable folder, got"):
+    with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):
         design_all(telescope, tmp_path / "file" / "soft")
     with pytest.raises(ValueError, match=r"^loop_delay must be that of the testbed, 0\.0015 s, got 0$"):
         design_all(telescope, tmp_path, DesignOptions(loop_delay=0.0))
