@@ -96,7 +96,7 @@ def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_js
     found = summarise_runs([results.bag], tmp_path / "report.html", transient=0.1)
     line = f"stopped by request at {row['tick'] / 1000:g} s, from /stranger"
     assert line in found.runs[0]["remarks"]
-    assert line in (tmp_path / "report.html").read_text()
+    assert f"S{line[1:]}." in (tmp_path / "report.html").read_text(), "a sentence among the notes"
     console = Screen()
     with console.capture() as shown:
         print_summary(console, found)
