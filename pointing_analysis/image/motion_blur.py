@@ -184,6 +184,41 @@ def motion_transfer(paths: FloatArray, frequencies: FloatArray) -> ComplexArray:
     return found
 
 
+def clipped_transfer(path: FloatArray, frequencies: FloatArray, reach: float) -> ComplexArray:
+    """Transfer of the part of an exposure in which the star is in a square: what it does elsewhere is not in the image.
+
+    Parameters
+    ----------
+    path : (N + 1, 2) [rad]
+    frequencies : (f, 2) [cycles/rad]
+    reach : [rad] half the side of the square about zero
+
+    Returns
+    -------
+    (f,), at zero frequency the part of the time within the square; all of `motion_transfer` for a path within it
+
+    Examples
+    --------
+    A star that moves steadily from the middle to twice the reach is seen half of the time:
+
+    >>> clipped_transfer(np.array([[0.0, 0.0], [2e-6, 0.0]]), np.zeros((1, 2)), 1e-6).real
+    array([0.5])
+    """
+    if float(np.abs(path).max()) <= reach:
+        return np.asarray(motion_transfer(path[None], frequencies)[0])
+    start, way = path[:-1], np.diff(path, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.array([-reach, reach])[:, None, None] - start) / way  # where a segment meets a side, in parts of it
+    along, inside = way != 0.0, np.abs(start) <= reach
+    first = np.where(along, ends.min(axis=0), np.where(inside, 0.0, np.inf)).max(axis=1).clip(0.0, None)
+    last = np.where(along, ends.max(axis=0), np.inf).min(axis=1).clip(None, 1.0)
+    found = np.zeros(len(frequencies), dtype=complex)
+    for j in np.flatnonzero(last > first):
+        piece = start[j] + np.array([[first[j]], [last[j]]]) * way[j]
+        found += (last[j] - first[j]) * motion_transfer(piece[None], frequencies)[0]
+    return np.asarray(found / len(way))
+
+
 def _direction(angle: FloatArray) -> FloatArray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 

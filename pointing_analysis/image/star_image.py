@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray
-from pointing_analysis.image.motion_blur import centred, motion_transfer, sizes
+from pointing_analysis.image.motion_blur import centred, clipped_transfer, sizes
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quadrature import Quadrature
 
@@ -17,11 +17,14 @@ WINGS = 24.0
 """[wavelength over aperture] Empty border about a star's image: what the wings beyond it hold is folded back in."""
 
 
-def mean_transfer(paths: FloatArray, frequencies: FloatArray) -> ComplexArray:
-    """Transfer of the motion, mean over exposures that are laid on each other by their means: (m, N + 1, 2) -> (f,)."""
+def mean_transfer(paths: FloatArray, frequencies: FloatArray, reach: float = math.inf) -> ComplexArray:
+    """Transfer of the motion, mean over exposures that are laid on each other by their means: (m, N + 1, 2) -> (f,).
+
+    What the star does farther than `reach` [rad] from the mean along either axis is left out.
+    """
     total = np.zeros(len(frequencies), dtype=complex)
     for path in centred(paths):
-        total += motion_transfer(path[None], frequencies)[0]
+        total += clipped_transfer(path, frequencies, reach)
     return np.asarray(total / len(paths))
 
 
@@ -96,9 +99,10 @@ def star_image(
     """
     apart = optics.pixel if step is None else step
     line = np.asarray(apart * np.arange(-half, half + 1), dtype=np.float64)
-    width = 2 * (half * apart + float(sizes(paths).max()) + WINGS * optics.resolution)
+    reach = half * apart + WINGS * optics.resolution  # a star farther away leaves only its wings in the image
+    width = 2 * (min(float(sizes(paths).max()), reach) + reach)
     grid = ImageGrid(optics, line, width)
-    spectrum = grid.spectrum(mean_transfer(paths, grid.frequencies), pixels)
+    spectrum = grid.spectrum(mean_transfer(paths, grid.frequencies, reach), pixels)
     turn = np.exp(2j * math.pi * np.outer(line, grid.axis))
     return np.asarray((turn @ spectrum @ turn.T).real * (optics.pixel / width) ** 2)
 

@@ -128,6 +128,17 @@ def test_energy_is_kept() -> None:
         assert star_image(paths, REFERENCE, half=0)[0, 0] == pytest.approx(points.mean(), rel=2e-3)
 
 
+def test_what_a_star_does_far_from_the_field_is_not_in_its_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A star that sweeps over 2000 arcsec: the image is finite, and that of its way through the field."""
+    t = np.linspace(-1.0, 1.0, 4)[:, None]
+    far, near = (star_image(size * t[None] * [[0.8, 0.6]], REFERENCE, half=10) for size in (1e6 * MAS, 1e4 * MAS))
+    assert far.min() > -1e-9 and 100 * far == pytest.approx(near, abs=1e-4 * near.max())
+    paths = random_paths(2, 600.0)
+    few = star_image(paths, REFERENCE, half=10)
+    monkeypatch.setattr("pointing_analysis.image.star_image.WINGS", 80.0)
+    assert np.abs(few - star_image(paths, REFERENCE, half=10)).max() < 2e-3 * few.max()
+
+
 def test_a_pattern_of_uniform_light_stays_uniform() -> None:
     flat = blurred(np.full((64, 48), 3.0), 5 * MAS, random_paths(2, 5.0), REFERENCE)
     assert np.abs(flat - 3.0).max() < 1e-12
