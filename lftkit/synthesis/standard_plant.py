@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.analysis.eigenvectors import balanced
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
@@ -23,6 +24,8 @@ RANK = 1e-9
 """Smallest singular value of D12 and D21, relative to the largest one or to 1, that counts as rank."""
 AXIS = 1e-9
 """Real part of a mode, relative to the largest pole, above which it must be reached and seen."""
+UNREACHED = 1e-10
+"""Smallest singular value of the Popov, Belevitch and Hautus matrix, rows of size 1, of a mode that is not reached."""
 
 
 @dataclass(frozen=True)
@@ -76,35 +79,46 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
             )
         groups.append((tuple(known[name] for name in chosen), rest))
     (seen, errors), (driven, disturbances) = groups
-    found = StandardPlant(system, seen, driven, disturbances, errors)
+    found = StandardPlant(_in_balanced_units(system), seen, driven, disturbances, errors)
     _require_stabilisable(found)
     return found
+
+
+def _in_balanced_units(system: System) -> System:
+    """The system with other units of its states: the equations lose digits where they are far apart."""
+    A, B, C, D = system.matrices
+    return System(*balanced(A, B, C), D, system.inputs, system.outputs, system.name, system.dt)
 
 
 def _require_stabilisable(given: StandardPlant) -> None:
     """Refuse a mode that is not stable and that no command reaches or no measurement sees."""
     A, B, C, _ = given.system.matrices
-    u = given.system.input_indices([p.name for p in given.commanded])
-    y = given.system.output_indices([p.name for p in given.measured])
+    B = B[:, given.system.input_indices([p.name for p in given.commanded])]
+    C = C[given.system.output_indices([p.name for p in given.measured])]
     poles = given.system.poles()
     scale = max(1.0, float(np.abs(poles).max(initial=0.0)))
     for pole in poles:
         slow = abs(pole) < 1.0 if given.system.dt else pole.real < -AXIS * scale
         if slow:
             continue
-        for matrix, what in (
-            (
-                np.hstack([A - pole * np.eye(len(A)), B[:, u]]),
-                f"reached from {', '.join(p.name for p in given.commanded)}",
-            ),
-            (np.vstack([A - pole * np.eye(len(A)), C[y]]), f"seen in {', '.join(p.name for p in given.measured)}"),
-        ):
-            if linalg.svdvals(matrix)[len(A) - 1] < 1e-9 * max(1.0, float(linalg.norm(matrix, 2))):
+        shifted = A - pole * np.eye(len(A))
+        reached = f"reached from {', '.join(p.name for p in given.commanded)}"
+        seen = f"seen in {', '.join(p.name for p in given.measured)}"
+        for matrix, what in ((np.hstack([shifted, B]), reached), (np.hstack([shifted.T, C.T]), seen)):
+            if not _has_full_row_rank(matrix):
                 where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
                 raise ValueError(
                     f"{given.system.name}: the mode at {where} is not stable and must be {what}; of a weight, move the "
                     "pole to the left"
                 )
+
+
+def _has_full_row_rank(matrix: ComplexArray) -> bool:
+    """Whether no row follows from the others, each row in its own unit."""
+    sizes = np.abs(matrix).max(axis=1, initial=0.0)
+    if not sizes.all():
+        return False
+    return bool(linalg.svdvals(matrix / sizes[:, None])[-1] > UNREACHED)
 
 
 def continuous(system: System) -> System:

@@ -170,3 +170,19 @@ def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_b
 def test_what_cannot_be_designed_says_which_assumption_fails(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_units_of_states_make_no_plant_unstabilisable(seed: int) -> None:
+    """States in units that differ by 1e12: a plant that is controllable stays so, one with an unreached mode not."""
+    rng = np.random.default_rng(seed)
+    n = 4
+    A, B, C = (rng.standard_normal(shape) for shape in ((n, n), (n, 3), (3, n)))
+    units = 10.0 ** rng.uniform(-6.0, 6.0, n)
+    ports = [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]
+    D = np.array([[0.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    plant = System(A * units[:, None] / units, B * units[:, None], C / units, D, *ports)
+    assert hinfsyn(plant, "y", "u").value > 0.0
+    A[0], B[0, 2] = np.eye(n)[0], 0.0
+    with pytest.raises(ValueError, match="the mode at 1 is not stable and must be reached from u"):
+        hinfsyn(System(A * units[:, None] / units, B * units[:, None], C / units, D, *ports), "y", "u")
