@@ -14,6 +14,8 @@ __version__ = "0.2.0"
 if TYPE_CHECKING:
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
+    from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values
+    from lftkit.reduction.coprime import ncfmr
     from lftkit.systems.connection.feedback import cascade, close_loop
     from lftkit.systems.connection.filters import high_pass, transfer
     from lftkit.systems.connection.interconnection import (
@@ -58,10 +60,12 @@ __all__ = [
     "HInfNorm",
     "Port",
     "RealParameter",
+    "ReducedSystem",
     "SampledSystem",
     "System",
     "append",
     "as_system",
+    "balred",
     "bode_band",
     "cascade",
     "close",
@@ -75,12 +79,14 @@ __all__ = [
     "from_json",
     "from_scipy",
     "h2_norm",
+    "hankel_singular_values",
     "high_pass",
     "hinf_norm",
     "hinf_norms",
     "invert",
     "matrix",
     "minimal_realisation",
+    "ncfmr",
     "pade_delay",
     "parallel",
     "pole_map",
@@ -107,6 +113,8 @@ __all__ = [
 _MODULES = {
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
+    "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values"),
+    "reduction.coprime": ("ncfmr",),
     "systems.delay": ("pade_delay",),
     "systems.exchange": (
         "as_system",

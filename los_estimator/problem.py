@@ -32,7 +32,7 @@ import numpy as np
 
 from lftkit import Port, System, connect, static_gain, transform
 from lftkit.arrays import FloatArray
-from lftkit.systems.reduction import balanced_truncation
+from lftkit.reduction.balancing import balanced_truncation
 from lftkit.tuning import state_space
 from lftkit.tuning.nested_orders import with_decaying_states
 from lftkit.tuning.structures.structures import AffineStructure

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign
 from lftkit.synthesis.standard_plant import chain, is_stable, only_port, weight_of
@@ -17,7 +18,6 @@ from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
 from lftkit.systems.system import System
-from lftkit.tuning.full_order import riccati
 
 
 def ncfsyn(plant: System, before: System | float | None = None, after: System | float | None = None) -> FullOrderDesign:

@@ -11,7 +11,6 @@ system, not the controller, is stable and is reduced by balanced truncation (lef
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -19,8 +18,9 @@ from typing import cast
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.riccati import riccati
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-from lftkit.systems.reduction import truncated
+from lftkit.reduction.balancing import truncated
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
@@ -34,7 +34,6 @@ MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
 LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
 ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
-RESIDUAL = 1e-6  # of a Riccati equation, relative to its largest term
 
 
 @dataclass(frozen=True)
@@ -211,28 +210,6 @@ def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     seen = C2 + shifted.D21 @ F[:nw]
     into = B2 + ZL @ shifted.D22
     return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
-
-
-def riccati(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
-) -> FloatArray | None:
-    """Stabilising solution of a continuous Riccati equation; None where there is none.
-
-    Where the Hamiltonian matrix has eigenvalues on the imaginary axis, the solver can return a matrix that solves
-    nothing, depending on rounding: the residual and the closed loop are checked.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # of an equation without a solution
-        try:
-            X = np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S), dtype=float)
-            F = -linalg.solve(R, B.T @ X + (0.0 if S is None else S.T))
-        except (linalg.LinAlgError, ValueError):
-            return None
-    terms = A.T @ X, Q, F.T @ R @ F
-    residual = terms[0] + terms[0].T + terms[1] - terms[2]
-    solved = np.abs(residual).max(initial=0.0) <= RESIDUAL * max(np.abs(M).max(initial=0.0) for M in terms)
-    poles = np.asarray(linalg.eigvals(A + B @ F))
-    return X if solved and float(poles.real.max(initial=-np.inf)) < 0.0 else None
 
 
 def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:

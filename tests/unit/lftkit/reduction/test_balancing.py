@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg
 
 from lftkit.analysis.norms import hinf_norm
-from lftkit.systems.reduction import balanced_truncation
+from lftkit.reduction.balancing import balanced_truncation
 from lftkit.systems.system import System
 
 ORDER = 6

@@ -1,0 +1,34 @@
+"""The continuous Riccati equation."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+
+RESIDUAL = 1e-6  # of a Riccati equation, relative to its largest term
+
+
+def riccati(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
+) -> FloatArray | None:
+    """Stabilising solution of a continuous Riccati equation; None where there is none.
+
+    Where the Hamiltonian matrix has eigenvalues on the imaginary axis, the solver can return a matrix that solves
+    nothing, depending on rounding: the residual and the closed loop are checked.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # of an equation without a solution
+        try:
+            X = np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S), dtype=float)
+            F = -linalg.solve(R, B.T @ X + (0.0 if S is None else S.T))
+        except (linalg.LinAlgError, ValueError):
+            return None
+    terms = A.T @ X, Q, F.T @ R @ F
+    residual = terms[0] + terms[0].T + terms[1] - terms[2]
+    solved = np.abs(residual).max(initial=0.0) <= RESIDUAL * max(np.abs(M).max(initial=0.0) for M in terms)
+    poles = np.asarray(linalg.eigvals(A + B @ F))
+    return X if solved and float(poles.real.max(initial=-np.inf)) < 0.0 else None

@@ -1,0 +1,249 @@
+"""Balanced truncation with a bound of its error, continuous and sampled, with weights where they matter.
+
+The states of poles that are not stable stay as they are. Sources: Enns, CDC 1984 (weights); Liu and Anderson, Int. J.
+Control 50 (1989) (equal gain at zero frequency); Wang, Sreeram and Liu, IEEE TAC 44 (1999) (weights on both sides).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.norms import hinf_norm
+from lftkit.arrays import FloatArray, Matrices
+from lftkit.reduction.balancing import Balancing, balancing
+from lftkit.reduction.gramians import gramian_factor, state_parts
+from lftkit.support.scalars import as_integer
+from lftkit.systems.connection.feedback import cascade
+from lftkit.systems.exchange import as_system
+from lftkit.systems.system import System
+
+METHODS = ("truncate", "matchdc")
+ROUNDING = 1e-6
+"""Part by which a computed norm may be above the bound of theory and still be it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedSystem:
+    """A system of lower order, and what it loses.
+
+    Attributes
+    ----------
+    system : System
+        With the ports of the given one.
+    hankel_values : ndarray
+        Hankel singular values, falling, of what was balanced: the stable part, with its weights if any; the coprime
+        factors for :func:`lftkit.reduction.ncfmr`.
+    error_bound : float
+        Upper bound of the H-infinity norm of the error, weighted where there are weights: the upper end of the norm of
+        the difference, and at most `tail_bound`, to rounding. For coprime factors that of their error.
+    tail_bound : float
+        Twice the sum of the Hankel singular values left out; infinite with weights, where it bounds nothing.
+    """
+
+    system: System
+    hankel_values: FloatArray
+    error_bound: float
+    tail_bound: float
+
+
+def hankel_singular_values(system: Any) -> FloatArray:
+    """Hankel singular values, falling: how much of each state the inputs reach and the outputs see (hsvd in MATLAB).
+
+    Parameters
+    ----------
+    system : System, or what :func:`lftkit.as_system` takes
+        Certain, continuous or sampled.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Infinite for the poles that are not stable, first.
+
+    Examples
+    --------
+    A lag ``k / (s + a)`` has the value ``k / (2 a)``:
+
+    >>> from lftkit import transfer
+    >>> hankel_singular_values(transfer([6.0], [1.0, 1.0])).round(9).tolist()
+    [3.0]
+    """
+    given = as_system(system)
+    parts = state_parts(*given.matrices[:3], given.dt)
+    values = balancing(*parts.stable, given.dt).hankel
+    return np.concatenate([np.full(len(parts.other[0]), np.inf), values])
+
+
+def balred(
+    system: Any,
+    order: int | None = None,
+    *,
+    error: float | None = None,
+    method: str = "truncate",
+    weight_in: System | None = None,
+    weight_out: System | None = None,
+) -> ReducedSystem:
+    """System of lower order by balanced truncation of its stable part, with a bound of the error.
+
+    Parameters
+    ----------
+    system : System, or what :func:`lftkit.as_system` takes
+        G: certain, continuous or sampled. Poles that are not stable are kept.
+    order : int, optional
+        At most this number of states; those that are not reached or not seen are left out, too.
+    error : float, optional
+        In its place: the least order of which twice the sum of the Hankel singular values left out is at most this.
+    method : {"truncate", "matchdc"}
+        ``truncate`` keeps the gain at infinite frequency, ``matchdc`` that at zero frequency (of the stable part).
+    weight_in, weight_out : System, optional
+        Wi and Wo, stable: ``Wo (G - Gr) Wi`` is made small, with :attr:`ReducedSystem.error_bound` as its norm.
+
+    Raises
+    ------
+    ValueError
+        Not one of `order` and `error`, an order below the number of poles that are not stable, weights that are not
+        stable or do not fit, `error` with weights.
+
+    Examples
+    --------
+    A resonance and a fast lag, which is left out:
+
+    >>> from lftkit import s
+    >>> found = balred((1 / (s**2 + s + 1) + 0.01 / (0.01 * s + 1)).system("u", "y"), 2)
+    >>> found.system.order, bool(found.error_bound <= found.tail_bound < 0.02)
+    (2, True)
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if (order is None) == (error is None):
+        raise ValueError(f"one of order and error must be given, got {order} and {error}")
+    if error is not None and not error >= 0.0:
+        raise ValueError(f"error must be at least 0, got {error}")
+    given = as_system(system)
+    A, B, C, D = given.matrices
+    parts = state_parts(A, B, C, given.dt)
+    weights = _weight(weight_in, "weight_in", given), _weight(weight_out, "weight_out", given)
+    part = _StablePart(System(*parts.stable, D, given.inputs, given.outputs, given.name, given.dt), *weights)
+    if error is not None and part.weighted:
+        raise ValueError(f"order must be given where there are weights, got error {error}")
+    first = part.balancings[0]
+    tails = 2.0 * np.append(np.cumsum(first.hankel[::-1])[::-1], 0.0)  # by the number of states that are kept
+    fixed = len(parts.other[0])
+    kept = int(np.argmax(tails <= error)) if error is not None else _checked_order(order, fixed, given) - fixed
+    if kept >= part.system.order:
+        return ReducedSystem(given, first.hankel, 0.0, np.inf if part.weighted else 0.0)
+    reduced = part.reduced(kept, method)
+    tail = np.inf if part.weighted else float(tails[min(kept, first.order)])
+    whole = linalg.block_diag(reduced.A, parts.other[0]), np.vstack([reduced.B, parts.other[1]])
+    observed = np.hstack([reduced.C, parts.other[2]])
+    system = System(*whole, observed, reduced.D, given.inputs, given.outputs, given.name, given.dt)
+    return ReducedSystem(system, first.hankel, error_bound(part.error(reduced), tail), tail)
+
+
+def error_bound(error: System, tail: float) -> float:
+    """Upper end of the norm of an error, or `tail`, its bound of theory, where that is less but for rounding."""
+    try:
+        norm = hinf_norm(*error.matrices, dt=error.dt or None)
+    except ArithmeticError:
+        return tail
+    if norm.certificate == "none" or tail <= norm.upper <= (1.0 + ROUNDING) * tail:
+        return tail
+    return norm.upper
+
+
+@dataclass(frozen=True, eq=False)
+class _StablePart:
+    """What is reduced, and the weights of the error."""
+
+    system: System
+    before: System | None
+    after: System | None
+
+    @property
+    def weighted(self) -> bool:
+        return self.before is not None or self.after is not None
+
+    @cached_property
+    def balancings(self) -> list[Balancing]:
+        """One; with weights that of Enns, and one that leaves every truncated system stable."""
+        A, B, C, _ = self.system.matrices
+        dt, n = self.system.dt, self.system.order
+        if not self.weighted:
+            return [balancing(A, B, C, dt)]
+        reached, seen = gramian_factor(A, B, dt), gramian_factor(A.T, C.T, dt)
+        if self.before is not None:
+            driven = cascade(self.before, self.system)
+            reached = _square(gramian_factor(driven.A, driven.B, dt)[-n:] if n else reached)
+        if self.after is not None:
+            observed = cascade(self.system, self.after)
+            seen = _square(gramian_factor(observed.A.T, observed.C.T, dt)[:n])
+        return [Balancing.of(reached, seen), Balancing.of(_definite(A, reached, dt), _definite(A.T, seen, dt))]
+
+    def reduced(self, order: int, method: str) -> System:
+        """The truncated system, of the first balancing that leaves it stable."""
+        A, B, C, D = self.system.matrices
+        dt = self.system.dt
+        for found in self.balancings:
+            kept = min(order, found.order)
+            if method == "truncate":
+                matrices: Matrices = (*found.coordinates(A, B, C, kept), D)
+            else:
+                matrices = _matched((*found.coordinates(A, B, C), D), kept, dt)
+            system = System(*matrices, self.system.inputs, self.system.outputs, self.system.name, dt)
+            if not len(state_parts(*matrices[:3], dt).other[0]):
+                break
+        return system
+
+    def error(self, reduced: System) -> System:
+        """The difference, with the weights."""
+        difference = self.system - reduced
+        if self.before is not None:
+            difference = difference @ self.before
+        return difference if self.after is None else self.after @ difference
+
+
+def _weight(weight: System | None, name: str, of: System) -> System | None:
+    if weight is None:
+        return None
+    given = as_system(weight)
+    there, needed = (given.D.shape[0], of.D.shape[1]) if name == "weight_in" else (given.D.shape[1], of.D.shape[0])
+    if there != needed:
+        side = "outputs" if name == "weight_in" else "inputs"
+        raise ValueError(f"{name} must have {needed} {side}, got {there}")
+    if len(state_parts(*given.matrices[:3], given.dt).other[0]):
+        raise ValueError(f"{name} must be stable, got poles {given.poles()}")
+    return given
+
+
+def _checked_order(order: int | None, least: int, given: System) -> int:
+    number = as_integer(order, "order")
+    if number < least:
+        raise ValueError(f"order must be at least {least}, the number of poles that are not stable, got {number}")
+    return number
+
+
+def _matched(full: Matrices, order: int, dt: float) -> Matrices:
+    """The first states, with the others at rest at zero frequency."""
+    A, B, C, D = full
+    k, rest = slice(0, order), slice(order, len(A))
+    loop = (np.eye(len(A) - order) if dt else 0.0) - A[rest, rest]
+    inner = linalg.solve(loop, np.hstack([A[rest, k], B[rest]]))
+    X, U = inner[:, :order], inner[:, order:]
+    return A[k, k] + A[k, rest] @ X, B[k] + A[k, rest] @ U, C[:, k] + C[:, rest] @ X, D + C[:, rest] @ U
+
+
+def _square(factor: FloatArray) -> FloatArray:
+    """Square factor with the same product ``L L'``."""
+    return np.asarray(linalg.qr(factor.T, mode="r")[0][: len(factor)].T)
+
+
+def _definite(A: FloatArray, factor: FloatArray, dt: float) -> FloatArray:
+    """Factor of a Gramian whose driving term is the positive part and minus the negative part of the given one's."""
+    P = factor @ factor.T
+    driving = P - A @ P @ A.T if dt else -(A @ P + P @ A.T)
+    values, vectors = linalg.eigh(0.5 * (driving + driving.T))
+    return gramian_factor(A, vectors * np.sqrt(np.abs(values)), dt)
