@@ -100,6 +100,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "your_controller.md": a_design_that_is_only_called,
     "tuning.md": the_mass_and_spring,
     "your_spacecraft.md": files_of_nastran,
+    "structures.md": files_of_nastran,
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "tuning.md"}

@@ -4,7 +4,8 @@ from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
-from titop_plant.structures.nastran import read_nastran
+from titop_plant.structures.nastran import nastran_mass, read_nastran
+from titop_plant.structures.nastran_interface import Interface
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     ResidualRepair,
@@ -20,6 +21,7 @@ __all__ = [
     "Beam",
     "BeamFrame",
     "ChildPort",
+    "Interface",
     "LumpedMass",
     "ModalData",
     "ResidualMode",
@@ -29,6 +31,7 @@ __all__ = [
     "check_residual_mass",
     "effective_masses",
     "from_inertia",
+    "nastran_mass",
     "port_visibility",
     "read_modal_data",
     "read_nastran",

@@ -1,4 +1,4 @@
-"""Text of a NASTRAN deck with the files that it includes, and the units that it states.
+"""Text of a NASTRAN deck with the files that it includes.
 
 The deck is read here and given to pyNastran as text: pyNastran would open any file that INCLUDE names, and follows
 comments that name other formats, files to write, or cards to leave out.
@@ -7,47 +7,16 @@ comments that name other formats, files to write, or cards to leave out.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import INCLUDES, SYSTEM
 
 _INCLUDE = re.compile(r"^\s*include\b", re.IGNORECASE)
-_SECTIONS = re.compile(r"^\s*(cend|begin\s+bulk)\b", re.IGNORECASE | re.MULTILINE)
 _CASE_PARAM = re.compile(r"^\s*param[\s,]+(\w+)[\s,]+([^\s,$]+)", re.IGNORECASE | re.MULTILINE)
-FOOT, INCH, POUND_FORCE, POUND = 0.3048, 0.0254, 4.4482216152605, 0.45359237
-
-
-@dataclass(frozen=True)
-class DeckUnits:
-    """Units of a deck; the second is that of all of them.
-
-    Attributes
-    ----------
-    length : of one unit [m]
-    mass : of the consistent unit, force by length per s2 [kg]
-    """
-
-    length: float = 1.0
-    mass: float = 1.0
-
-
-UNIT_SYSTEMS: Mapping[str, DeckUnits] = MappingProxyType(
-    {
-        "N-M": DeckUnits(),
-        "MN-MM": DeckUnits(1e-3, 1.0),  # the force in millinewton, the mass in kg
-        "CN-CM": DeckUnits(1e-2, 1.0),
-        "N-MM": DeckUnits(1e-3, 1e3),
-        "LBF-IN": DeckUnits(INCH, POUND_FORCE / INCH),
-        "LBF-FT": DeckUnits(FOOT, POUND_FORCE / FOOT),
-        "PDL-FT": DeckUnits(FOOT, POUND),
-    }
-)
-"""Units by PARAM,UNITSYS, which Simcenter writes: force and length (Siemens KB000073658, "MN-MM" is mN, mm, kg)."""
+_SECTIONS = re.compile(r"^\s*(cend|begin\s+bulk)\b", re.IGNORECASE | re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -119,27 +88,30 @@ def _inside(name: str, path: Path, folder: Path, above: tuple[Path, ...]) -> Pat
     return file
 
 
-def units_of(deck: Deck, model: Any, path: Path) -> DeckUnits:
-    """Units of the deck by PARAM,UNITSYS; SI without it.
+def parameters_of(deck: Deck, model: Any, path: Path) -> dict[str, str]:
+    """PARAM of the bulk data and the case control, as text by name.
 
     Raises
     ------
     ValueError
-        A unit system that is not known, or PARAM,WTMASS other than 1, in any section.
+        A parameter with two values.
     """
-    stated = {name: str(card.values[0]) for name, card in model.params.items() if card.values}
-    head = deck.text[: found.start()] if (found := re.search(r"^\s*begin\s+bulk", deck.text, re.I | re.M)) else ""
+    found = {name: str(card.values[0]) for name, card in model.params.items() if card.values}
+    head = deck.text[: start.start()] if (start := re.search(r"^\s*begin\s+bulk", deck.text, re.I | re.M)) else ""
     for name, value in _CASE_PARAM.findall(head):
-        if stated.setdefault(name.upper(), value).upper() != value.upper():
-            raise ValueError(f"{path}: PARAM,{name.upper()} must have one value, got {stated[name.upper()]}, {value}")
-    weight = stated.get("WTMASS", "1.0")
+        if found.setdefault(name.upper(), value).upper() != value.upper():
+            raise ValueError(f"{path}: PARAM,{name.upper()} must have one value, got {found[name.upper()]}, {value}")
+    return found
+
+
+def number_of(text: str) -> float:
+    """Number of a field, "2.59-3" and "1.D0" too; NaN for another text."""
     try:
-        is_one = float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"e\1", weight.replace("D", "E").replace("d", "e"))) == 1.0
+        return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"e\1", text.upper().replace("D", "E")))
     except ValueError:
-        is_one = False
-    if not is_one:
-        raise ValueError(f"{path}: PARAM,WTMASS must be absent or 1: give the masses in consistent units, got {weight}")
-    system = stated.get("UNITSYS", "N-M").upper().strip()
-    if system not in UNIT_SYSTEMS:
-        raise ValueError(f"{path}: PARAM,UNITSYS must be one of {', '.join(UNIT_SYSTEMS)}, got {system}")
-    return UNIT_SYSTEMS[system]
+        return float("nan")
+
+
+def is_coupled(deck: Deck, model: Any, path: Path) -> bool:
+    """Whether ``PARAM,COUPMASS`` asks for coupled (consistent) mass matrices; NASTRAN's default is lumped ones."""
+    return number_of(parameters_of(deck, model, path).get("COUPMASS", "-1")) > 0

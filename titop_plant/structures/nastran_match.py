@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from titop_plant.structures.kinematics import tau
 
 MASS = 0.02
 """Largest difference of the masses, relative; elements of some kinds differ by their rounding and offsets."""
@@ -48,29 +48,7 @@ def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
             )
 
 
-def lumps(model: Any) -> list[tuple[int, float, FloatArray, FloatArray]] | None:
-    """Grid point, mass, offset (3,) and inertia (3, 3) about the centre of mass of what has mass in the deck.
-
-    None where the deck has mass elements that are not understood, or grid points whose displacements are in
-    coordinates of their own.
-    """
-    found: list[tuple[int, float, FloatArray, FloatArray]] = []
-    for lump in model.masses.values():
-        if lump.type != "CONM2" or lump.Cid() != 0:
-            return None
-        center, mass, inertia = lump.centroid_mass_inertia()
-        grid = lump.Nid()
-        offset = np.asarray(center, dtype=float) - np.asarray(model.nodes[grid].get_position())
-        found.append((grid, float(mass), offset, np.asarray(inertia, dtype=float)))
-    for element in model.elements.values():
-        mass = float(element.Mass()) if hasattr(element, "Mass") else 0.0
-        if mass:
-            grids = [grid for grid in element.node_ids if grid]
-            found += [(grid, mass / len(grids), np.zeros(3), np.zeros((3, 3))) for grid in grids]
-    return None if any(model.nodes[grid].Cd() != 0 for grid, *_ in found) else found
-
-
-def check_mass(found: list[tuple[int, float, FloatArray, FloatArray]], stated: float, path: str) -> None:
+def check_mass(total: float, stated: float, path: str) -> None:
     """Refuse a mass of the OP2 file that the deck has not.
 
     Raises
@@ -78,33 +56,23 @@ def check_mass(found: list[tuple[int, float, FloatArray, FloatArray]], stated: f
     ValueError
         They differ by more than `MASS`.
     """
-    total = sum(mass for _, mass, _, _ in found)
     if abs(total - stated) > MASS * max(total, stated):
         raise ValueError(
             f"{path}: results must be of the model of the deck, whose mass is {total:.6g}, got a mass of {stated:.6g}"
         )
 
 
-def check_momentum(
-    model: Any,
-    found: list[tuple[int, float, FloatArray, FloatArray]],
-    table: Any,
-    participation: FloatArray,
-    point: FloatArray,
-    path: str,
-) -> None:
+def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: FloatArray, path: str) -> None:
     """Compare what holds a mode at the clamped point with the momentum of the deck's masses in its shape.
 
     Parameters
     ----------
-    found : list
-        Of `lumps`.
+    maps : mapping of int to ndarray, shape (6, 6)
+        Of :func:`~titop_plant.structures.nastran_mass.momentum_maps`, about the clamped point.
     table : object
         Eigenvectors; where they lack a grid point with mass, nothing is compared.
     participation : ndarray, shape (n, 6)
-        Of the constraint forces, in the modal scale of `table`.
-    point : ndarray, shape (3,)
-        The clamped point.
+        Of the constraint forces, in the modal scale of `table` and the mass unit of the maps.
 
     Raises
     ------
@@ -112,16 +80,12 @@ def check_momentum(
         They differ by more than `MOMENTUM`: the OP2 file is of another model.
     """
     rows = {int(grid): row for row, grid in enumerate(np.asarray(table.node_gridtype)[:, 0])}
-    if not found or any(grid not in rows for grid, *_ in found):
+    if not maps or any(grid not in rows for grid in maps):
         return
     shapes = np.asarray(table.data, dtype=float)
     momentum = np.zeros_like(participation)
-    for grid, mass, offset, inertia in found:
-        moved = shapes[:, rows[grid]] @ tau(offset, np.zeros(3)).T
-        body = np.zeros((6, 6))
-        body[:3, :3], body[3:, 3:] = mass * np.eye(3), inertia
-        lever = np.asarray(model.nodes[grid].get_position()) + offset - point
-        momentum += moved @ body @ tau(lever, np.zeros(3))
+    for grid, by_velocity in maps.items():
+        momentum += shapes[:, rows[grid]] @ by_velocity.T
     for part, name in ((slice(0, 3), "forces"), (slice(3, 6), "moments")):
         held, has = participation[:, part], momentum[:, part]
         size = max(float(linalg.norm(held)), float(linalg.norm(has)))

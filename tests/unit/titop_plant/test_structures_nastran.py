@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
+from support.nastran_deliveries import Delivery, write_deck, write_results
 
 from titop_plant.structures import Beam, BeamFrame, LumpedMass, ModalData, Section, to_modal_data
-from titop_plant.structures.beam_frame import assemble
 from titop_plant.structures.nastran import read_nastran
 
 pytest.importorskip("pyNastran", reason="extra nastran")
@@ -37,70 +36,13 @@ def frame(density: float = 2800.0) -> BeamFrame:
 
 
 def write_bdf(source: BeamFrame, path: Path, clamp: str = "123456", also: int | None = None, cd: int = 0) -> None:
-    from pyNastran.bdf.bdf import BDF
-
-    model = BDF(debug=None)
-    grids = {name: i for i, name in enumerate(source.nodes, start=1)}
-    for name, grid in grids.items():
-        model.add_grid(grid, source.nodes[name], cd=cd)
-    if cd:
-        model.add_cord2r(cd, [0.0, 0, 0], [0.0, 0, 1], [0.0, 1, 0])
-    s = source.beams[0].section
-    model.add_mat1(1, s.E, s.G, None, rho=s.density)
-    model.add_pbar(1, 1, A=s.A, i1=s.Iz, i2=s.Iy, j=s.J)
-    for k, beam in enumerate(source.beams, start=1):
-        model.add_cbar(k, 1, [grids[beam.start], grids[beam.end]], beam.up, None)
-    for k, lump in enumerate(source.masses, start=101):
-        i = lump.inertia
-        inertia = [i[0, 0], -i[1, 0], i[1, 1], -i[2, 0], -i[2, 1], i[2, 2]]
-        model.add_conm2(k, grids[lump.node], lump.mass, X=lump.offset, I=inertia)
-    if clamp:
-        model.add_spc1(1, clamp, [1] if also is None else [1, also])
-    model.write_bdf(str(path), size=16, is_double=True)
+    held = [PARENT] if also is None else [PARENT, list(source.nodes)[also - 1]]
+    write_deck(Delivery(source, dict.fromkeys(held, clamp) if clamp else {}), path, cd)
 
 
-def write_op2(
-    source: BeamFrame, path: Path, *, modes: bool = True, forces: bool = True, weight: int | None = 0
-) -> None:
+def write_op2(source: BeamFrame, path: Path, *, weight: int | None = 0, **missing: bool) -> None:
     """Modes, constraint forces and grid point weight of the frame's mass and stiffness matrices."""
-    from pyNastran.op2.op2 import OP2
-    from pyNastran.op2.result_objects.grid_point_weight import GridPointWeight
-    from pyNastran.op2.tables.oqg_constraintForces.oqg_spc_forces import RealSPCForcesArray
-    from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
-
-    names, M, K = assemble(source)
-    free = np.arange(6, M.shape[0])
-    squares, shapes = eigh(K[6:, 6:], M[6:, 6:], subset_by_index=(0, KEEP - 1))
-    phi = np.zeros((M.shape[0], KEEP))
-    phi[free] = shapes
-    reaction = K @ phi - (M @ phi) * squares
-    reaction[6:] = 0.0
-    grids = np.column_stack([np.arange(1, len(names) + 1), np.ones(len(names))]).astype("int32")
-    model = OP2(debug=None)
-    model.set_as_msc()
-    model.is_nx, model.is_msc, model.is_optistruct = False, True, False
-    numbers, cycles = np.arange(1, KEEP + 1), np.sqrt(squares) / (2 * np.pi)
-
-    def table(kind: Any, name: str, columns: np.ndarray) -> Any:
-        data = columns.T.reshape(KEEP, len(names), 6).astype("float32")
-        return kind.add_modal_case(name, grids, data, 1, numbers, squares, cycles)
-
-    if modes:
-        vectors = table(RealEigenvectorArray, "OUGV1", phi)
-        vectors.table_code = vectors.data_code["table_code"] = 7  # eigenvectors, not displacements
-        model.eigenvectors[1] = vectors
-    if forces:
-        model.spc_forces[1] = table(RealSPCForcesArray, "OQG1", reaction)
-    if weight is not None:
-        point = np.zeros(3) if weight == 0 else source.nodes[names[weight - 1]]
-        from titop_plant.structures.beam_frame import rigid_body_modes
-
-        rigid = rigid_body_modes(source, names, point)
-        eye = np.eye(3)
-        model.grid_point_weight[""] = GridPointWeight(
-            weight, rigid.T @ M @ rigid, eye, np.ones(3), 0 * eye, eye, np.ones(3), eye
-        )
-    model.write_op2(str(path), nastran_format="msc")
+    write_results(Delivery(source, {PARENT: "123456"}, weight=weight, keep=KEEP), path, **missing)
 
 
 def imported(folder: Path, source: BeamFrame | None = None, **op2: Any) -> ModalData:

@@ -1,0 +1,197 @@
+"""Files as a NASTRAN run delivers them, written by pyNastran from a beam frame of this project.
+
+The frame is solved here with its constraints as linear equations: SPC, RBE2 and RBE3 are rows of ``G u = 0``, the
+constraint forces their multipliers. The readers under test compute neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh, inv, lstsq, null_space
+
+from titop_plant.structures import BeamFrame
+from titop_plant.structures.beam_element import beam_axes
+from titop_plant.structures.beam_frame import assemble, rigid_body_modes
+from titop_plant.structures.kinematics import tau
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A frame in the units of its deck, and how it is held.
+
+    Attributes
+    ----------
+    spc : components by node; none is a free body
+    rbe2, rbe3 : nodes of a ring by the node at its centre, which governs them (RBE2) or is their mean (RBE3)
+    wtmass : PARAM,WTMASS; the deck states the masses divided by it
+    weight : reference grid point of the grid point weight, 0 for the origin, None for none
+    lumped : NASTRAN's default: half the mass of a bar at each end; False: consistent masses with PARAM,COUPMASS
+    keep : number of modes
+    cards : further lines at the head of the deck
+    """
+
+    frame: BeamFrame
+    spc: Mapping[str, str] = field(default_factory=dict)
+    rbe2: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    rbe3: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    wtmass: float = 1.0
+    weight: int | None = 0
+    lumped: bool = False
+    keep: int = 8
+    cards: str = ""
+
+    def grid(self, node: str) -> int:
+        """Grid point of a node, counted from 1."""
+        return 1 + list(self.frame.divided().nodes).index(node)
+
+
+def write_deck(delivery: Delivery, path: Path, cd: int = 0) -> None:
+    """BDF of the frame."""
+    from pyNastran.bdf.bdf import BDF
+
+    source, model = delivery.frame.divided(), BDF(debug=None)
+    grids = {name: delivery.grid(name) for name in source.nodes}
+    for name, grid in grids.items():
+        model.add_grid(grid, source.nodes[name], cd=cd)
+    if cd:
+        model.add_cord2r(cd, [0.0, 0, 0], [0.0, 0, 1], [0.0, 1, 0])
+    for k, beam in enumerate(source.beams, start=1):
+        s = beam.section
+        model.add_mat1(k, s.E, s.G, None, rho=s.density / delivery.wtmass)
+        model.add_pbar(k, k, A=s.A, i1=s.Iz, i2=s.Iy, j=s.J)
+        up = beam_axes(source.nodes[beam.start], source.nodes[beam.end], beam.up, source.name)[1]
+        model.add_cbar(k, k, [grids[beam.start], grids[beam.end]], up, None)
+    for k, lump in enumerate(source.masses, start=1001):
+        i = lump.inertia / delivery.wtmass
+        inertia = [i[0, 0], -i[1, 0], i[1, 1], -i[2, 0], -i[2, 1], i[2, 2]]
+        model.add_conm2(k, grids[lump.node], lump.mass / delivery.wtmass, X=lump.offset, I=inertia)
+    for k, (centre, ring) in enumerate(delivery.rbe2.items(), start=2001):
+        model.add_rbe2(k, grids[centre], "123456", [grids[node] for node in ring])
+    for k, (centre, ring) in enumerate(delivery.rbe3.items(), start=3001):
+        model.add_rbe3(k, grids[centre], "123456", [1.0], ["123"], [[grids[node] for node in ring]])
+    for node, components in delivery.spc.items():
+        model.add_spc1(1, components, [grids[node]])
+    if not delivery.lumped:
+        model.add_param("COUPMASS", [1])
+    if delivery.wtmass != 1.0:
+        model.add_param("WTMASS", [delivery.wtmass])
+    model.write_bdf(str(path), size=16, is_double=True)
+    path.write_text(delivery.cards + path.read_text())
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Matrices of the free frame, its modes (columns) and the forces of the single-point constraints."""
+
+    M: np.ndarray
+    K: np.ndarray
+    squares: np.ndarray
+    shapes: np.ndarray
+    forces: np.ndarray
+
+
+def matrices(delivery: Delivery) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Nodes, mass and stiffness of the free frame."""
+    source = delivery.frame.divided()
+    names, M, K = assemble(source)
+    if delivery.lumped:
+        M = np.zeros_like(M)
+        row = {name: 6 * k for k, name in enumerate(names)}
+        for beam in source.beams:
+            span = source.nodes[beam.end] - source.nodes[beam.start]
+            half = 0.5 * beam.section.density * beam.section.A * float(np.sqrt(span @ span))
+            for node in (beam.start, beam.end):
+                M[range(row[node], row[node] + 3), range(row[node], row[node] + 3)] += half
+        for lump in source.masses:
+            rows = slice(row[lump.node], row[lump.node] + 6)
+            M[rows, rows] += lump.matrix()
+    return list(names), M, K
+
+
+def equations(delivery: Delivery, row: Mapping[str, int], size: int) -> tuple[np.ndarray, list[int]]:
+    """Rows G of ``G u = 0``, those of the SPC last, and the degrees of freedom of these."""
+    source = delivery.frame.divided()
+    found: list[np.ndarray] = [np.zeros((0, size))]
+
+    def equation(blocks: Mapping[str, np.ndarray]) -> None:
+        rows = np.zeros((6, size))
+        for node, block in blocks.items():
+            rows[:, row[node] : row[node] + 6] += block
+        found.append(rows)
+
+    for centre, ring in delivery.rbe2.items():
+        for node in ring:
+            equation({node: -np.eye(6), centre: tau(source.nodes[node], source.nodes[centre])})
+    for centre, ring in delivery.rbe3.items():
+        arms = {node: tau(source.nodes[node], source.nodes[centre])[:3] for node in ring}
+        stacked = np.vstack(list(arms.values()))
+        sums = inv(stacked.T @ stacked)
+        equation(
+            {centre: -np.eye(6), **{node: np.hstack([sums @ arm.T, np.zeros((6, 3))]) for node, arm in arms.items()}}
+        )
+    held = [row[node] + int(one) - 1 for node, components in delivery.spc.items() for one in components]
+    return np.vstack([*found, np.eye(size)[held]]), held
+
+
+def solved(delivery: Delivery) -> Solution:
+    """Modes of the frame under its constraints."""
+    names, M, K = matrices(delivery)
+    size = M.shape[0]
+    G, held = equations(delivery, {name: 6 * k for k, name in enumerate(names)}, size)
+    free = null_space(G) if G.size else np.eye(size)
+    reduced_K, reduced_M = free.T @ K @ free, free.T @ M @ free
+    if delivery.lumped:  # masses of zero: the largest of the inverse squares
+        inverse, shapes = eigh(
+            reduced_M, reduced_K, subset_by_index=(len(reduced_M) - delivery.keep, len(reduced_M) - 1)
+        )
+        squares, shapes = 1.0 / inverse[::-1], shapes[:, ::-1] / np.sqrt(inverse[::-1])
+    else:
+        squares, shapes = eigh(reduced_K, reduced_M, subset_by_index=(0, delivery.keep - 1))
+    shapes = free @ shapes
+    out_of_balance = K @ shapes - (M @ shapes) * squares
+    forces = np.zeros_like(shapes)
+    if held:
+        multipliers = lstsq(G.T, out_of_balance)[0]
+        forces[held] = multipliers[-len(held) :]
+    return Solution(M, K, squares, shapes, forces)
+
+
+def write_results(delivery: Delivery, path: Path, *, modes: bool = True, forces: bool = True) -> Solution:
+    """OP2 of the modes, constraint forces and grid point weight."""
+    from pyNastran.op2.op2 import OP2
+    from pyNastran.op2.result_objects.grid_point_weight import GridPointWeight
+    from pyNastran.op2.tables.oqg_constraintForces.oqg_spc_forces import RealSPCForcesArray
+    from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
+
+    source, found, keep = delivery.frame.divided(), solved(delivery), delivery.keep
+    names = list(source.nodes)
+    grids = np.column_stack([np.arange(1, len(names) + 1), np.ones(len(names))]).astype("int32")
+    model = OP2(debug=None)
+    model.set_as_msc()
+    model.is_nx, model.is_msc, model.is_optistruct = False, True, False
+    numbers, cycles = np.arange(1, keep + 1), np.sqrt(np.abs(found.squares)) / (2 * np.pi)
+
+    def table(kind: Any, name: str, columns: np.ndarray) -> Any:
+        data = columns.T.reshape(keep, len(names), 6).astype("float32")
+        return kind.add_modal_case(name, grids, data, 1, numbers, found.squares, cycles)
+
+    if modes:
+        vectors = table(RealEigenvectorArray, "OUGV1", found.shapes)
+        vectors.table_code = vectors.data_code["table_code"] = 7  # eigenvectors, not displacements
+        model.eigenvectors[1] = vectors
+    if forces:
+        model.spc_forces[1] = table(RealSPCForcesArray, "OQG1", found.forces)
+    if delivery.weight is not None:
+        point = np.zeros(3) if delivery.weight == 0 else source.nodes[names[delivery.weight - 1]]
+        rigid = rigid_body_modes(source, names, point)
+        eye, mass = np.eye(3), rigid.T @ found.M @ rigid / delivery.wtmass
+        model.grid_point_weight[""] = GridPointWeight(
+            delivery.weight, mass, eye, np.ones(3), 0 * eye, eye, np.ones(3), eye
+        )
+    model.write_op2(str(path), nastran_format="msc")
+    return found

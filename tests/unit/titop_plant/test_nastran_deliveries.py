@@ -1,0 +1,289 @@
+"""NASTRAN runs as they are delivered: rings of bolts, straight booms, stated units; each a body, or refused by reason.
+
+The expected body is assembled here from the matrices of the frame (``L = Phi' M R``), not from constraint forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from support.nastran_deliveries import Delivery, equations, matrices, solved, write_deck, write_results
+from unit.titop_plant.test_nastran_decks import scaled
+from unit.titop_plant.test_structures_nastran import same_body
+
+from titop_plant.structures import (
+    Beam,
+    BeamFrame,
+    ChildPort,
+    Interface,
+    LumpedMass,
+    ModalData,
+    nastran_mass,
+    read_nastran,
+    to_modal_data,
+)
+from titop_plant.structures.beam_frame import rigid_body_modes
+from titop_plant.structures.kinematics import tau
+from titop_plant.structures.nastran_files import read_model
+from titop_plant.structures.nastran_mass import momentum_maps
+from titop_plant.structures.nastran_units import INCH, POUND_FORCE, DeckUnits
+from titop_plant.structures.sections import tube
+
+pytest.importorskip("pyNastran", reason="extra nastran")
+
+ALUMINIUM = {"E": 70e9, "G": 27e9, "density": 2700.0}
+RING = tuple(f"bolt {k}" for k in range(6))
+POINT = np.array([0.1, -0.3, 0.2])
+
+
+def tower(centre: bool = True) -> BeamFrame:
+    """Six struts from a ring of bolts to a platform with an eccentric mast."""
+    nodes: dict[str, Any] = {"P": POINT} if centre else {}
+    for k, bolt in enumerate(RING):
+        angle = 2 * np.pi * k / len(RING)
+        nodes[bolt] = POINT + np.array([0.5 * np.cos(angle), 0.4 * np.sin(angle), 0.0])
+    nodes |= {"top": POINT + np.array([0.05, 0.02, 1.2]), "tip": POINT + np.array([0.3, 0.0, 1.8])}
+    section = tube(ALUMINIUM, 0.04, 0.002)
+    beams = (*(Beam(bolt, "top", section) for bolt in RING), Beam("top", "tip", section, elements=3))
+    blocks = (
+        LumpedMass("tip", 3.0, np.diag([0.02, 0.03, 0.04]), [0.02, 0.0, 0.05]),
+        LumpedMass("top", 8.0, np.diag([0.2, 0.3, 0.4])),
+    )
+    return BeamFrame("tower", nodes, beams, blocks)
+
+
+def boom(elements: int = 10) -> BeamFrame:
+    """A straight tube of 2 m, clamped at P."""
+    section = tube(ALUMINIUM, 0.08, 0.002)
+    nodes = {"P": np.zeros(3), "tip": np.array([2.0, 0.0, 0.0])}
+    return BeamFrame("boom", nodes, (Beam("P", "tip", section, elements=elements),))
+
+
+def load(folder: Path, delivery: Delivery, parent: Any = ("P", 1), **options: Any) -> ModalData:
+    write_deck(delivery, folder / "x.bdf")
+    write_results(delivery, folder / "x.op2")
+    return again(folder, delivery, parent, **options)
+
+
+def again(folder: Path, delivery: Delivery, parent: Any = ("P", 1), **options: Any) -> ModalData:
+    ports = {"tip": delivery.grid("tip")}
+    return read_nastran(folder / "x.bdf", folder / "x.op2", name="x", parent=parent, ports=ports, **options)
+
+
+def expected(delivery: Delivery, point: np.ndarray = POINT) -> ModalData:
+    """The body by the inertia of its modes."""
+    names, M, _ = matrices(delivery)
+    found = solved(delivery)
+    rigid = rigid_body_modes(delivery.frame, names, point)
+    row, place = 6 * names.index("tip"), delivery.frame.nodes["tip"]
+    return ModalData(
+        "x",
+        "P",
+        point,
+        rigid.T @ M @ rigid,
+        np.sqrt(found.squares),
+        np.full(delivery.keep, 0.005),
+        found.shapes.T @ M @ rigid,
+        (ChildPort("tip", place, found.shapes[row : row + 6]),),
+    )
+
+
+BOLTS = Interface("P", tuple(range(1, 7)))
+HELD: dict[str, tuple[Delivery, Any]] = {
+    "RBE2": (Delivery(tower(), {"P": "123456"}, rbe2={"P": RING}), ("P", 1)),
+    "RBE3": (Delivery(tower(), {"P": "123456"}, rbe3={"P": RING}), ("P", 1)),
+    "bolts clamped": (Delivery(tower(False), dict.fromkeys(RING, "123456")), BOLTS),
+    "bolts pinned": (Delivery(tower(False), dict.fromkeys(RING, "123")), BOLTS),
+    "three points, six components": (
+        Delivery(tower(False), {RING[0]: "123", RING[2]: "23", RING[4]: "3"}),
+        Interface("P", (1, 3, 5), at=tuple(POINT)),
+    ),
+    "centre in the deck": (
+        Delivery(tower(), dict.fromkeys(("P", *RING), "123456")),
+        Interface("P", tuple(range(2, 8)), at=1),
+    ),
+}
+
+
+@pytest.mark.parametrize("lumped", [False, True])
+@pytest.mark.parametrize("kind", HELD)
+def test_a_ring_of_bolts_is_one_interface(tmp_path: Path, kind: str, lumped: bool) -> None:
+    delivery, parent = HELD[kind]
+    delivery = replace(delivery, lumped=lumped, weight=None if lumped else 0)
+    same_body(load(tmp_path, delivery, parent), expected(delivery), 1e-5)
+
+
+def test_a_rigid_ring_and_clamped_bolts_are_the_same_body(tmp_path: Path) -> None:
+    """RBE2 with its centre clamped, against the bolts clamped and a frame whose bolts are one node's."""
+    rigid = load(tmp_path, *HELD["RBE2"])
+    same_body(load(tmp_path, *HELD["bolts clamped"]), replace(rigid, name="x"), 1e-5)
+
+
+def test_an_interface_without_one_of_its_bolts_is_refused(tmp_path: Path) -> None:
+    delivery, _ = HELD["bolts clamped"]
+    words = r"SPC must be at the parent grid points \[1, 2, 3, 4, 5\] alone, got SPC at \[6\] too"
+    with pytest.raises(ValueError, match=words):
+        load(tmp_path, delivery, Interface("P", (1, 2, 3, 4, 5)))
+    words = r"alone, got SPC at \[2, 3, 4, 5, 6\] too; Interface\('P', \(1, 2, 3, 4, 5, 6\)\) takes them"
+    with pytest.raises(ValueError, match=words):
+        again(tmp_path, delivery, ("P", 1))
+
+
+def test_a_hinge_is_no_interface(tmp_path: Path) -> None:
+    """Two pinned points let the body turn about the line between them: its eigenvalue of zero is not even looked at."""
+    delivery = Delivery(tower(False), {RING[0]: "123", RING[3]: "123", RING[1]: "3"})
+    with pytest.raises(ValueError, match=r"must hold all six rigid motions, got \{1: '123', 4: '123'\}"):
+        load(tmp_path, delivery, Interface("P", (1, 4)))
+    with pytest.raises(ValueError, match=r"the parent GRID 1 must be clamped .*, got 123 and SPC at \[2, 4\]"):
+        again(tmp_path, delivery)
+
+
+def test_an_op2_of_other_constraints_than_the_deck_is_refused(tmp_path: Path) -> None:
+    """The deck clamps the bolts, the run pinned them: the eigenvectors turn what the deck holds."""
+    write_deck(HELD["bolts clamped"][0], tmp_path / "x.bdf")
+    write_results(HELD["bolts pinned"][0], tmp_path / "x.op2")
+    with pytest.raises(ValueError, match="a run that clamps GRID 1 as the deck does, got motion"):
+        again(tmp_path, HELD["bolts pinned"][0], BOLTS)
+
+
+def test_constraints_of_a_set_that_the_case_does_not_name_are_not_used(tmp_path: Path) -> None:
+    delivery, parent = HELD["RBE2"]
+    write_results(delivery, tmp_path / "x.op2")
+    write_deck(delivery, tmp_path / "x.bdf")
+    bulk = (tmp_path / "x.bdf").read_text().replace("ENDDATA", "")
+    case = "SOL 103\nCEND\nSPC = {}\nMETHOD = 1\nBEGIN BULK\n"
+    for chosen, more in ((1, ""), (9, "SPCADD,9,1\n")):
+        (tmp_path / "x.bdf").write_text(f"{case.format(chosen)}{bulk}SPC1,7,123456,9\n{more}ENDDATA\n")
+        same_body(again(tmp_path, delivery, parent), expected(delivery), 1e-5)
+    (tmp_path / "x.bdf").write_text(f"{case.format(7)}{bulk}SPC1,7,123456,9\nENDDATA\n")
+    with pytest.raises(ValueError, match=r"the parent GRID 1 must be clamped .* got nothing and SPC at \[9\]"):
+        again(tmp_path, delivery, parent)
+
+
+def test_a_free_body_is_refused_with_what_to_ask_for(tmp_path: Path) -> None:
+    delivery = Delivery(tower(False), keep=14)
+    words = "must be clamped .* got nothing: .* ask for SOL 103 with the interface in SPC1"
+    with pytest.raises(ValueError, match=words):
+        load(tmp_path, delivery)
+    write_deck(HELD["bolts clamped"][0], tmp_path / "x.bdf")  # a deck with SPC beside the results of the free body
+    with pytest.raises(ValueError, match="a run that clamps GRID 1 as the deck does"):
+        again(tmp_path, delivery, BOLTS)
+
+
+UNITS = {
+    "SI": (1.0, 1.0, 1.0),
+    "mm-t-s": (1e-3, 1e3, 1.0),
+    "mm-kg-s": (1e-3, 1.0, 1.0),
+    "inch-lbf-s": (INCH, POUND_FORCE / INCH, 1.0),
+    "inch-LBF-S": (INCH, POUND_FORCE / INCH, 1.0 / 386.0886),  # the deck states pounds
+    "N-MM": (1e-3, 1e3, 1e-3),  # kilograms beside N and mm
+}
+
+
+@pytest.mark.parametrize("lumped", [False, True])
+@pytest.mark.parametrize("name", UNITS)
+def test_a_deck_in_stated_units_is_the_same_body(tmp_path: Path, name: str, lumped: bool) -> None:
+    """With and without WTMASS, mass of the grid point weight and of the elements, names and factors."""
+    delivery, _ = HELD["RBE2"]
+    length, mass, weight = UNITS[name]
+    deck = replace(delivery, frame=scaled(delivery.frame, length, mass), wtmass=weight)
+    if lumped:
+        deck = replace(deck, lumped=True, weight=None)
+    body = expected(replace(delivery, lumped=lumped))
+    same_body(load(tmp_path, deck, units=name), body, 1e-5)
+    same_body(again(tmp_path, deck, units=(length, mass)), body, 1e-5)
+    same_body(again(tmp_path, deck, units=DeckUnits(length, mass, weight)), body, 1e-5)
+    found = nastran_mass(tmp_path / "x.bdf", parent=("P", 1), units=name)
+    np.testing.assert_allclose(found, body.mass_matrix, atol=1e-9 * np.abs(body.mass_matrix).max())
+
+
+@pytest.mark.parametrize(
+    ("units", "cards", "message"),
+    [
+        (None, "", r"units must be given .*, got none, and E = 7e\+04 of the stiffest material"),
+        ("furlong", "", "units must be one of SI, mm-t-s, .*, got furlong"),
+        ((1.0, 2.0, 3.0), "", r"units must be a name, or two factors .*, got \(1.0, 2.0, 3.0\)"),
+        ((0.0, 1.0), "", "units: length must be positive, got 0.0"),
+        ("SI", "PARAM,UNITSYS,N-MM\n", "units must be those of PARAM,UNITSYS,N-MM in the deck, got SI"),
+    ],
+)
+def test_units_that_are_unknown_or_contradict_are_refused(tmp_path: Path, units: Any, cards: str, message: str) -> None:
+    delivery, _ = HELD["RBE2"]
+    deck = replace(delivery, frame=scaled(delivery.frame, 1e-3, 1e3), cards=cards)
+    with pytest.raises(ValueError, match=message) as caught:
+        load(tmp_path, deck, units=units)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_option_is_a_type_error(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"option must be one of .*, got unit"):
+        load(tmp_path, HELD["RBE2"][0], unit="SI")
+
+
+@pytest.mark.parametrize("weight", [0, None])
+@pytest.mark.parametrize("lumped", [False, True])
+def test_a_straight_boom_of_bars_is_a_cantilever(tmp_path: Path, lumped: bool, weight: int | None) -> None:
+    """Frequencies (beta L)^2 sqrt(EI / (rho A L^4)), beta L = 1.87510, 4.69409 (Blevins, table 8-1); inertia about
+    the axis rho (Iy + Iz) L, also where lumped masses have none."""
+    delivery = Delivery(boom(), {"P": "123456"}, lumped=lumped, weight=weight, keep=4)
+    body = load(tmp_path, delivery)
+    s = tube(ALUMINIUM, 0.08, 0.002)
+    closed = np.repeat([1.87510407, 4.69409113], 2) ** 2 * np.sqrt(s.E * s.Iy / (s.density * s.A * 2.0**4))
+    np.testing.assert_allclose(body.frequencies, closed, rtol=0.02 if lumped else 1e-4)
+    mass = s.density * s.A * 2.0
+    assert body.mass == pytest.approx(mass, rel=1e-6)
+    assert body.mass_matrix[3, 3] == pytest.approx(s.density * (s.Iy + s.Iz) * 2.0, rel=1e-6)
+    assert body.mass_matrix[4, 4] == pytest.approx(mass * 2.0**2 / 3.0, rel=6e-3 if lumped else 1e-6)
+    np.testing.assert_allclose(body.center_of_mass, [1.0, 0.0, 0.0], atol=1e-6)
+    if not lumped:
+        same_body(body, to_modal_data(boom(), "P", ["tip"], 4), 1e-5)
+
+
+def test_points_on_a_line_without_any_inertia_about_it_are_refused(tmp_path: Path) -> None:
+    source = boom(1)
+    light = replace(source.beams[0], section=replace(source.beams[0].section, density=0.0))
+    lump = LumpedMass("tip", 2.0, np.diag([0.0, 0.1, 0.1]))
+    delivery = Delivery(BeamFrame("boom", source.nodes, (light,), (lump,)), {"P": "123456"}, lumped=True, keep=2)
+    with pytest.raises(ValueError, match=r"inertia about every axis, got none .*: give a CONM2 an inertia"):
+        load(tmp_path, delivery)
+
+
+def test_the_constraint_forces_of_the_generator_balance_the_inertia() -> None:
+    """Its multipliers against Newton's law: forces at the bolts, moved to P, are -w^2 times the momentum."""
+    delivery, _ = HELD["bolts pinned"]
+    found, names = solved(delivery), matrices(delivery)[0]
+    moved = sum(
+        tau(delivery.frame.nodes[name], POINT).T @ found.forces[6 * k : 6 * k + 6]
+        for k, name in enumerate(names)
+        if name in RING
+    )
+    momentum = rigid_body_modes(delivery.frame, names, POINT).T @ found.M @ found.shapes
+    np.testing.assert_allclose(moved, -found.squares * momentum, atol=1e-6 * np.abs(found.squares * momentum).max())
+
+
+@pytest.mark.parametrize("lumped", [False, True])
+def test_momentum_of_the_elements_is_that_of_the_assembly(tmp_path: Path, lumped: bool) -> None:
+    """Every velocity of every grid point: R' M of this project's matrices, whose elements are integrated otherwise."""
+    delivery = replace(HELD["RBE2"][0], lumped=lumped)
+    write_deck(delivery, tmp_path / "x.bdf")
+    names, M, _ = matrices(delivery)
+    maps, unknown = momentum_maps(read_model(tmp_path / "x.bdf")[1], POINT, not lumped)
+    assert unknown == ""
+    rows = rigid_body_modes(delivery.frame, names, POINT).T @ M
+    for k, name in enumerate(names):
+        mine = maps.get(delivery.grid(name), np.zeros((6, 6)))
+        np.testing.assert_allclose(mine, rows[:, 6 * k : 6 * k + 6], atol=1e-9 * np.abs(rows).max(), err_msg=name)
+
+
+def test_a_mean_of_bolts_is_softer_than_their_rigid_ring() -> None:
+    """RBE3 constrains six combinations of the bolts, RBE2 all of them: by Rayleigh its frequencies are the lower."""
+    soft, stiff = (solved(HELD[kind][0]).squares for kind in ("RBE3", "RBE2"))
+    assert np.all(soft <= stiff)
+    rows = equations(HELD["RBE3"][0], {name: 6 * k for k, name in enumerate(matrices(HELD["RBE3"][0])[0])}, 60)[0]
+    assert rows.shape[0] == 12
+    assert eigh(rows @ rows.T, eigvals_only=True)[0] > 0.0

@@ -1,0 +1,145 @@
+"""BDF and OP2 files through pyNastran, and the tables of an OP2 that a modal reduction takes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import RESULTS
+from titop_plant.structures.nastran_deck import Deck, read_deck
+
+
+def _pynastran() -> tuple[Any, Any]:
+    try:
+        from pyNastran.bdf.bdf import read_bdf
+        from pyNastran.op2.op2 import read_op2
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"pyNastran must be installed to read NASTRAN files (pip install 'los-testbed[nastran]'), got {error}"
+        ) from None
+    return read_bdf, read_op2
+
+
+def read_model(path: Path) -> tuple[Deck, Any]:
+    """A deck as text and as pyNastran's model.
+
+    Raises
+    ------
+    ImportError
+        pyNastran is not installed.
+    FileNotFoundError
+        No such file.
+    ValueError
+        Not readable; the message names the file.
+    """
+    reader = _pynastran()[0]
+    try:
+        deck = read_deck(path)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: BDF file must exist, got no such file as {error.filename}") from None
+    try:
+        model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:  # pyNastran raises many types
+        raise ValueError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
+    return deck, model
+
+
+def read_results(path: Path) -> Any:
+    """An OP2 file as pyNastran's tables.
+
+    Raises
+    ------
+    ImportError, FileNotFoundError, ValueError
+        As :func:`read_model`.
+    """
+    try:
+        check_file(path, RESULTS)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: OP2 file must exist, got no such file") from None
+    try:
+        return _pynastran()[1](str(path), debug=None)
+    except (ImportError, MemoryError):
+        raise
+    except Exception as error:
+        raise ValueError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) < 200 else text[:200] + "..."
+
+
+def of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | None) -> Any:
+    """The table of a subcase; keys are a number, or tuples that begin with it.
+
+    Raises
+    ------
+    ValueError
+        No table, several without `subcase`, or none of this subcase.
+    """
+    found = {int(key[0] if isinstance(key, tuple) else key): table for key, table in tables.items()}
+    if not found:
+        raise ValueError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none")
+    if subcase is None:
+        if len(found) > 1:
+            raise ValueError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
+        return next(iter(found.values()))
+    if subcase not in found:
+        raise ValueError(f"{path}: subcase of {what} must be one of {sorted(found)}, got {subcase}")
+    return found[subcase]
+
+
+def rows_of(table: Any, grid: int, path: str, name: str) -> FloatArray:
+    """Six components at a grid point in every mode, shape (n, 6).
+
+    Raises
+    ------
+    ValueError
+        Not one row of this grid point in each mode.
+    """
+    index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
+    if index.size != 1:
+        raise ValueError(f"{path}: each mode must have one result row of GRID {grid} ({name!r}), got {index.size}")
+    return np.asarray(table.data[:, index[0], :], dtype=float)
+
+
+def mass_normalisation(results: Any, n: int) -> FloatArray:
+    """Factor on every mode that makes its modal mass 1, by the table of eigenvalues if there is one; shape (n,)."""
+    for table in results.eigenvalues.values():
+        generalized = np.asarray(table.generalized_mass, dtype=float)
+        if generalized.size == n and np.all(generalized > 0):
+            return np.asarray(1.0 / np.sqrt(generalized))
+    return np.ones(n)
+
+
+def grid_positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str, FloatArray]:
+    """Positions (3,) of grid points with basic displacement coordinates, in the units of the deck.
+
+    Raises
+    ------
+    ValueError
+        Not in the deck, or displacement coordinates of its own.
+    """
+    positions = {}
+    for name, grid in grids.items():
+        node = model.nodes.get(grid)
+        if node is None:
+            raise ValueError(
+                f"{path}: grid point of {name!r} must be one of the {len(model.nodes)} in the file, got GRID {grid}"
+            )
+        if node.Cd() != 0:
+            raise ValueError(
+                f"{path}: GRID {grid} ({name!r}) must have basic displacement coordinates (CD = 0), got {node.Cd()}"
+            )
+        positions[name] = np.asarray(node.get_position(), dtype=float)
+        if not np.all(np.isfinite(positions[name])):
+            raise ValueError(f"{path}: GRID {grid} must have a finite position, got {positions[name].tolist()}")
+    return positions

@@ -1,0 +1,205 @@
+"""The clamped interface of a NASTRAN run: one grid point, or several that one rigid part holds.
+
+If every constrained grid point moves with the parent point P as one rigid body, a unit motion of P moves the structure
+at rest as a rigid body, too, whichever components are constrained, as long as they hold all six rigid motions. Then the
+wrench at P in mode k is the sum of the constraint forces, moved to P, and the body has one parent port.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import tau
+from titop_plant.structures.nastran_files import grid_positions, rows_of
+
+STILL = 1e-5
+"""Motion or force at a grid point, relative to the largest of the mode, that is none in single precision."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Grid points that one rigid part holds: the parent point P of a body.
+
+    Parameters
+    ----------
+    name : str
+        Name of P.
+    clamped : sequence of int
+        Grid points in SPC, such as those of the bolts.
+    at : int or sequence of 3 floats, optional
+        Grid point, or position in the basic coordinates and units of the deck, of P. Default: the mean of the
+        clamped grid points, the centre of a circle of bolts.
+
+    Raises
+    ------
+    ValueError
+        No grid point.
+
+    Examples
+    --------
+    Four bolts, P at their centre:
+
+    >>> Interface("I_p", (11, 12, 13, 14)).clamped
+    (11, 12, 13, 14)
+    """
+
+    name: str
+    clamped: tuple[int, ...]
+    at: int | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            clamped = tuple(int(grid) for grid in self.clamped)
+        except (TypeError, ValueError):
+            raise ValueError(f"interface {self.name!r}: clamped must be grid points, got {self.clamped!r}") from None
+        if not clamped:
+            raise ValueError(f"interface {self.name!r}: clamped must have at least one grid point, got none")
+        object.__setattr__(self, "clamped", clamped)
+
+    @classmethod
+    def of(cls, parent: tuple[str, int] | Interface) -> Interface:
+        """The interface of a name and one grid point."""
+        return parent if isinstance(parent, Interface) else cls(parent[0], (parent[1],))
+
+    def place(self, model: Any, path: str) -> FloatArray:
+        """Position of P in the units of the deck, shape (3,).
+
+        Raises
+        ------
+        ValueError
+            A grid point that is not in the deck or has displacement coordinates of its own.
+        """
+        places = [grid_positions(model, {self.name: grid}, path)[self.name] for grid in self.clamped]
+        if self.at is None:
+            return np.asarray(np.mean(places, axis=0))
+        if isinstance(self.at, (int, np.integer)):
+            node = model.nodes.get(int(self.at))
+            if node is None:
+                raise ValueError(f"{path}: grid point of {self.name!r} must be in the file, got GRID {self.at}")
+            return np.asarray(node.get_position(), dtype=float)
+        place = np.asarray(self.at, dtype=float)
+        if place.shape != (3,) or not np.all(np.isfinite(place)):
+            raise ValueError(f"interface {self.name!r}: at must be a grid point or a position (3,), got {self.at!r}")
+        return place
+
+
+def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, path: str) -> None:
+    """Check that the deck holds the interface in all six directions and nothing else.
+
+    Raises
+    ------
+    ValueError
+        Rigid motions are free, another grid point is held with a force, or the results move what the deck holds.
+    """
+    held = _constrained(model)
+    first = interface.clamped[0]
+    if not held:
+        raise ValueError(
+            f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got nothing: modes of a free body have "
+            "no flexibility of the interface; ask for SOL 103 with the interface in SPC1 and SPCFORCES(PLOT)=ALL"
+        )
+    point, parts = interface.place(model, path), []
+    for grid in interface.clamped:
+        position = np.asarray(model.nodes[grid].get_position(), dtype=float)
+        rows = [int(one) - 1 for one in sorted(held.get(grid, set())) if one in "123456"]
+        parts.append(tau(position, point)[rows])
+    rigid = np.vstack(parts)
+    size = float(np.abs(rigid[:, 3:]).max(initial=0.0)) if len(interface.clamped) > 1 else 1.0
+    if rigid.shape[0] < 6 or linalg.svdvals(rigid / np.repeat([1.0, size or 1.0], 3))[-1] < 1e-6:
+        got = {grid: "".join(sorted(held.get(grid, set()))) or "nothing" for grid in interface.clamped}
+        if len(got) == 1:
+            others = sorted(set(held) - set(got))
+            also = f" and SPC at {others[:12]}: Interface({interface.name!r}, ...) takes several" if others else ""
+            raise ValueError(f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got {got[first]}{also}")
+        raise ValueError(f"{path}: SPC at the interface must hold all six rigid motions, got {got}")
+    others = [grid for grid in sorted(set(held) - set(interface.clamped)) if not _is_idle(table, forces, grid, held)]
+    if others:
+        where = f"GRID {first}" if len(interface.clamped) == 1 else f"grid points {list(interface.clamped)}"
+        both = (*interface.clamped, *others)
+        several = str(both) if len(both) <= 12 else "..."
+        raise ValueError(
+            f"{path}: SPC must be at the parent {where} alone, got SPC at {others[:12]} too; "
+            f"Interface({interface.name!r}, {several}) takes them as one rigid part"
+        )
+    _check_still(table, interface, held, path)
+
+
+def held_wrench(model: Any, interface: Interface, forces: Any, path: str) -> FloatArray:
+    """Constraint forces of every mode as one wrench on the body at P, shape (n, 6).
+
+    Raises
+    ------
+    ValueError
+        The OP2 has no forces at a clamped grid point.
+    """
+    point = interface.place(model, path)
+    total = np.zeros((np.asarray(forces.data).shape[0], 6))
+    for grid in interface.clamped:
+        lever = tau(np.asarray(model.nodes[grid].get_position(), dtype=float), point)
+        total += rows_of(forces, grid, path, interface.name) @ lever
+    return total
+
+
+def _constrained(model: Any) -> dict[int, set[str]]:
+    """Constrained components by grid point: the sets that the case control names, else all; and those of GRID."""
+    constrained: dict[int, set[str]] = {}
+    chosen = _chosen(model)
+    for key, cards in model.spcs.items():
+        for card in cards if chosen is None or int(key) in chosen else ():
+            components = card.components
+            each = [components] * len(card.nodes) if isinstance(components, str) else components
+            for node, component in zip(_integers(card.nodes), each):
+                constrained.setdefault(node, set()).update(str(component))
+    for grid, node in model.nodes.items():
+        if node.ps:
+            constrained.setdefault(grid, set()).update(str(node.ps))
+    return {grid: found for grid, found in constrained.items() if grid in model.nodes}
+
+
+def _chosen(model: Any) -> set[int] | None:
+    """Sets of SPC that the case control names, with those that SPCADD adds; None without a case control."""
+    control = getattr(model, "case_control_deck", None)
+    if control is None:
+        return None
+    named = {
+        int(case.params["SPC"][0])
+        for case in control.subcases.values()
+        if "SPC" in case.params and str(case.params["SPC"][0]).isdigit()
+    }
+    if not named:
+        return None
+    for key, cards in model.spcadds.items():
+        if int(key) in named:
+            named |= {int(one) for card in cards for one in _integers(card.sets)}
+    return named
+
+
+def _integers(nodes: Iterable[Any]) -> list[int]:
+    return [int(getattr(node, "nid", node)) if not isinstance(node, (int, str)) else int(node) for node in nodes]
+
+
+def _is_idle(table: Any, forces: Any, grid: int, held: dict[int, set[str]]) -> bool:
+    """Whether a constraint only holds what has no stiffness: no force and no motion of the components in any mode."""
+    rows = [int(one) - 1 for one in held[grid]]
+    for found in (forces, table):
+        index = np.flatnonzero(np.asarray(found.node_gridtype)[:, 0] == grid)
+        values = np.abs(np.asarray(found.data, dtype=float))
+        if index.size != 1 or values[:, index[0], rows].max() > STILL * values.max():
+            return False
+    return True
+
+
+def _check_still(table: Any, interface: Interface, held: dict[int, set[str]], path: str) -> None:
+    """Refuse eigenvectors that move what the deck clamps."""
+    values = np.abs(np.asarray(table.data, dtype=float))
+    for grid in interface.clamped:
+        rows = [int(one) - 1 for one in held[grid]]
+        index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
+        if index.size == 1 and values[:, index[0], rows].max(initial=0.0) > STILL * values.max():
+            raise ValueError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")

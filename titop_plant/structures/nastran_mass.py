@@ -1,0 +1,164 @@
+"""Mass of a NASTRAN deck: concentrated masses, bars and other elements, and the grid point weight of an OP2.
+
+All are in the units in which the deck states masses, before ``PARAM,WTMASS``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import skew, tau
+
+BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
+NO_INERTIA = 1e-9
+"""Least moment of inertia, relative to the largest, below which a body has none about that axis."""
+
+
+def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[int, FloatArray], str]:
+    """Momentum about a point by the velocities of the grid points, as NASTRAN's mass matrix has it.
+
+    Parameters
+    ----------
+    model : object
+    point : ndarray, shape (3,)
+    coupled : bool
+        ``PARAM,COUPMASS``: bars have the consistent mass of cubic deflections and the polar inertia
+        ``rho (I1 + I2) L`` about their axis. False, NASTRAN's default: half their mass is at each end. Other elements
+        have equal masses at their grid points, CONM2 their inertia.
+
+    Returns
+    -------
+    maps : dict of int to ndarray, shape (6, 6)
+        **momentum (linear, angular about the point) = sum of maps[grid] @ velocity of the grid point.** With
+        the velocities of rigid motions the sum is the rigid mass matrix.
+    unknown : str
+        The first mass element that is not understood, "" if all are.
+    """
+    maps: dict[int, FloatArray] = {}
+
+    def add(grid: int, momentum: FloatArray) -> None:
+        maps[grid] = maps.get(grid, np.zeros((6, 6))) + momentum
+
+    for lump in model.masses.values():
+        if lump.type != "CONM2" or lump.Cid() != 0:
+            return maps, f"{lump.type} {lump.eid}"
+        center, mass, inertia = lump.centroid_mass_inertia()  # a tensor, minus the products of the card
+        body = linalg.block_diag(float(mass) * np.eye(3), np.asarray(inertia, dtype=float))
+        position, center = _position(model.nodes[lump.Nid()]), np.asarray(center, dtype=float)
+        add(lump.Nid(), tau(center, point).T @ body @ tau(center, position))
+    for element in model.elements.values():
+        mass = float(element.Mass()) if hasattr(element, "Mass") else 0.0
+        grids = [grid for grid in element.node_ids if grid] if mass else []
+        if coupled and element.type in BARS and grids:
+            for grid, momentum in zip(grids, _bar(element, mass)):
+                center = 0.5 * sum(_position(node) for node in element.nodes_ref)
+                add(grid, tau(center, point).T @ momentum)
+            continue
+        for grid in grids:
+            add(grid, tau(_position(model.nodes[grid]), point).T @ np.diag([mass / len(grids)] * 3 + [0.0] * 3))
+    return maps, ""
+
+
+def _bar(element: Any, mass: float) -> tuple[FloatArray, FloatArray]:
+    """Momentum of a bar about its centre by the velocities of its ends, each shape (6, 6).
+
+    Integrals of the cubic shape functions and of their products with the distance from the centre.
+    """
+    start, end = (_position(node) for node in element.nodes_ref)
+    length = float(linalg.norm(end - start))
+    along = skew((end - start) / length)  # along @ v is axis x v
+    found = []
+    for side in (-1.0, 1.0):
+        momentum = np.zeros((6, 6))
+        momentum[:3, :3] = mass / 2.0 * np.eye(3)
+        momentum[:3, 3:] = side * mass * length / 12.0 * along
+        momentum[3:, :3] = side * mass * length / 10.0 * along
+        momentum[3:, 3:] = mass * length**2 / 120.0 * along @ along + 0.5 * _polar(element)
+        found.append(momentum)
+    return found[0], found[1]
+
+
+def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) -> FloatArray:
+    """Rigid mass matrix at a point, shape (6, 6), of :func:`momentum_maps`.
+
+    Raises
+    ------
+    ValueError
+        A mass element that is not understood.
+    """
+    maps, unknown = momentum_maps(model, point, coupled)
+    if unknown:
+        raise ValueError(
+            f"{path}: mass elements must be CONM2 in basic coordinates (or add PARAM,GRDPNT,0 to the run), "
+            f"got {unknown}"
+        )
+    total = np.zeros((6, 6))
+    for grid, momentum in maps.items():
+        total += momentum @ tau(_position(model.nodes[grid]), point)
+    return 0.5 * (total + total.T)
+
+
+def polar_inertia(model: Any) -> FloatArray:
+    """Inertia of the bars about their own axes, shape (3, 3): ``rho (I1 + I2) L`` about each axis.
+
+    A lumped mass matrix lacks it, and so does the grid point weight: a straight boom has then no inertia about itself.
+    """
+    return np.asarray(sum((_polar(element) for element in model.elements.values()), np.zeros((3, 3))))
+
+
+def _polar(element: Any) -> FloatArray:
+    section: Any = getattr(element, "pid_ref", None)
+    if element.type not in BARS or not (hasattr(section, "I11") and hasattr(section, "I22")):
+        return np.zeros((3, 3))
+    start, end = (_position(node) for node in element.nodes_ref)
+    span = end - start
+    line = float(section.Rho()) * (float(section.I11()) + float(section.I22()))
+    return np.asarray(line / max(float(linalg.norm(span)), 1e-300) * np.outer(span, span), dtype=float)
+
+
+def rigid_mass(model: Any, results: Any, point: FloatArray, path: str, coupled: bool) -> FloatArray:
+    """Rigid mass matrix at a point, shape (6, 6): grid point weight of the OP2, else the masses of the BDF.
+
+    Where it has no inertia about an axis, the polar inertia of the bars is added.
+
+    Raises
+    ------
+    ValueError
+        Still no inertia about an axis, or a mass element that is not understood.
+    """
+    found = _grid_point_weight(model, results, point)
+    if found is None:
+        found = mass_of_elements(model, point, path, coupled)
+    if lacks_inertia(found):
+        found = found.copy()
+        found[3:, 3:] += polar_inertia(model)
+    if lacks_inertia(found):
+        raise ValueError(
+            f"{path}: mass must have inertia about every axis, got none about one, and no bars with a density and "
+            "second moments of area along it: give a CONM2 an inertia, or mass_matrix"
+        )
+    return found
+
+
+def lacks_inertia(mass_matrix: FloatArray) -> bool:
+    """Whether a body with mass has no moment of inertia about some axis."""
+    least = linalg.eigvalsh(mass_matrix[3:, 3:])
+    return bool(mass_matrix[0, 0] > 0 and least[0] <= NO_INERTIA * least[-1])
+
+
+def _grid_point_weight(model: Any, results: Any, point: FloatArray) -> FloatArray | None:
+    for weight in results.grid_point_weight.values():
+        reference = int(weight.reference_point)
+        origin = np.asarray(model.nodes[reference].get_position()) if reference in model.nodes else np.zeros(3)
+        shift = tau(origin, point)
+        matrix = shift.T @ np.asarray(weight.MO, dtype=float) @ shift
+        return np.asarray(0.5 * (matrix + matrix.T))
+    return None
+
+
+def _position(node: Any) -> FloatArray:
+    return np.asarray(node.get_position(), dtype=float)
