@@ -49,6 +49,7 @@ FURTHER = {
     "unit/los_testbed/run/test_own_windows.py": "windows of a mission: unit/pointing_analysis/test_budget_windows.py",
     "unit/titop_plant/test_nastran_decks.py": "decks of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_deliveries.py": "runs of others: integration/test_nastran_to_run.py",
+    "unit/titop_plant/test_nastran_matrices.py": "superelements of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_structures_nastran.py": "the optional reader of NASTRAN files",
 }
 """Files below `tests`, and what else looks at the same, or what they are."""

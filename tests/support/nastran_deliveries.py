@@ -195,3 +195,47 @@ def write_results(delivery: Delivery, path: Path, *, modes: bool = True, forces:
         )
     model.write_op2(str(path), nastran_format="msc")
     return found
+
+
+def write_superelement(
+    delivery: Delivery,
+    path: Path,
+    boundary: Mapping[str, str],
+    modes: int,
+    *,
+    names: tuple[str, str] = ("KAAX", "MAAX"),
+) -> None:
+    """Punch file of the frame reduced to components of nodes and fixed-interface modes (Craig and Bampton).
+
+    In the large fields of a punch file with ten digits, lower triangles; the modes are scalar points from 9001.
+    """
+    _, M, K = matrices(delivery)
+    first = {node: 6 * (delivery.grid(node) - 1) for node in boundary}
+    G, _ = equations(delivery, {name: 6 * k for k, name in enumerate(delivery.frame.divided().nodes)}, M.shape[0])
+    kept = [first[node] + int(one) - 1 for node, components in boundary.items() for one in components]
+    fixed = null_space(np.vstack([G, np.eye(M.shape[0])[kept]]))
+    static = _static_shapes(K, G, kept, fixed)
+    basis = static
+    if modes:
+        shapes = eigh(fixed.T @ K @ fixed, fixed.T @ M @ fixed, subset_by_index=(0, modes - 1))[1]
+        basis = np.hstack([static, fixed @ shapes])
+    names_of = [(delivery.grid(node), int(one)) for node, components in boundary.items() for one in components]
+    names_of += [(9001 + k, 0) for k in range(modes)]
+    lines = ["$TITLE   = SUPERELEMENT", "$LABEL   ="]
+    for name, matrix in zip(names, (K, M)):
+        reduced = basis.T @ matrix @ basis
+        lines.append(f"DMIG    {name:<8}{0:>8}{6:>8}{2:>8}{0:>8}")
+        for j, (grid, component) in enumerate(names_of):
+            lines.append(f"DMIG*   {name:<16}{grid:>16}{component:>16}")
+            for i in range(j, len(names_of)):
+                value = f"{reduced[i, j]:.9E}".replace("E", "D")
+                lines.append(f"*       {names_of[i][0]:>16}{names_of[i][1]:>16}{value:>16}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _static_shapes(K: np.ndarray, G: np.ndarray, kept: list[int], fixed: np.ndarray) -> np.ndarray:
+    """Displacements without forces elsewhere for unit displacements of the coordinates that are kept."""
+    rows = np.vstack([G, np.eye(K.shape[0])[kept]])
+    values = np.vstack([np.zeros((G.shape[0], len(kept))), np.eye(len(kept))])
+    given = lstsq(rows, values)[0]
+    return given - fixed @ inv(fixed.T @ K @ fixed) @ fixed.T @ K @ given

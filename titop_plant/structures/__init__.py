@@ -6,6 +6,7 @@ from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
 from titop_plant.structures.nastran import nastran_mass, read_nastran
 from titop_plant.structures.nastran_interface import Interface
+from titop_plant.structures.nastran_matrices import read_nastran_matrices
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     ResidualRepair,
@@ -35,6 +36,7 @@ __all__ = [
     "port_visibility",
     "read_modal_data",
     "read_nastran",
+    "read_nastran_matrices",
     "repair_residual_mass",
     "smallest_residual_fraction",
     "static_displacement",

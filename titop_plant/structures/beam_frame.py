@@ -14,12 +14,13 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, block_diag, eigh, solve
+from scipy.linalg import block_diag, solve
 
 from lftkit.arrays import FloatArray
 from titop_plant.structures.beam_element import Section, beam_axes, element_matrices
+from titop_plant.structures.clamped_modes import FreeStructure, clamped_body
 from titop_plant.structures.kinematics import read_only, tau
-from titop_plant.structures.modal_data import ChildPort, ModalData
+from titop_plant.structures.modal_data import ModalData
 
 
 @dataclass(frozen=True)
@@ -230,45 +231,12 @@ def to_modal_data(
         if node not in frame.nodes:
             raise ValueError(f"{frame.name}: parent and ports must be of {list(frame.nodes)}, got {node!r}")
     names, M, K = assemble(frame)
-    clamped = 6 * names.index(parent)
-    free = np.delete(np.arange(M.shape[0]), np.arange(clamped, clamped + 6))
-    keep = free.size if n_modes is None else n_modes
-    if not 0 <= keep <= free.size:
-        raise ValueError(f"{frame.name}: modes must be 0 to {free.size}, got {keep}")
-    squares, shapes = _clamped_modes(frame.name, M[np.ix_(free, free)], K[np.ix_(free, free)], keep)
+    first = {name: 6 * k for k, name in enumerate(names)}
     rigid = rigid_body_modes(frame, names, frame.nodes[parent])
-    mass_matrix = rigid.T @ M @ rigid
-    participation = shapes.T @ (M @ rigid)[free]
-    scaled = participation / np.sqrt(np.maximum(np.diag(mass_matrix), 1e-300))
-    sign = np.sign(scaled[np.arange(keep), np.abs(scaled).argmax(axis=1)]) if keep else np.zeros(0)
-    full = np.zeros((M.shape[0], keep))
-    full[free] = shapes * sign
-    children = []
-    for port in ports:
-        row = 6 * names.index(port)
-        children.append(ChildPort(port, frame.nodes[port], full[row : row + 6]))
-    return ModalData(
-        frame.name,
-        parent,
-        frame.nodes[parent],
-        0.5 * (mass_matrix + mass_matrix.T),
-        np.sqrt(squares),
-        np.broadcast_to(damping, (keep,)),
-        sign[:, None] * participation,
-        tuple(children),
-    )
-
-
-def _clamped_modes(name: str, M: FloatArray, K: FloatArray, keep: int) -> tuple[FloatArray, FloatArray]:
-    if keep == 0:
-        return np.zeros(0), np.zeros((M.shape[0], 0))
-    try:
-        squares, shapes = eigh(K, M, subset_by_index=(0, keep - 1))
-    except LinAlgError as error:
-        raise ValueError(f"{name}: every node must have mass in all six directions, got {error}") from None
-    if squares[0] <= 1e-12 * float(np.abs(np.diag(K)).max()) / float(np.diag(M).max()):
-        raise ValueError(f"{name}: structure must have no mechanism, got a mode with w^2 = {squares[0]:.3g} rad2/s2")
-    return squares, shapes
+    rows = {port: (frame.nodes[port], slice(first[port], first[port] + 6)) for port in ports}
+    clamped = np.arange(first[parent], first[parent] + 6)
+    free = FreeStructure(frame.name, M, K, rigid)
+    return clamped_body(free, (parent, frame.nodes[parent]), clamped, rows, n_modes, damping)
 
 
 def static_displacement(frame: BeamFrame, parent: str, loads: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:

@@ -21,7 +21,7 @@ Deck and OP2 must be of the same model: grid points, positions and mass are comp
 constraint forces with the momentum of the deck's masses in each mode.
 
 Free-free modes are refused: cut off above, they lack the flexibility of the interface, and no number of the files tells
-how much.
+how much. Reduced matrices have it: :func:`~titop_plant.structures.nastran_matrices.read_nastran_matrices`.
 """
 
 from __future__ import annotations

@@ -102,7 +102,8 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
     if not held:
         raise ValueError(
             f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got nothing: modes of a free body have "
-            "no flexibility of the interface; ask for SOL 103 with the interface in SPC1 and SPCFORCES(PLOT)=ALL"
+            "no flexibility of the interface; ask for SOL 103 with the interface in SPC1 and SPCFORCES(PLOT)=ALL, or "
+            "for the reduced matrices KAAX and MAAX (read_nastran_matrices)"
         )
     point, parts = interface.place(model, path), []
     for grid in interface.clamped:
