@@ -103,13 +103,7 @@ def differences(path: str | Path) -> list[str]:
     >>> differences(REFERENCE)
     []
     """
-    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
-    lines = [
-        f"{name} = {_shown(own[name])}" + (f", reference {_shown(reference[name])}" if name in reference else ", added")
-        for name in own
-        if name not in reference or own[name] != reference[name]
-    ]
-    return lines + [f"{name} removed" for name in reference if name not in own]
+    return [line for _, _, line in _compared(path)]
 
 
 class DifferenceCounts(NamedTuple):
@@ -118,6 +112,9 @@ class DifferenceCounts(NamedTuple):
     changed: int
     added: int
     removed: int
+
+    def __str__(self) -> str:
+        return ", ".join(f"{n} {kind}" for kind, n in self._asdict().items() if n)
 
 
 def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:
@@ -133,13 +130,31 @@ def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:
     >>> difference_counts(REFERENCE)
     {}
     """
-    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
     found: dict[str, list[int]] = {}
-    for name in {**own, **reference}:
-        kind = 2 if name not in own else 1 if name not in reference else 0
-        if kind or own[name] != reference[name]:
-            found.setdefault(re.split(r"[.\[]", name)[0], [0, 0, 0])[kind] += 1
+    for name, kind, _ in _compared(path):
+        found.setdefault(re.split(r"[.\[]", name)[0], [0, 0, 0])[DifferenceCounts._fields.index(kind)] += 1
     return {table: DifferenceCounts(*counts) for table, counts in found.items()}
+
+
+def difference_summary(path: str | Path, most: int = 4) -> list[str]:
+    """At most so many lines of :func:`differences`; where there are more, one line with the counts of each table."""
+    lines = differences(path)
+    if len(lines) <= most:
+        return lines
+    tables = ", ".join(f"{table} ({counts})" for table, counts in difference_counts(path).items())
+    return [f"differs from the reference in {tables}"]
+
+
+def _compared(path: str | Path) -> list[tuple[str, str, str]]:
+    """Name, kind (changed, added or removed) and text of each value that differs from the reference."""
+    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
+    found = []
+    for name, value in own.items():
+        if name not in reference:
+            found.append((name, "added", f"{name} = {_shown(value)}, added"))
+        elif value != reference[name]:
+            found.append((name, "changed", f"{name} = {_shown(value)}, reference {_shown(reference[name])}"))
+    return found + [(name, "removed", f"{name} removed") for name in reference if name not in own]
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -177,4 +192,4 @@ def _parsed(text: str) -> bytes:
     return pickle.dumps(parse(text, "it", "TOML", tomllib.loads))
 
 
-__all__ = ["REFERENCE", "differences", "load_telescope"]
+__all__ = ["REFERENCE", "difference_counts", "difference_summary", "differences", "load_telescope"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from titop_plant.telescope.assembly import assembled_telescope
-from titop_plant.telescope.load import difference_counts, load_telescope
+from titop_plant.telescope.load import difference_counts, difference_summary, differences, load_telescope
 from titop_plant.telescope.summary import summarise
 
 SMALL = Path(__file__).parents[3] / "examples" / "spacecraft" / "small_telescope.toml"
@@ -42,3 +42,7 @@ def test_the_mass_matrix_is_that_of_a_rigid_body(file: str) -> None:
 def test_differences_from_the_reference_are_counted_by_table(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("[isolator]\nmass = 2.0\n[fsm]\nauthority = 1e-3\nstiffness = 70.0\n", "utf-8")
     assert difference_counts(tmp_path / "mine.toml") == {"isolator": (1, 0, 0), "fsm": (2, 0, 0)}
+    assert difference_summary(tmp_path / "mine.toml", most=3) == differences(tmp_path / "mine.toml")
+    assert difference_summary(tmp_path / "mine.toml", most=2) == [
+        "differs from the reference in isolator (1 changed), fsm (2 changed)"
+    ]

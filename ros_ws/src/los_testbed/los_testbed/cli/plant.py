@@ -18,9 +18,6 @@ from pointing_analysis.formatting.tables import TextTable, numbers
 from titop_plant.interface import FORCE_STAGES, K_PMA_OUTPUTS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from titop_plant.telescope.load import DifferenceCounts
     from titop_plant.telescope.summary import PlantSummary
     from titop_plant.telescope.telescope import Telescope
 
@@ -117,7 +114,7 @@ def check(
     """See CHECK_EXAMPLES."""
     from lftkit.support.atomic_output import check_output
     from lftkit.support.threads import one_thread
-    from titop_plant.telescope.load import difference_counts, load_telescope
+    from titop_plant.telescope.load import difference_counts, difference_summary, load_telescope
     from titop_plant.telescope.summary import summarise
 
     if output is not None:
@@ -130,7 +127,8 @@ def check(
     for name, text in loop.items():
         console.print(f"{name:<14}{text}", highlight=False)
     show(console, found)
-    console.print(f"{'reference':<14}{_changes(changed)}", highlight=False)
+    for line in difference_summary(file) or ["no value differs"]:
+        console.print(f"{'reference':<14}{line}", highlight=False)
     pictures: list[Path] = []
     if output is not None:
         from lftkit.support.progress import Progress
@@ -161,15 +159,6 @@ def _loop_of(telescope: Telescope) -> dict[str, str]:
         or "none of the file",
         "requirements": "; ".join(telescope.requirement_texts) or "none",
     }
-
-
-def _changes(changed: Mapping[str, DifferenceCounts]) -> str:
-    """Tables that differ from the reference, each with how many values do."""
-    words = []
-    for name, counts in changed.items():
-        parts = {"changed": counts.changed, "added": counts.added, "removed": counts.removed}
-        words.append(f"{name} ({', '.join(f'{n} {what}' for what, n in parts.items() if n)})")
-    return "no value differs" if not words else f"differs in {', '.join(words)}"
 
 
 @plant_app.command(help=CASES_EXAMPLES)

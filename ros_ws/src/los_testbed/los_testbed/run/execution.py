@@ -15,8 +15,7 @@ from los_testbed.run.modes import in_lockstep, late_answers
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.summary.screen import printable
-
-DIFFERENCES_SHOWN = 12
+from titop_plant.telescope.load import difference_summary
 
 
 @dataclass(frozen=True)
@@ -73,17 +72,6 @@ def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
     return warnings
 
 
-def telescope_differences(parameters: str | None) -> list[str]:
-    """Lines about the values in which a parameter file of the user, where there is one, differs from the reference."""
-    from titop_plant.telescope.load import differences
-
-    if not parameters:
-        return []
-    lines = differences(parameters)
-    more = len(lines) - DIFFERENCES_SHOWN
-    return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
-
-
 def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = None) -> Results:
     """Run, with a progress bar and optionally a server for viewers; the results.
 
@@ -106,7 +94,7 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
     config = parts.config
     warnings = check(parts, own)
     sys.stderr.writelines(f"warning: {printable(line)}\n" for line in warnings)
-    for line in telescope_differences(config.parameters):
+    for line in difference_summary(config.parameters) if config.parameters else ():
         sys.stderr.write(f"telescope: {line}\n")
     if config.mode == "inprocess" and config.mode_choice:
         sys.stderr.write(f"{config.mode_choice}: run in one process\n")

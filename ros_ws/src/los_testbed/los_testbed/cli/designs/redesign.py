@@ -150,7 +150,7 @@ def design_all(
     """See ALL_EXAMPLES."""
     from los_design import redesign
     from los_design.synthesis.options import DesignOptions
-    from titop_plant.telescope.load import REFERENCE, differences, load_telescope
+    from titop_plant.telescope.load import REFERENCE, difference_summary, load_telescope
 
     folder = given_output(output, "a folder for the designs")
     number("--seed", seed, 0, 2**31 - 1)
@@ -167,7 +167,7 @@ def design_all(
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):
         sys.stderr.write(f"sources: the tuning does not consider {', '.join(unseen)}; the verification does\n")
     name_unseen_requirements(own)
-    for line in differences(parameters or REFERENCE):
+    for line in difference_summary(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     mission = Mission()
 
