@@ -26,7 +26,7 @@ def check_output(path: Path, what: str, *, new: bool = False, folder: bool = Fal
     Parameters
     ----------
     path : of the output
-    what : its name in messages, for instance ``--report``
+    what : its name in messages, for instance ``--output``
     new : refuse an existing one
     folder : it will be a folder, and its parents are made as needed
 

@@ -110,7 +110,7 @@ OPTIONS = {
     "bag repair": ["--max-chunk", "--output"],
     "design verify": ["--samples"],
     "plant": ["--parameters"],
-    "analyse": ["--transient", "--los", "--unit", "--rate", "--time", "--requirements", "--report", "--max-chunk"],
+    "analyse": ["--transient", "--los", "--unit", "--rate", "--time", "--requirements", "--output", "--max-chunk"],
     "budget": ["--output"],
     "bag topics": ["--json"],
     "bag info": ["--max-chunk"],

@@ -106,7 +106,7 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
         scaled = SOURCES.replace("frequency = 47.0", f"frequency = 47.0\nscale = {scale}")
         (folder / "telescope.toml").write_text(scaled)
         try:
-            codes[scale] = app.main(["design", "verify", str(folder), "--json"])
+            codes[scale] = app.main(["design", "verify", "--designs", str(folder), "--json"])
         except SystemExit as ended:
             codes[scale] = int(ended.code or 0)
         told[scale] = capsys.readouterr()

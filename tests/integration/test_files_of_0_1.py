@@ -50,11 +50,14 @@ OWN_HASH = "acae87c1dd00"
 """``parameters_hash`` of ``telescope.toml`` in 0.1; it stands in the bag and in the designs."""
 RUN = ["--mode=inprocess", "--no-report", "--json", "--output=new"]
 SUCCESSORS = {
+    ("analyse", "--report"): "now --output",
     ("report", "--start"): "now --from",
     ("report", "--stop"): "now --to",
     ("stages", "--keep"): "now --keep-all",
     ("design k-fsm", "--starts"): "an option of design k-pma",
     ("design certify", "--wall-limit"): "now --time-limit",
+    ("design certify", "folder"): "now --designs FOLDER",
+    ("design verify", "folder"): "now --designs FOLDER",
 }
 """Options that a command has no more, and what the message about each one names."""
 
@@ -193,5 +196,6 @@ def test_options_are_there_or_name_their_successor(command: CommandLine) -> None
     gone = {(name, option) for name, options in older.items() for option in set(options) - today[name]}
     assert gone == set(SUCCESSORS) and len(older) > 20
     for (name, option), successor in SUCCESSORS.items():
-        code, _, err = command(*name.split(), option, "2", "--output=x.json")
+        given = (option, "2") if option.startswith("--") else ("designs",)
+        code, _, err = command(*name.split(), *given, "--output=x.json")
         assert code == 2 and f"{option} is {successor}" in err

@@ -142,7 +142,7 @@ def test_the_command_line_judges_a_bag_of_others(folder: Path, capsys: pytest.Ca
     results = []
     for name, more in (("theirs", ["--los", "/my/los"]), ("a.csv", []), ("ours", None)):
         chosen = options[4:] if more is None else [*options, *more]
-        assert main(["analyse", str(folder / name), *chosen, "--report", str(folder / f"{name}.html")]) == 0
+        assert main(["analyse", str(folder / name), *chosen, "--output", str(folder / f"{name}.html")]) == 0
         results.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
         assert "<html" in (folder / f"{name}.html").read_text("utf-8")[:200]
     assert results[0]["requirements"] == results[1]["requirements"] == results[2]["requirements"]

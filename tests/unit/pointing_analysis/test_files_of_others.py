@@ -255,7 +255,7 @@ def test_words_of_a_table_are_those_of_a_table(tmp_path: Path, capsys: pytest.Ca
     csv_header(tmp_path / "a.csv")
     text = (tmp_path / "a.csv").read_text().splitlines()
     (tmp_path / "a.csv").write_text("\n".join(text[:4000] + text[4010:]) + "\n")
-    assert main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "a.html")]) == 0
+    assert main(["analyse", str(tmp_path / "a.csv"), "--output", str(tmp_path / "a.html")]) == 0
     shown: dict[str, Any] = {"screen": "".join(capsys.readouterr()), "page": render([open_los(tmp_path / "a.csv")])}
     assert "LOS_X (urad), LOS_Y (urad): 10 samples missing in 1 gaps" in shown["screen"]
     for where, words in shown.items():
@@ -270,9 +270,9 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_file_is_read(
     monkeypatch.setattr("pointing_analysis.read.los_source.open_los", lambda *_, **__: pytest.fail("was read"))
     (tmp_path / "a.csv").write_text("t,x [mas],y [mas]\n0,1,2\n")
     with pytest.raises(SystemExit) as stop:
-        main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "none" / "a.html")])
+        main(["analyse", str(tmp_path / "a.csv"), "--output", str(tmp_path / "none" / "a.html")])
     assert stop.value.code == 2
-    assert capsys.readouterr().err == f"los-testbed: the folder of --report must exist, got {tmp_path / 'none'}\n"
+    assert capsys.readouterr().err == f"los-testbed: the folder of --output must exist, got {tmp_path / 'none'}\n"
 
 
 # -- quantities -------------------------------------------------------------------------------------------------------

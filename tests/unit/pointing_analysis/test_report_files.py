@@ -133,8 +133,8 @@ def test_without_the_extra_there_is_one_line_before_any_work(
         (["--format", "docx"], "--format must be html or pdf, got 'docx'"),
         (["--format", "pdf", "--paper", "a5"], "--paper must be a4 or letter, got 'a5'"),
         (["--paper", "letter"], "--paper must be given with a PDF report, got --paper letter without --format pdf"),
-        (["--format", "html", "--report", "x.pdf"], "--report must not end in .pdf with --format html, got x.pdf"),
-        (["--format", "pdf", "--report", "x.html"], "--report must end in .pdf with --format pdf, got x.html"),
+        (["--format", "html", "--output", "x.pdf"], "--output must not end in .pdf with --format html, got x.pdf"),
+        (["--format", "pdf", "--output", "x.html"], "--output must end in .pdf with --format pdf, got x.html"),
         (["--export", "file"], "the folder of figures and tables must be a folder, got file"),
     ],
 )
@@ -195,7 +195,7 @@ def test_the_command_writes_the_report_and_its_parts(bag: Path, call: CommandLin
     assert code == 0, err
     assert "report  r.html" in out and "export  new/parts" in out
     assert (call.here / "new" / "parts" / "requirements.tex").exists()
-    code, out, err = call("analyse", bag, "--export", "others", "--report", "a.html")
+    code, out, err = call("analyse", bag, "--export", "others", "--output", "a.html")
     assert code == 0 and "export  others" in out and len(list((call.here / "others").glob("*.pdf"))) > 5
 
 

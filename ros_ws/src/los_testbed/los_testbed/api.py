@@ -208,7 +208,7 @@ def run(
     results = execute(RunParts(config), own=plant)
     if results.bag is None or results.interrupted:
         raise RunError(f"interrupted{recorded(config.bag)}", ExitCode.INTERRUPTED)
-    found = analyse(results.bag, report=results.bag / "report.html" if report else None)
+    found = analyse(results.bag, output=results.bag / "report.html" if report else None)
     check_missed(missed_share(found.values), config, f"; the bag is whole: {results.bag}")
     return replace(found, remarks=(*results.failures, *results.warnings, *found.remarks))
 
@@ -218,7 +218,7 @@ def analyse(
     *,
     requirements: PathLike | Sequence[Requirement] | None = None,
     transient: float | None = None,
-    report: PathLike | None = None,
+    output: PathLike | None = None,
     **source: Any,
 ) -> RunResult:
     """Evaluate a recording of the testbed or of another program.
@@ -231,7 +231,7 @@ def analyse(
         TOML or YAML file, or requirements; default: those of the recording.
     transient : float, optional
         Seconds of start-up to leave out.
-    report : path, optional
+    output : path, optional
         HTML page to write, or a PDF where it ends in ``.pdf``.
     **source
         ``los``, ``unit``, ``rate``, ``time``: as the options of ``los-testbed analyse``.
@@ -247,7 +247,7 @@ def analyse(
 
     recording = open_los(Path(path), **source)
     asked = load(Path(requirements)) if isinstance(requirements, str | os.PathLike) else requirements
-    found = summarise_runs([recording], None if report is None else Path(report), transient, asked)
+    found = summarise_runs([recording], None if output is None else Path(output), transient, asked)
     return RunResult(Path(path), recording, found.summaries[0], found.remarks[0], found.runs[0])
 
 

@@ -88,7 +88,7 @@ def test_analyse_gives_the_figures_again(run):
     assert code == 0
     assert json.loads(out.splitlines()[-1]) == first
     run("run", "--mode=inprocess", "--duration=3", "--seed=9", "--output=c", *run.controllers)
-    code, out, _ = run("analyse", "b", "c", "--json", "--report=two.html")
+    code, out, _ = run("analyse", "b", "c", "--json", "--output=two.html")
     assert code == 0
     assert len(json.loads(out.splitlines()[-1])["runs"]) == 2
     assert (run.here / "two.html").exists()

@@ -207,13 +207,13 @@ def test_outputs_that_can_not_be_are_refused(capsys: pytest.CaptureFixture[str],
 
 def test_folders_without_the_controllers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = f"--output={tmp_path / 'new'}"
-    assert "k_fsm.json" in refused(capsys, str(tmp_path / "none"), out)
+    assert "k_fsm.json" in refused(capsys, f"--designs={tmp_path / 'none'}", out)
     (tmp_path / "empty").mkdir()
-    assert "k_fsm.json" in refused(capsys, str(tmp_path / "empty"), out)
+    assert "k_fsm.json" in refused(capsys, f"--designs={tmp_path / 'empty'}", out)
     (tmp_path / "bad").mkdir()
     for name in ("k_fsm.json", "k_pma.json"):
         (tmp_path / "bad" / name).write_text("{}")
-    assert refused(capsys, str(tmp_path / "bad"), out)
+    assert refused(capsys, f"--designs={tmp_path / 'bad'}", out)
     assert not (tmp_path / "new").exists()
 
 
@@ -225,7 +225,7 @@ def test_controllers_of_another_size_are_refused(capsys: pytest.CaptureFixture[s
     folder.mkdir()
     shutil.copyfile(design_file("k-fsm"), folder / "k_pma.json")
     shutil.copyfile(design_file("k-pma"), folder / "k_fsm.json")
-    assert "inputs must be" in refused(capsys, str(folder), f"--output={tmp_path / 'new'}")
+    assert "inputs must be" in refused(capsys, f"--designs={folder}", f"--output={tmp_path / 'new'}")
 
 
 def test_controllers_of_another_telescope_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_controllers_of_another_telescope_are_refused(capsys: pytest.CaptureFixt
     for kind, name in (("k-fsm", "k_fsm.json"), ("k-pma", "k_pma.json")):
         shutil.copyfile(design_file(kind), tmp_path / name)
     (tmp_path / "telescope.toml").write_text("[fsm]\nlos_sensitivity = 0.2\n")
-    assert "los_sensitivity" in refused(capsys, str(tmp_path), f"--output={tmp_path / 'new'}")
+    assert "los_sensitivity" in refused(capsys, f"--designs={tmp_path}", f"--output={tmp_path / 'new'}")
 
 
 def test_controllers_for_other_values_are_refused_before_the_work(
@@ -251,16 +251,16 @@ def test_controllers_for_other_values_are_refused_before_the_work(
     (designs / "telescope.toml").write_text("[isolator]\nmass = 1.6\n")
     shutil.copy(Path(los_design.__file__).parent / "search" / "worst_points.json", designs)
     options = ["--figure=slow", "--stage=fsm", "--level=0.1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
-    line = refused(capsys, str(designs), f"--output={output}", *options)
+    line = refused(capsys, f"--designs={designs}", f"--output={output}", *options)
     assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
     (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
     with pytest.raises(SystemExit) as stopped:
-        main(["design", "certify", str(designs), f"--output={output}", *options[:-1]])
+        main(["design", "certify", "--designs", str(designs), f"--output={output}", *options[:-1]])
     assert stopped.value.code == 7, "the table is the same as the option"
     shutil.rmtree(output)
     (designs / "telescope.toml").unlink()
     with pytest.raises(SystemExit) as stopped:
-        main(["design", "certify", str(designs), f"--output={output}", *options])
+        main(["design", "certify", "--designs", str(designs), f"--output={output}", *options])
     assert stopped.value.code == 7, "violated: the level is below what is known"
     assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "violated"
 

@@ -85,7 +85,7 @@ def test_the_output_is_refused_before_the_work(folder: Path, soft: Path, tmp_pat
     "arguments",
     [
         ["all"],
-        ["verify", "nowhere"],
+        ["verify", "--designs", "nowhere"],
         ["k-pma", "--k-fsm", "nowhere.json"],
         ["k-fsm", "--parameters", "nowhere.toml", "--output", "k.json"],
     ],

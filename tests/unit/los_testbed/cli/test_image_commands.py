@@ -49,7 +49,7 @@ def source(folder: Path) -> list[str]:
 def test_from_samples_and_optics_to_a_verdict(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = folder / "page.html"
     options = ["--optics", str(folder / "optics.toml"), "--requirements", str(folder / "mission.toml")]
-    main(["analyse", *source(folder), *options, "--report", str(page), "--json"])
+    main(["analyse", *source(folder), *options, "--output", str(page), "--json"])
     found = capsys.readouterr()
     content = json.loads(found.out.splitlines()[-1])
     first, second = content["requirements"]

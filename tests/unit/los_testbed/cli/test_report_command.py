@@ -116,7 +116,7 @@ def test_not_a_bag(call, tmp_path) -> None:
     (tmp_path / "empty").mkdir()
     refused(call, tmp_path / "empty", words=["rosbag2 folder"])
     (tmp_path / "los.csv").write_text("t,x,y\n0,1,2\n")
-    refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --report PAGE"])
+    refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --output PAGE"])
 
 
 def test_no_truth_topic(call, tmp_path) -> None:

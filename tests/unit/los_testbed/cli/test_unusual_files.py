@@ -71,7 +71,7 @@ def test_a_pipe_or_a_circle_of_links_as_input_is_told_and_not_waited_for(call: C
 
 
 @pytest.mark.parametrize(
-    "line", ["analyse bag --report=pipe", "report bag --output=pipe", "bag repair bag --output=pipe"]
+    "line", ["analyse bag --output=pipe", "report bag --output=pipe", "bag repair bag --output=pipe"]
 )
 def test_a_pipe_or_a_device_is_never_replaced_by_an_output(call: Call, bag: Path, line: str) -> None:
     """A pipe stands for /dev/null, which an administrator's command would have replaced for the whole machine."""

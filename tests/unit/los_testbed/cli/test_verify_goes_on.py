@@ -20,7 +20,7 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, parts = tmp_path / "check.json", tmp_path / "check.json.parts"
-    command = ["design", "verify", str(FOLDER), "--samples", "0", "--workers", "1", "--output", str(file)]
+    command = ["design", "verify", "--designs", str(FOLDER), "--samples", "0", "--workers", "1", "--output", str(file)]
     computed = {"_swept": 0, "_looked_closely": 0}
 
     def counted(name: str, last: int) -> None:
@@ -78,7 +78,9 @@ def test_parts_are_of_the_same_telescope_designs_and_code(
         with monkeypatch.context() as changed:
             changed.setattr(stage_check, "_swept", part)
             with pytest.raises(SystemExit):
-                app.main(["design", "verify", str(folder), "--samples=0", "--workers=1", f"--output={file}"])
+                app.main(
+                    ["design", "verify", "--designs", str(folder), "--samples=0", "--workers=1", f"--output={file}"]
+                )
         return capsys.readouterr().err
 
     swept = stage_check._swept
@@ -95,6 +97,8 @@ def test_parts_are_of_the_same_telescope_designs_and_code(
 def test_nothing_is_lost_of_a_file_that_is_no_verification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "check.json.parts").write_text("mine")
     with pytest.raises(SystemExit) as ended:
-        app.main(["design", "verify", str(FOLDER), "--samples", "0", "--output", str(tmp_path / "check.json")])
+        app.main(
+            ["design", "verify", "--designs", str(FOLDER), "--samples", "0", "--output", str(tmp_path / "check.json")]
+        )
     assert ended.value.code == 2 and "must be a file of kept results" in capsys.readouterr().err
     assert (tmp_path / "check.json.parts").read_text() == "mine"

@@ -43,7 +43,7 @@ def test_allowances_of_the_bag_are_no_part_of_other_limits(tmp_path: Path, capsy
     bag, page = str(Path(__file__).parents[4] / "bags" / "reference"), tmp_path / "page.html"
     told = {}
     for name, more in (("bag", []), ("own", [f"--requirements={given}"])):
-        assert main(["analyse", bag, f"--report={page}", "--json", *more]) == 0
+        assert main(["analyse", bag, f"--output={page}", "--json", *more]) == 0
         text = capsys.readouterr()
         line = next(one for one in text.err.splitlines() if one.startswith("budget of the RPE"))
         allowed = json.loads(text.out)["budget_rpe_mas"]["allowances"]
@@ -70,7 +70,7 @@ def test_the_bag_is_judged_by_its_telescope(
     """27.3 mas are not compliant with 10 mas, wherever it is said; the parameter file is not needed any more."""
     (own / "mine.toml").rename(own / "elsewhere.toml")
     monkeypatch.setenv("COLUMNS", "300")
-    assert main(["analyse", str(own / "bag"), f"--report={own / 'again.html'}", "--json"]) == 0
+    assert main(["analyse", str(own / "bag"), f"--output={own / 'again.html'}", "--json"]) == 0
     told = capsys.readouterr()
     (own / "elsewhere.toml").rename(own / "mine.toml")
     (table,) = screen_rows(told.err)
@@ -90,7 +90,7 @@ def test_the_bag_is_judged_by_its_telescope(
 def test_a_file_of_requirements_takes_their_place(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = own / "req.toml"
     file.write_text('[[requirement]]\ntext = "prob(rms RPE(20 ms) < 1 arcsec) >= 0.9 at 90 % confidence"\n')
-    assert main(["analyse", str(own / "bag"), f"--requirements={file}", f"--report={own / 'r.html'}", "--json"]) == 0
+    assert main(["analyse", str(own / "bag"), f"--requirements={file}", f"--output={own / 'r.html'}", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
     assert (row["limit"], row["unit"], row["status"]) == (1.0, "arcsec", "compliant")
 
@@ -157,7 +157,7 @@ def test_files_of_others_have_no_limits_until_given(
     rows = np.random.default_rng(1).standard_normal((9000, 2))
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="x,y", comments="")
     given = ["analyse", str(tmp_path / "a.csv"), "--los=x,y", "--unit=arcsec", "--rate=1000"]
-    assert main([*given, f"--report={tmp_path / 'r.html'}", "--json"]) == 0
+    assert main([*given, f"--output={tmp_path / 'r.html'}", "--json"]) == 0
     told = capsys.readouterr()
     (table,) = screen_rows(told.err)
     assert all(row[2:] == ["", "", ""] for row in table if row[0] != "samples lost")

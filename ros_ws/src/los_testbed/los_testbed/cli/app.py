@@ -65,12 +65,17 @@ def _options(
         raise ValueError(f"--log must be a writable file, got {log}: {error.strerror}") from None
 
 
+FOLDER = "folder"
+"""An argument without the name of an option."""
+
 RENAMED = {
+    ("analyse",): {"--report": "now --output"},
     ("report",): {"--start": "now --from", "--stop": "now --to"},
     ("bag", "trace"): {"--start": "now --from", "--stop": "now --to"},
     ("stages",): {"--keep": "now --keep-all"},
     ("design", "k-fsm"): {"--starts": "an option of design k-pma: K_FSM is tuned from one start"},
-    ("design", "certify"): {"--wall-limit": "now --time-limit"},
+    ("design", "certify"): {"--wall-limit": "now --time-limit", FOLDER: "now --designs FOLDER"},
+    ("design", "verify"): {FOLDER: "now --designs FOLDER"},
     ("design", "check-proof"): {"--of": "now --designs"},
     ("design", "sensitivity"): {"--of": "now --entry"},
     ("export", "fmu"): {"--plant": "now --telescope"},
@@ -192,6 +197,9 @@ def _with_new_name(message: str, words: Sequence[str]) -> str:
     given = {word.split("=")[0] for word in words}
     for command, options in RENAMED.items():
         if list(words[: len(command)]) == list(command):
+            if FOLDER in options and "unexpected extra argument" in message:
+                given.add(FOLDER)
+                message = f"{FOLDER}: {message}"
             for old in given & options.keys():
                 if old in message:
                     return f"{old} is {options[old]}"

@@ -33,13 +33,13 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write a report, HTML or PDF.
 
     los-testbed analyse bags/run-20260101-120000
 
-    los-testbed analyse bags/isolator bags/fsm+pma --report comparison.html --json
+    los-testbed analyse bags/isolator bags/fsm+pma --output comparison.html --json
 
     los-testbed analyse bags/night --format pdf --paper letter --export night    # and each figure, each table as a file
 
     los-testbed analyse my_bag --los /my/los --unit arcsec --rate 512     # another bag: topic, or topic.field
 
-    los-testbed analyse measured.csv --los x,y --unit mas --requirements mission.toml --report measured.html
+    los-testbed analyse measured.csv --los x,y --unit mas --requirements mission.toml --output measured.html
 
     los-testbed analyse measured.csv --los x,y --unit mas --optics my_telescope.toml    # MTF, Strehl ratio, EE80
 
@@ -51,8 +51,9 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write a report, HTML or PDF.
 
 def analyse(
     bags: Bags,
-    report: Annotated[
-        Path | None, typer.Option(help="File, .html or .pdf. Default: report.html in the folder of a single bag.")
+    output: Annotated[
+        Path | None,
+        typer.Option(help="Report to write, .html or .pdf. Default: report.html in the folder of a single bag."),
     ] = None,
     form: Format = None,
     paper: PaperSize = None,
@@ -78,7 +79,7 @@ def analyse(
     seconds("--transient", transient)
     require_different(bags)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else None
-    outputs = report_files("--report", report, usual, form, paper, export)
+    outputs = report_files(output, usual, form, paper, export)
     given = requirements_in(requirements)
 
     def opener(bag: Path, limit: int) -> Recording:

@@ -104,7 +104,7 @@ def check_bag(path: Path) -> None:
     if found is not Format.BAG:
         kind = "CSV or other text" if found is Format.CSV else found.value
         raise ValueError(
-            f"{path} must be a bag (folder or .mcap file), got {kind}; `analyse FILE --report PAGE` evaluates tables"
+            f"{path} must be a bag (folder or .mcap file), got {kind}; `analyse FILE --output PAGE` evaluates tables"
         )
 
 

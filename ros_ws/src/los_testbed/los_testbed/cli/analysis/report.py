@@ -43,7 +43,7 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            help="File, .html or .pdf. Default: report.html in the folder of a single bag, else in this folder."
+            help="Report to write, .html or .pdf. Default: report.html in the folder of a single bag, else here."
         ),
     ] = None,
     form: Format = None,
@@ -73,7 +73,7 @@ def report(
         check_bag(bag)
     given = requirements_in(requirements)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else Path("report")
-    outputs = report_files("--output", output, usual, form, paper, export)
+    outputs = report_files(output, usual, form, paper, export)
 
     def opener(bag: Path, limit: int) -> Run:
         return Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit)

@@ -33,16 +33,14 @@ Export = Annotated[
 
 
 def report_files(
-    option: str, given: Path | None, usual: Path | None, form: str | None, paper: str | None, export: Path | None
+    given: Path | None, usual: Path | None, form: str | None, paper: str | None, export: Path | None
 ) -> ReportOutputs:
     """Files of a report by the options of a command, checked before any work.
 
     Parameters
     ----------
-    option : str
-        Name of the option for the file.
     given : Path or None
-        The file.
+        ``--output``.
     usual : Path or None
         Where none is given; its ending is that of the format. None: no report without `given` or `form`.
     form, paper : str or None
@@ -59,7 +57,7 @@ def report_files(
     _require("--paper", paper, tuple(PAPERS))
     if given is not None and form is not None and is_pdf(given) != (form == "pdf"):
         raise ValueError(
-            f"{option} must {'' if form == 'pdf' else 'not '}end in .pdf with --format {form}, got {given}"
+            f"--output must {'' if form == 'pdf' else 'not '}end in .pdf with --format {form}, got {given}"
         )
     path = given
     if path is None and (usual is not None or form is not None):
@@ -67,7 +65,7 @@ def report_files(
     if paper is not None and not (path is not None and is_pdf(path)):
         raise ValueError(f"--paper must be given with a PDF report, got --paper {paper} without --format pdf")
     found = ReportOutputs(path, cast(Paper, paper or "a4"), export)
-    found.check(option if given is not None else "the report")
+    found.check("--output" if given is not None else "the report")
     return found
 
 

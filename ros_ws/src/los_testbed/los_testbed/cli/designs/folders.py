@@ -25,7 +25,9 @@ def designs_in(folder: Path) -> tuple[Telescope, SampledSystem, SampledSystem]:
     from titop_plant.telescope.load import load_telescope
 
     if not folder.is_dir():
-        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+        raise ValueError(
+            f"--designs must be a folder with {' and '.join(DESIGN_FILES.values())}, got no folder {folder}"
+        )
     file = folder / TELESCOPE_FILE
     telescope = load_telescope(file if file.exists() else None)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())

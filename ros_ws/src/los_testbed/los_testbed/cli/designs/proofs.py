@@ -17,7 +17,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Json, Uncertain
+from los_testbed.cli.options.options import Designs, Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
@@ -52,7 +52,7 @@ level starts from those that hold for it. The exit code is 7 if a figure is viol
 
     los-testbed design certify --output proofs                     # the shipped pair, below its limits
 
-    los-testbed design certify designs/soft --output soft-proofs
+    los-testbed design certify --designs designs/soft --output soft-proofs
 
     los-testbed design certify --output proofs --stage fsm+pma --figure slow --gap 0.05
 
@@ -70,7 +70,7 @@ SUMMARY = "bounds.json"
 def certify(
     *,
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the proofs.")],
-    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`. Default: the shipped pair.")] = None,
+    designs: Designs = None,
     level: Annotated[float, typer.Option(help="Fraction of the limit to be proven.")] = 1.0,
     gap: Annotated[
         float | None, typer.Option(help="Prove a level this fraction above the largest known value instead, e.g. 0.05.")
@@ -103,6 +103,7 @@ def certify(
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + time_limit
+    folder = None if designs is None else Path(designs)
     loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or (), same_telescope=True)
     with cluster.workers() as pool, resume_hint("proven parts", output):
         found = prove_figures(chosen, loops, known, output, pool, until, ProofLevel(level, gap))

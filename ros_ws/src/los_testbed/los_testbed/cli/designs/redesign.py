@@ -52,7 +52,7 @@ figure is not proven.
 
     los-testbed run --designs designs/soft                 # the telescope and its controllers
 
-    los-testbed design verify designs/soft
+    los-testbed design verify --designs designs/soft
 
     los-testbed design all --output designs/mine --certify --workers 2           # designs and proofs within the hour
 

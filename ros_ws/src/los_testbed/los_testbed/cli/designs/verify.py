@@ -21,7 +21,7 @@ from los_testbed.cli.designs.mission import Mission, verify_mission
 from los_testbed.cli.designs.redesign import show_implemented
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Json, Uncertain
+from los_testbed.cli.options.options import Designs, Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
@@ -45,7 +45,7 @@ resumes from them after an interrupt.
 
     los-testbed design verify                                   # the stored designs
 
-    los-testbed design verify designs/mine --output designs/mine/check.json
+    los-testbed design verify --designs designs/mine --output designs/mine/check.json
 """
 
 NOMINAL_POINTS = 60
@@ -58,7 +58,7 @@ VERIFIED = ("implemented", "implemented_nominal")
 @with_cluster
 def verify(
     *,
-    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
+    designs: Designs = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     uncertain: Uncertain = None,
     output: Annotated[
@@ -73,6 +73,7 @@ def verify(
     number("--samples", samples, 0, 1_000_000)
     if output is not None:
         check_output(output, "--output")
+    folder = None if designs is None else Path(designs)
     with one_thread(), cluster.workers() as pool:
         if folder is None:
             result, failed = _stored(samples, pool, uncertain or (), output)
