@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 from lftkit.arrays import FloatArray
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
-from titop_plant.structures import BeamFrame, read_nastran, write_modal_data
+from titop_plant.structures import BeamFrame, mass_summary, nastran_mass, read_nastran, write_modal_data
 from titop_plant.structures.beam_element import beam_axes
 from titop_plant.structures.beam_frame import assemble, rigid_body_modes
 from titop_plant.telescope.bodies import payload_frame
@@ -91,7 +91,7 @@ def telescope_of(bdf: Path, op2: Path, folder: Path) -> Path:
     """Parameter file of the telescope with the payload of a NASTRAN run; written with its modal data."""
     payload = read_nastran(bdf, op2, name="payload", parent=PARENT, ports=PORTS, damping=0.003)
     write_modal_data(payload, folder / "my_payload.toml", f"from {bdf.name} and {op2.name}")
-    print(f"payload of {payload.mass_matrix[0, 0]:.1f} kg, {payload.n_modes} modes")
+    print(mass_summary(payload, nastran_mass(bdf, parent=PARENT)))
     path = folder / "my_telescope.toml"
     path.write_text('[payload]\nmodal_data = "my_payload.toml"\n', "utf-8")
     return path

@@ -2,6 +2,7 @@
 
 from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
+from titop_plant.structures.mass_summary import MassProperties, MassSummary, mass_summary
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
 from titop_plant.structures.nastran import nastran_mass, read_nastran
@@ -24,6 +25,8 @@ __all__ = [
     "ChildPort",
     "Interface",
     "LumpedMass",
+    "MassProperties",
+    "MassSummary",
     "ModalData",
     "ResidualMode",
     "ResidualRepair",
@@ -32,6 +35,7 @@ __all__ = [
     "check_residual_mass",
     "effective_masses",
     "from_inertia",
+    "mass_summary",
     "nastran_mass",
     "port_visibility",
     "read_modal_data",

@@ -115,3 +115,19 @@ def check_rotation(dcm: ArrayLike, what: str) -> FloatArray:
 def rotate_twist(dcm: FloatArray) -> FloatArray:
     """The 6 x 6 matrix that rotates both halves of a twist or a wrench."""
     return np.asarray(block_diag(dcm, dcm), dtype=float)
+
+
+def rigid_properties(mass_matrix: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Mass, vector from the point to the centre of mass (3,) and inertia about that (3, 3) of a rigid mass matrix.
+
+    Parameters
+    ----------
+    mass_matrix : ndarray, shape (6, 6)
+        At a point: kg, kg m, kg m2.
+    """
+    mass = float(np.trace(mass_matrix[:3, :3]) / 3)
+    moment = mass_matrix[3:, :3]  # m skew(P->cg)
+    offset = np.array([moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]])
+    offset = np.asarray(offset / (2 * mass), dtype=float)
+    inertia = mass_matrix[3:, 3:] + mass * skew(offset) @ skew(offset)
+    return mass, offset, np.asarray(0.5 * (inertia + inertia.T), dtype=float)

@@ -23,7 +23,7 @@ from scipy.linalg import eigvalsh
 
 from lftkit.arrays import FloatArray
 from titop_plant.ports import AXES
-from titop_plant.structures.kinematics import check_rotation, read_only, rotate_twist, skew, tau
+from titop_plant.structures.kinematics import check_rotation, read_only, rigid_properties, rotate_twist, skew, tau
 
 
 @dataclass(frozen=True)
@@ -183,9 +183,7 @@ class ModalData:
     @property
     def center_of_mass(self) -> FloatArray:
         """Centre of mass in the body frame, m, shape (3,)."""
-        moment = self.mass_matrix[3:, :3]  # m skew(P->cg)
-        offset = np.array([moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]])
-        return np.asarray(self.parent_position + offset / (2 * self.mass), dtype=float)
+        return np.asarray(self.parent_position + rigid_properties(self.mass_matrix)[1], dtype=float)
 
     def child(self, name: str) -> ChildPort:
         """Child port of this name.

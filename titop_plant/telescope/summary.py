@@ -10,6 +10,7 @@ from scipy import linalg
 
 from lftkit import RealParameter
 from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import rigid_properties
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
@@ -119,6 +120,7 @@ def summarise(telescope: Telescope) -> PlantSummary:
     assembled = assembled_telescope(telescope)
     system = assembled.system
     poles = linalg.eigvals(system.at({}).A)
+    mass, centre, _ = rigid_properties(assembled.rigid_mass)
     return PlantSummary(
         order=system.order,
         occurrences=system.occurrences(),
@@ -127,8 +129,8 @@ def summarise(telescope: Telescope) -> PlantSummary:
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),
         total_inertia=assembled.inertia,
-        mass=float(np.trace(assembled.rigid_mass[:3, :3]) / 3.0),
-        centre_of_mass=_centre_of_mass(assembled.rigid_mass),
+        mass=mass,
+        centre_of_mass=centre,
         mechanisms=mechanism_modes(telescope),
         bodies=tuple(
             BodySummary(
@@ -142,10 +144,3 @@ def summarise(telescope: Telescope) -> PlantSummary:
             for data in assembled.bodies
         ),
     )
-
-
-def _centre_of_mass(rigid_mass: FloatArray) -> FloatArray:
-    """Position of the centre of mass from the point of a rigid body's mass matrix (6, 6) [m]."""
-    moment = rigid_mass[3:, :3] / (np.trace(rigid_mass[:3, :3]) / 3.0)  # the cross product matrix of the position
-    skew = 0.5 * (moment - moment.T)
-    return np.array([skew[2, 1], skew[0, 2], skew[1, 0]])

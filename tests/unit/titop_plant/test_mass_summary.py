@@ -1,0 +1,92 @@
+"""Mass properties beside those of the source, and effective masses of modes with the sum that they should have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from titop_plant.structures import (
+    Beam,
+    BeamFrame,
+    LumpedMass,
+    MassProperties,
+    ModalData,
+    from_inertia,
+    mass_summary,
+    to_modal_data,
+)
+from titop_plant.structures.beam_frame import assemble
+from titop_plant.structures.sections import tube
+
+SECTION = tube({"E": 70e9, "G": 27e9, "density": 2700.0}, 0.08, 0.002)
+
+
+def boom(n_modes: int | None = None, masses: tuple[LumpedMass, ...] = ()) -> ModalData:
+    nodes = {"P": np.array([0.5, 0.0, 0.0]), "tip": np.array([2.5, 0.0, 0.0])}
+    frame = BeamFrame("boom", nodes, (Beam("P", "tip", SECTION, elements=12),), masses)
+    return to_modal_data(frame, "P", ["tip"], n_modes)
+
+
+def test_shares_of_a_cantilever_are_the_closed_ones() -> None:
+    """(integral of phi)^2 / (L integral of phi^2) = 4 sigma^2 / (beta L)^2 in bending (Blevins, table 8-1)."""
+    beta, sigma = np.array([1.87510407, 4.69409113]), np.array([0.734095514, 1.018467319])
+    found = mass_summary(boom(4))
+    np.testing.assert_allclose(found.shares[:, 1:3].sum(axis=1), np.repeat(4 * sigma**2 / beta**2, 2), rtol=1e-4)
+    assert found.low == ("x translation", "y translation", "z translation")
+    assert any("got 80.1%" in one and "y translation" in one for one in found.findings)
+
+
+def test_all_modes_have_all_but_the_clamped_mass() -> None:
+    """With every mode of the frame the sum is the mass that couples the free nodes: (R'M)_f M_ff^-1 (M R)_f."""
+    frame = BeamFrame(
+        "boom", {"P": np.zeros(3), "tip": np.array([2.0, 0, 0])}, (Beam("P", "tip", SECTION, elements=6),)
+    )
+    _, M, _ = assemble(frame)
+    found = mass_summary(to_modal_data(frame, "P", ["tip"]))
+    across = (M @ np.tile(np.eye(6), 7).T)[6:, 1]
+    mass = SECTION.density * SECTION.A * 2.0
+    assert found.sums[1] == pytest.approx(across @ np.linalg.solve(M[6:, 6:], across) / mass, rel=1e-9)
+    assert found.low == ()
+    assert found.findings == ()
+
+
+def test_the_source_is_compared_with_the_model() -> None:
+    lump = LumpedMass("tip", 3.0, np.diag([0.1, 0.2, 0.3]), np.array([0.0, 0.1, 0.0]))
+    body = boom(None, (lump,))
+    assert mass_summary(body, body.mass_matrix).findings == ()
+    found = mass_summary(body, 1.1 * body.mass_matrix).findings
+    assert found[0].startswith("boom: mass [kg] should be that of the source within 2%, got ")
+    assert len(found) == 4  # the inertia about three axes, too; the centre is the same
+    other = mass_summary(body, from_inertia(body.mass, np.eye(3), [1.0, 0.3, 0.0]))
+    assert any("centre y" in one for one in other.findings)
+    text = str(other)
+    assert "| property | model | source | difference |" in text
+    assert "| sum |" in text
+    with pytest.raises(ValueError, match=r"mass_matrix must have shape \(6, 6\)"):
+        mass_summary(body, np.eye(3))
+
+
+def test_properties_do_not_depend_on_the_point_or_the_frame() -> None:
+    """Parallel axes: the same body at another point; a rotation turns centre and inertia."""
+    rng = np.random.default_rng(5)
+    turn = Rotation.random(random_state=5).as_matrix()
+    root = rng.normal(size=(3, 3))
+    inertia, center = root @ root.T, rng.normal(size=3)
+    for point in rng.normal(size=(5, 3)):
+        found = MassProperties.of(from_inertia(2.5, inertia, center - point), point)
+        turned = MassProperties.of(from_inertia(2.5, turn @ inertia @ turn.T, turn @ (center - point)), turn @ point)
+        assert found.mass == pytest.approx(2.5)
+        np.testing.assert_allclose(found.center, center, atol=1e-12)
+        np.testing.assert_allclose(found.inertia, inertia, atol=1e-12)
+        np.testing.assert_allclose(turned.center, turn @ center, atol=1e-12)
+        np.testing.assert_allclose(turned.inertia, turn @ inertia @ turn.T, atol=1e-12)
+
+
+def test_a_rigid_body_has_no_share() -> None:
+    none = np.zeros(0)
+    rigid = ModalData(
+        "block", "P", np.zeros(3), from_inertia(2.0, np.eye(3), np.zeros(3)), none, none, np.zeros((0, 6))
+    )
+    assert mass_summary(rigid).sums.tolist() == [0.0] * 6
+    assert "| sum |" in str(mass_summary(rigid))
