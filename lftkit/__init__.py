@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from lftkit.analysis.disk_margin import DiskMargin, disk_margin
+    from lftkit.analysis.margins import LoopMargins, SensitivityPeaks, loop_margins, sensitivity_peaks
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
+    from lftkit.analysis.nu_gap import NuGap, nu_gap
+    from lftkit.analysis.passivity import PassivityIndex, passivity_index
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
     from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values
     from lftkit.reduction.coprime import ncfmr
@@ -55,13 +59,18 @@ if TYPE_CHECKING:
 __all__ = [
     "ComplexParameter",
     "Connection",
+    "DiskMargin",
     "DynamicElement",
     "Expression",
     "HInfNorm",
+    "LoopMargins",
+    "NuGap",
+    "PassivityIndex",
     "Port",
     "RealParameter",
     "ReducedSystem",
     "SampledSystem",
+    "SensitivityPeaks",
     "System",
     "append",
     "as_system",
@@ -73,6 +82,7 @@ __all__ = [
     "complex_gain",
     "connect",
     "discretise",
+    "disk_margin",
     "dynamic",
     "feedback",
     "from_control",
@@ -84,17 +94,21 @@ __all__ = [
     "hinf_norm",
     "hinf_norms",
     "invert",
+    "loop_margins",
     "matrix",
     "minimal_realisation",
     "ncfmr",
+    "nu_gap",
     "pade_delay",
     "parallel",
+    "passivity_index",
     "pole_map",
     "read_mat",
     "read_system",
     "real",
     "s",
     "sampled",
+    "sensitivity_peaks",
     "series",
     "sigma_plot",
     "spectral_abscissa",
@@ -111,6 +125,10 @@ __all__ = [
 ]
 
 _MODULES = {
+    "analysis.disk_margin": ("DiskMargin", "disk_margin"),
+    "analysis.margins": ("LoopMargins", "SensitivityPeaks", "loop_margins", "sensitivity_peaks"),
+    "analysis.nu_gap": ("NuGap", "nu_gap"),
+    "analysis.passivity": ("PassivityIndex", "passivity_index"),
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values"),

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.margins import sensitivity
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import Matrices
+from lftkit.systems import lft
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -51,6 +53,10 @@ class DiskMargin:
         return low, high
 
 
+NONE = DiskMargin(0.0, (1.0, 1.0), 0.0, 0.0, 1.0 + 0.0j)
+"""That of a loop which is not stable."""
+
+
 def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     """Disk margin of a loop with one input and one output, continuous or sampled.
 
@@ -79,21 +85,21 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     L.require_certain()
     if L.D.shape != (1, 1):
         raise ValueError(f"{L.name}: must have one input and one output, got {L.D.shape[1]} and {L.D.shape[0]}")
-    through = 1.0 + float(L.D.item())
-    closed = None if through == 0.0 else _sensitivity(L, through, 0.5 * (skew - 1.0))
-    if closed is None or not _stable(closed, L.dt):
-        return DiskMargin(0.0, (1.0, 1.0), 0.0, 0.0, 1.0 + 0.0j)
-    worst = hinf_norm(*closed, dt=L.dt or None)
+    try:
+        A, B, C, D = sensitivity(L)
+    except ValueError:
+        return NONE
+    return margin_of_shifted((A, B, C, D + 0.5 * (skew - 1.0)), L.dt, skew)
+
+
+def margin_of_shifted(shifted: Matrices, dt: float, skew: float) -> DiskMargin:
+    """Disk margin of the loop with one signal whose ``S + (skew - 1) / 2`` is given."""
+    if not _stable(shifted, dt):
+        return NONE
+    worst = hinf_norm(*shifted, dt=dt or None)
     size = 1.0 / worst.value if worst.value > 0.0 else math.inf
     low, high = _gains(size, skew)
-    return DiskMargin(size, (low, high), _phase(low, high), worst.omega, _edge(L, worst.omega))
-
-
-def _sensitivity(L: System, through: float, shift: float) -> Matrices:
-    """``S + shift`` for S = 1 / (1 + L)."""
-    A, B, C, _ = L.matrices
-    inner = 1.0 / through
-    return A - B @ C * inner, B * inner, -C * inner, np.array([[inner + shift]])
+    return DiskMargin(size, (low, high), _phase(low, high), worst.omega, _edge(shifted, worst.omega, dt, skew))
 
 
 def _stable(closed: Matrices, dt: float) -> bool:
@@ -117,7 +123,9 @@ def _phase(low: float, high: float) -> float:
     return 180.0 if cosine <= -1.0 else math.degrees(math.acos(min(cosine, 1.0)))
 
 
-def _edge(L: System, omega: float) -> complex:
-    """The factor that makes a pole at a frequency: minus the inverse of the loop's response there."""
-    response = complex(np.asarray(L(np.exp(1j * omega * L.dt) if L.dt else 1j * omega)).item())
-    return -1.0 / response if response != 0.0 else complex(math.inf)
+def _edge(shifted: Matrices, omega: float, dt: float, skew: float) -> complex:
+    """The factor that makes a pole at a frequency."""
+    point = np.exp(1j * omega * dt) if dt else 1j * omega
+    response = complex((shifted[3] if math.isinf(omega) else lft.response(shifted, point)).item())
+    below = 2.0 * response - (1.0 + skew)
+    return (2.0 * response + 1.0 - skew) / below if below != 0.0 else complex(math.inf)

@@ -11,7 +11,7 @@ from lftkit.support.on_demand import names_on_demand
 if TYPE_CHECKING:
     from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
     from lftkit.proofs.checking import check_proof
-    from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
+    from lftkit.proofs.disk_margin import DiskMarginBounds, DiskMargins, disk_margins, worst_case_disk_margin
     from lftkit.proofs.options import BoundOptions
     from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
@@ -24,6 +24,7 @@ __all__ = [
     "BoundOptions",
     "CheckedProof",
     "DiskMarginBounds",
+    "DiskMargins",
     "MuBounds",
     "MuCertificate",
     "Profile",
@@ -33,6 +34,7 @@ __all__ = [
     "check_mu",
     "check_proof",
     "complex_block",
+    "disk_margins",
     "full_block",
     "gain_profile",
     "mu",
@@ -48,7 +50,7 @@ __getattr__ = names_on_demand(
     __name__,
     {
         "checking": ("check_proof",),
-        "disk_margin": ("DiskMarginBounds", "worst_case_disk_margin"),
+        "disk_margin": ("DiskMarginBounds", "DiskMargins", "disk_margins", "worst_case_disk_margin"),
         "structured.bounds": ("MuBounds", "mu"),
         "blocks.structure": ("complex_block", "full_block", "real_block"),
         "options": ("BoundOptions",),

@@ -1,4 +1,4 @@
-"""Worst-case disk margin of an uncertain loop."""
+"""Worst-case disk margin of an uncertain loop, and the disk margins of several loops at once."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.analysis.disk_margin import DiskMargin, margin_of_shifted
+from lftkit.analysis.margins import sensitivity as closed_sensitivity
+from lftkit.arrays import Matrices
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.robustness import worst_case_gain
+from lftkit.proofs.robustness import robust_stability, worst_case_gain
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.systems.exchange import as_system
+from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
+from lftkit.uncertainty.elements import DynamicElement
+
+GAP, BEYOND = 0.01, 1e-3
+"""Relative distance of the bounds of all loops at once; part beyond the least margin of one that is looked at."""
+LARGEST = 1e3
+"""Largest margin of all loops at once that is looked at."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +41,8 @@ class DiskMarginBounds:
     phase_margin : float
         Phase [rad] by which it may be turned, either way, from `lower`.
     gain_bounds : ProvenBounds
-        Of the norm of ``S + (skew - 1) / 2``, one over the margin, with its proof.
+        What was proven, with its proof: of the norm of ``S + (skew - 1) / 2``, one over the margin; of several loops
+        at once of the margin itself, with dynamics ``d0, d1, ...`` at its point.
     """
 
     lower: float
@@ -87,6 +98,74 @@ def worst_case_disk_margin(
     upper = 1.0 / bounds.lower if bounds.lower > 0.0 else math.inf
     gains = disk_gains(lower, skew)
     return DiskMarginBounds(lower, upper, gains, disk_phase(lower, skew), bounds)
+
+
+@dataclass(frozen=True)
+class DiskMargins:
+    """Disk margins of a loop with several channels.
+
+    Parameters
+    ----------
+    each : tuple of DiskMargin
+        Of every channel with the others closed.
+    together : DiskMarginBounds
+        Of all channels at once, each with a factor of its own.
+    """
+
+    each: tuple[DiskMargin, ...]
+    together: DiskMarginBounds
+
+
+def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None = None) -> DiskMargins:
+    """Disk margins of a square loop, of each channel and of all at once (diskmargin of the toolbox).
+
+    Each channel has a factor ``f = (2 + (1 - skew) d) / (2 - (1 + skew) d)`` with ``|d| < margin``. The margin of all
+    at once is one over the structured singular value of ``S + (skew - 1) / 2`` for a diagonal d (Seiler, Packard and
+    Gahinet, IEEE Control Systems 40 (2020), 78-95), bounded over the whole axis: its lower side is proven.
+
+    Parameters
+    ----------
+    loop : System, or what :func:`lftkit.as_system` takes
+        L of negative feedback, certain: **the loop is closed by** ``u = -y``. A sampled one goes through the bilinear
+        map, and the frequencies of `together` are those of the map, ``2 / dt tan(omega dt / 2)``.
+    skew : float
+        0: gain may rise and fall alike; 1: disks about S; -1: about T.
+    options : BoundOptions, optional
+        Of the margin at once; the gap is 1 % by default.
+
+    Raises
+    ------
+    ValueError
+        A loop that is uncertain, not square or not well posed.
+
+    Examples
+    --------
+    Two equal loops without coupling: together they bear what each of them does.
+
+    >>> from lftkit import append, s
+    >>> L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
+    >>> found = disk_margins(append(L.system("u1", "y1"), L.system("u2", "y2")))
+    >>> [round(one.size, 3) for one in found.each], round(found.together.upper, 3), found.together.lower > 0.45
+    ([0.458, 0.458], 0.458, True)
+    """
+    L = as_system(loop)
+    L.require_certain()
+    A, B, C, D = closed_sensitivity(L)
+    S: Matrices = A, B, C, D + 0.5 * (skew - 1.0) * np.eye(len(D))
+    each = tuple(margin_of_shifted((A, B[:, [i]], C[[i]], S[3][[i]][:, [i]]), L.dt, skew) for i in range(len(D)))
+    if min(one.size for one in each) == 0.0:
+        nothing = ProvenBounds(0.0, 0.0, {}, 0.0, None, "unstable")
+        return DiskMargins(each, DiskMarginBounds(0.0, 0.0, (1.0, 1.0), 0.0, nothing))
+    matrices = to_continuous(*S, L.dt) if L.dt else S
+    elements = tuple(DynamicElement(f"d{i}") for i in range(len(D)))
+    names = tuple(e.name for e in elements)
+    closed = System(*matrices, (), (), L.name, channels=names, elements=elements)
+    least = min(*(one.size for one in each), LARGEST)
+    largest = (1.0 + BEYOND) * least
+    bounds = robust_stability(closed, largest=largest, options=options or BoundOptions(gap=GAP))
+    lower = min(bounds.lower, least)
+    gains, phase = disk_gains(lower, skew), disk_phase(lower, skew)
+    return DiskMargins(each, DiskMarginBounds(lower, min(bounds.upper, least), gains, phase, bounds))
 
 
 def sensitivity(loop: System, offset: float) -> System:

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.riccati import riccati
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.reduction.balanced import ReducedSystem, error_bound
 from lftkit.reduction.balancing import balancing
 from lftkit.support.scalars import as_integer
@@ -61,8 +59,7 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     if number < 0:
         raise ValueError(f"order must be at least 0, got {number}")
     A, B, C, D = given.matrices if not given.dt else to_continuous(*given.matrices, given.dt)
-    root = _root(np.eye(B.shape[1]) + D.T @ D)
-    factors = _factors((A, B, C, D), root, given.name)
+    factors = right_coprime_factors((A, B, C, D), given.name)
     found = balancing(*factors[:3])
     kept = min(number, found.order)
     if kept >= given.order:
@@ -71,29 +68,10 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     ports = given.inputs, (Port("factors", sum(D.shape)),)
     error = System(*factors, *ports) - System(*reduced, *ports)
     tail = 2.0 * float(found.hankel[kept:].sum())
-    a, b, c, _ = reduced
-    drive, feedback, seen = b @ root, c[len(C) :], c[: len(C)]
+    a, b, c, d = reduced
+    drive, feedback, seen = linalg.solve(d[len(C) :].T, b.T).T, c[len(C) :], c[: len(C)]
     matrices = a - drive @ feedback, drive, seen - D @ feedback, D
     if given.dt:
         matrices = to_discrete(*matrices, given.dt)
     lower = System(*matrices, given.inputs, given.outputs, given.name, given.dt)
     return ReducedSystem(lower, found.hankel, error_bound(error, tail), tail)
-
-
-def _factors(plant: Matrices, root: FloatArray, name: str) -> Matrices:
-    """Normalised right coprime factors ``[N; M]`` of a continuous plant; `root` is that of ``1 + D'D``."""
-    A, B, C, D = plant
-    S = root @ root
-    X = riccati(A, B, C.T @ C, S, C.T @ D) if len(A) else A
-    Y = riccati(A.T, C.T, B @ B.T, np.eye(len(C)) + D @ D.T, B @ D.T) if len(A) else A
-    if X is None or Y is None:  # without Y the factors have a common zero that is not stable
-        raise ValueError(f"{name}: the system must be stabilisable and detectable, got one that is not")
-    F = -linalg.solve(S, D.T @ C + B.T @ X)
-    into = linalg.inv(root)
-    return A + B @ F, B @ into, np.vstack([C + D @ F, F]), np.vstack([D @ into, into])
-
-
-def _root(matrix: FloatArray) -> FloatArray:
-    """Symmetric square root of a positive definite matrix."""
-    values, vectors = linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(values) @ vectors.T)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.analysis.batched_linalg import solve
+from lftkit.analysis.passivity import linear_fraction
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.requirements.gains import HinfGain, peak_gain
@@ -71,16 +71,8 @@ class SectorGain(HinfGain):
 
     def realised(self, T: System) -> System | None:
         """F of a weighted closed loop that is not yet divided by the bound; None where its feedthrough is infinite."""
-        (a, b, c, d), one = self.fraction, np.eye(len(T.D))
-        A, B, C, D = T.A, T.B, T.C / self.bound, T.D / self.bound
-        inner = c * D + d * one
-        sizes = linalg.svdvals(inner)
-        if not sizes[-1] > np.finfo(float).eps * sizes[0]:
-            return None
-        E = linalg.inv(inner)
-        feedthrough = (a * D + b * one) @ E
-        A, C = A - c * B @ E @ C, a * C - c * feedthrough @ C
-        return System(A, B @ E, C, feedthrough, T.inputs, T.outputs, self.name, dt=T.dt)
+        index = linear_fraction((T.A, T.B, T.C / self.bound, T.D / self.bound), self.fraction)
+        return None if index is None else System(*index, T.inputs, T.outputs, self.name, dt=T.dt)
 
     def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
         """Both sides of the index.

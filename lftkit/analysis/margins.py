@@ -1,0 +1,245 @@
+"""Margins of one loop by gain, phase and delay alone, at every crossing, and the peaks of the sensitivities.
+
+Crossings are zeros of ``1 - L~ L`` and of ``L - L~``, which generalised eigenvalues give; each is confirmed by a change
+of sign of the response of the loop as it is, and refined there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.norms import HInfNorm, hinf_norm
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.systems.exchange import as_system
+from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
+from lftkit.systems.system import System
+
+sl_optimize: Any = optimize
+POINTS = 400
+"""Frequencies between the slowest and the fastest pole and crossing at which signs are looked at, too."""
+CROSSES = 1e-6
+"""Part of the response that may be left at a crossing; a pole on the axis, where the sign changes, too, leaves more."""
+NOISE = 1e-12
+"""Part of the response that is rounding, and no sign; a factor below it, or over its inverse, is no margin."""
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """Every crossing of one loop, by rising frequency [rad/s].
+
+    Attributes
+    ----------
+    gain : tuple of (omega, factor)
+        Where the response is real and negative: the factor of the gain that makes it -1, also at zero frequency, at
+        infinity or at the Nyquist frequency.
+    phase : tuple of (omega, angle)
+        Where the gain is 1: the phase lag that makes the response -1 [deg], above -180 and up to 180.
+    delay : tuple of (omega, delay)
+        At the same frequencies the least delay that makes it -1 [s].
+    stable : bool
+        Whether the loop is stable; otherwise the margins are crossings only.
+    """
+
+    gain: tuple[Point, ...]
+    phase: tuple[Point, ...]
+    delay: tuple[Point, ...]
+    stable: bool
+
+    @property
+    def gain_range(self) -> tuple[float, float]:
+        """Factors around 1 between which a stable loop stays stable; 0 and infinity without an end."""
+        factors = [factor for _, factor in self.gain]
+        return max((f for f in factors if f <= 1.0), default=0.0), min(
+            (f for f in factors if f >= 1.0), default=math.inf
+        )
+
+    @property
+    def phase_margin(self) -> float:
+        """Least phase, lag or lead, that makes a stable loop unstable [deg]; infinite without a crossing."""
+        return min((abs(angle) for _, angle in self.phase), default=math.inf)
+
+    @property
+    def delay_margin(self) -> float:
+        """Least delay that makes a stable loop unstable [s]; infinite without a crossing."""
+        return min((delay for _, delay in self.delay), default=math.inf)
+
+
+@dataclass(frozen=True)
+class SensitivityPeaks:
+    """H-infinity norms of S = 1 / (1 + L) and T = L / (1 + L), both of their sides; infinite for an unstable loop."""
+
+    sensitivity: HInfNorm
+    complementary: HInfNorm
+
+
+def loop_margins(loop: Any) -> LoopMargins:
+    """Gain, phase and delay margins of a loop with one input and one output at all crossings (allmargin in MATLAB).
+
+    Parameters
+    ----------
+    loop : System, or what :func:`lftkit.as_system` takes
+        Loop transfer L of negative feedback, continuous or sampled: **the loop is closed by** ``u = -y``. A sampled
+        one has no pole at z = -1.
+
+    Raises
+    ------
+    ValueError
+        An uncertain system, or one with several inputs or outputs.
+
+    Examples
+    --------
+    ``k / (s (s + 1) (s + 2))`` bears the gain up to 6 / k, by the criterion of Hurwitz:
+
+    >>> from lftkit import s
+    >>> found = loop_margins((1 / (s * (s + 1) * (s + 2))).system("u", "y"))
+    >>> [round(g, 9) for g in found.gain_range], round(found.phase_margin, 1), found.stable
+    ([0.0, 6.0], 53.4, True)
+    """
+    L = as_system(loop)
+    L.require_certain()
+    if L.D.shape != (1, 1):
+        raise ValueError(f"{L.name}: must have one input and one output, got {L.D.shape[1]} and {L.D.shape[0]}")
+    signs = _Signs.of(L)
+    real = signs.crossings(lambda value: value.imag, lambda value: value.imag / abs(value))
+    gain = [*((omega, signs.value(omega).real) for omega in real), *signs.ends()]
+    factors = tuple(sorted((omega, -1.0 / value) for omega, value in gain if value < 0.0))
+    unit = signs.crossings(lambda value: abs(value) - 1.0, lambda value: abs(value) - 1.0)
+    phase, delay = [], []
+    for omega in unit:
+        lag = math.pi + float(np.angle(signs.value(omega)))  # from 0 to 2 pi
+        phase.append((omega, math.degrees(lag if lag <= math.pi else lag - 2.0 * math.pi)))
+        delay.append((omega, lag / omega))
+    return LoopMargins(factors, tuple(phase), tuple(delay), _closed_stable(L))
+
+
+def sensitivity_peaks(loop: Any) -> SensitivityPeaks:
+    """Peaks of the sensitivities of a loop, also of one with several channels: Ms and Mt.
+
+    Parameters
+    ----------
+    loop : System, or what :func:`lftkit.as_system` takes
+        Loop transfer L of negative feedback, square, continuous or sampled.
+
+    Raises
+    ------
+    ValueError
+        An uncertain system, one that is not square, a loop that is not well posed.
+
+    Examples
+    --------
+    A double integrator with the law ``s + 1``:
+
+    >>> from lftkit import s
+    >>> found = sensitivity_peaks(((s + 1) / s**2).system("u", "y"))
+    >>> round(found.complementary.value, 4)
+    1.4679
+    """
+    L = as_system(loop)
+    L.require_certain()
+    A, B, C, D = sensitivity(L)
+    kind = L.dt or None
+    return SensitivityPeaks(hinf_norm(A, B, C, D, dt=kind), hinf_norm(A, B, -C, np.eye(len(D)) - D, dt=kind))
+
+
+def sensitivity(loop: System) -> Matrices:
+    """Matrices of ``S = (1 + L)^-1``.
+
+    Raises
+    ------
+    ValueError
+        A loop that is not square, or not well posed.
+    """
+    A, B, C, D = loop.matrices
+    if D.shape[0] != D.shape[1]:
+        raise ValueError(f"{loop.name}: must have as many inputs as outputs, got {D.shape[1]} and {D.shape[0]}")
+    through = np.eye(len(D)) + D
+    sizes = linalg.svdvals(through)
+    if not sizes[-1] > np.finfo(float).eps * sizes[0]:
+        raise ValueError(f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency")
+    inner = linalg.inv(through)
+    return A - B @ inner @ C, B @ inner, -inner @ C, inner
+
+
+def _closed_stable(L: System) -> bool:
+    try:
+        A = sensitivity(L)[0]
+    except ValueError:
+        return False
+    poles = np.asarray(linalg.eigvals(A) if len(A) else [], dtype=complex)
+    return bool(np.all(np.abs(poles) < 1.0) if L.dt else np.all(poles.real < 0.0))
+
+
+@dataclass(frozen=True)
+class _Signs:
+    """A loop and the frequencies between which a sign of its response can change at most once."""
+
+    loop: System
+    between: FloatArray
+
+    @classmethod
+    def of(cls, L: System) -> _Signs:
+        matrices = to_continuous(*L.matrices, L.dt) if L.dt else L.matrices
+        A, B, C, D = *balanced(*matrices[:3]), matrices[3]
+        # 1 - L~ L and L - L~, with -A' for the states of L~
+        into, out = np.vstack([B, -C.T @ D]), np.hstack([-D.T @ C, -B.T])
+        gain = np.block([[A, np.zeros_like(A)], [-C.T @ C, -A.T]]), into, out, 1.0 - D * D
+        real = linalg.block_diag(A, -A.T), np.vstack([B, C.T]), np.hstack([C, B.T]), 0.0 * D
+        poles = np.abs(linalg.eigvals(A)) if len(A) else np.zeros(0)
+        zeros = np.concatenate([_zeros(gain), _zeros(real)])
+        marks = np.unique(np.concatenate([poles, np.abs(zeros.imag), np.abs(zeros)]))
+        marks = marks[marks > 0.0] if marks.any() else np.ones(1)
+        middle = np.sqrt(marks[1:]) * np.sqrt(marks[:-1])
+        speeds = poles[poles > 0.0] if poles.any() else np.ones(1)
+        grid = np.geomspace(1e-3 * speeds.min(), 1e3 * speeds.max(), POINTS)
+        both = np.unique(np.concatenate([grid, middle, [0.5 * marks[0], 2.0 * marks[-1]]]))
+        if L.dt:
+            both = np.array([unwarped_frequency(w, L.dt) for w in both])
+        return cls(L, both)
+
+    def value(self, omega: float) -> complex:
+        """The response at a frequency; not finite at a pole."""
+        point = np.exp(1j * omega * self.loop.dt) if self.loop.dt else 1j * omega
+        try:
+            return complex(self.loop(point))
+        except (ValueError, ArithmeticError, linalg.LinAlgError):
+            return complex(math.inf, math.inf)
+
+    def crossings(self, sign: Callable[[complex], float], left: Callable[[complex], float]) -> list[float]:
+        """Frequencies at which `sign` of the response changes with nothing `left` [rad/s], rising."""
+        values = [self.value(omega) for omega in self.between]
+        signs = [sign(v) if np.isfinite(v) and abs(sign(v)) > NOISE * abs(v) else 0.0 for v in values]
+        known = [i for i, value in enumerate(signs) if value]
+        found = []
+        for low, high in pairwise(known):
+            if signs[low] * signs[high] < 0.0:
+                ends = self.between[low], self.between[high]
+                root = float(sl_optimize.brentq(lambda w: sign(self.value(w)), *ends, xtol=1e-300, rtol=1e-14))
+                if abs(left(self.value(root))) < CROSSES:
+                    found.append(root)
+        return found
+
+    def ends(self) -> list[Point]:
+        """Finite responses at zero frequency and at the highest one, which are real."""
+        last = math.pi / self.loop.dt if self.loop.dt else math.inf
+        values = [(0.0, self.value(0.0)), (last, self.value(last) if self.loop.dt else complex(self.loop.D.item()))]
+        return [(omega, value.real) for omega, value in values if NOISE < abs(value) < 1.0 / NOISE]
+
+
+def _zeros(system: Matrices) -> ComplexArray:
+    """Finite zeros of a system with one input and one output."""
+    A, B, C, D = system
+    n = len(A)
+    pencil, unit = np.block([[A, B], [C, np.atleast_2d(D)]]), np.zeros((n + 1, n + 1))
+    unit[:n, :n] = np.eye(n)
+    values = np.asarray(linalg.eigvals(pencil, unit), dtype=complex)
+    return np.asarray(values[np.isfinite(values)])

@@ -1,0 +1,165 @@
+"""Every crossing of a loop: those of python-control, the poles at its edge, and the ends of the axis."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lftkit import System, from_control, loop_margins, pade_delay, s, sensitivity_peaks, z
+from lftkit.analysis.margins import sensitivity
+
+
+def loop(expression: Any) -> System:
+    made: System = expression.system("u", "y")
+    return made
+
+
+def random_loop(seed: int, dt: float) -> System:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    A = rng.standard_normal((n, n))
+    poles = linalg.eigvals(A)
+    A = 0.95 * A / np.abs(poles).max() if dt else A - (poles.real.max() + 0.1) * np.eye(n)
+    gain = 10.0 ** rng.uniform(-0.5, 1.0)
+    B, C, D = gain * rng.standard_normal((n, 1)), rng.standard_normal((1, n)), rng.integers(0, 2) * np.ones((1, 1))
+    return System(A, B, C, D, [("u", 1)], [("y", 1)], "random", dt)
+
+
+def closed_poles(L: System, factor: complex) -> np.ndarray[Any, Any]:
+    A, B, C, D = L.matrices
+    found: np.ndarray[Any, Any] = linalg.eigvals(A - factor * B @ C / (1.0 + factor * D.item()))
+    return found
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(25))
+def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
+    L = random_loop(seed, dt)
+    with np.errstate(all="ignore"):
+        gains, phases, _, at_gains, at_phases, _ = control.stability_margins(control.tf(L.to_control()), returnall=True)
+    last = math.pi / dt * (1.0 - 1e-9) if dt else math.inf
+    found = loop_margins(L)
+    inside = [g for omega, g in found.gain if 0.0 < omega < last]
+    assert sorted(inside) == pytest.approx(sorted(g for g, w in zip(gains, at_gains) if 1e-9 < w < last), rel=1e-5)
+    assert sorted(angle for _, angle in found.phase) == pytest.approx(
+        sorted((phases + 180.0) % 360.0 - 180.0), abs=1e-3
+    )
+    assert [omega for omega, _ in found.phase] == pytest.approx(sorted(at_phases), rel=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(25))
+def test_each_crossing_makes_a_pole_on_the_edge_and_the_range_between_them_none(seed: int, dt: float) -> None:
+    L = random_loop(seed, dt)
+    found = loop_margins(L)
+    for omega, factor in found.gain:
+        if math.isfinite(omega):
+            edge = np.exp(1j * omega * dt) if dt else 1j * omega
+            assert np.abs(closed_poles(L, factor) - edge).min() < 1e-6 * max(1.0, abs(edge))
+    for omega, angle in found.phase:
+        edge = np.exp(1j * omega * dt) if dt else 1j * omega
+        assert np.abs(closed_poles(L, np.exp(-1j * np.radians(angle))) - edge).min() < 1e-6 * max(1.0, abs(edge))
+    for (omega, angle), (_, delay) in zip(found.phase, found.delay):
+        assert math.remainder(omega * delay - math.radians(angle), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    poles = closed_poles(L, 1.0)
+    assert found.stable == bool(np.all(np.abs(poles) < 1.0) if dt else np.all(poles.real < 0.0))
+    if found.stable:
+        low, high = found.gain_range
+        for factor in np.geomspace(max(low, 1e-4) * 1.0001, min(high, 1e4) / 1.0001, 50):
+            poles = closed_poles(L, factor)
+            assert np.abs(poles).max() < 1.0 if dt else poles.real.max() < 0.0
+
+
+def test_the_criterion_of_hurwitz() -> None:
+    found = loop_margins(loop(2 / (s * (s + 1) * (s + 2))))
+    assert found.gain_range == pytest.approx((0.0, 3.0))
+    assert found.gain[-1] == pytest.approx((math.sqrt(2.0), 3.0))
+
+
+def test_a_conditionally_stable_loop_has_margins_on_both_sides() -> None:
+    L = loop(3 * (s + 2) ** 2 / s**3)  # s^3 + k (s + 2)^2: by Hurwitz 4 k^2 > 4 k
+    found = loop_margins(L)
+    assert found.stable
+    assert found.gain_range == pytest.approx((1.0 / 3.0, math.inf))
+
+
+def test_the_delay_margin_is_the_delay_that_destabilises() -> None:
+    L = loop(2 / (s + 1))
+    found = loop_margins(L)
+    omega = math.sqrt(3.0)
+    assert found.phase == ((pytest.approx(omega), pytest.approx(120.0)),)
+    assert found.delay_margin == pytest.approx(math.radians(120.0) / omega)
+    for factor, stable in ((0.99, True), (1.01, False)):
+        delayed = L @ pade_delay(factor * found.delay_margin, 6)
+        assert loop_margins(delayed).stable == stable
+
+
+def test_ends_of_the_axis_count() -> None:
+    assert loop_margins(loop(-0.5 / (s + 1))).gain == ((0.0, pytest.approx(2.0)),)
+    assert loop_margins(loop((1 - 2 * s) / (s + 4))).gain == ((math.inf, pytest.approx(0.5)),)
+    q = z(0.5)
+    nyquist = loop_margins(loop(0.5 / (q + 0.5)))
+    assert nyquist.gain == ((pytest.approx(2.0 * math.pi), pytest.approx(1.0)),)
+
+
+def test_an_undamped_resonance_is_no_crossing() -> None:
+    """The sign of the imaginary part changes through infinity there."""
+    found = loop_margins(loop((s + 1) / (s**2 + 4) / (s + 3)))
+    assert all(abs(omega - 2.0) > 1e-3 for omega, _ in found.gain)
+    assert len(found.phase) == 2
+
+
+def test_units_of_time_and_states_do_not_matter() -> None:
+    slow = loop_margins(loop(25 / (s**3 + 10 * s**2 + 10 * s + 10)))
+    t = 1e5 * s
+    fast = loop_margins(loop(25 / (t**3 + 10 * t**2 + 10 * t + 10)))
+    assert fast.gain[0][1] == pytest.approx(slow.gain[0][1], rel=1e-9)
+    assert fast.phase_margin == pytest.approx(slow.phase_margin, rel=1e-9)
+    assert fast.delay_margin == pytest.approx(1e5 * slow.delay_margin, rel=1e-9)
+
+
+def test_a_high_gain_crosses_far_above_the_poles() -> None:
+    found = loop_margins(loop(1e9 / (s + 1)))
+    assert found.phase[0][0] == pytest.approx(1e9) and found.phase_margin == pytest.approx(90.0)
+
+
+def test_what_is_no_loop_is_refused() -> None:
+    many = System([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]], [("u", 2)], [("y", 1)])
+    with pytest.raises(ValueError, match="must have one input and one output, got 2 and 1"):
+        loop_margins(many)
+    with pytest.raises(ValueError, match="must have as many inputs as outputs, got 2 and 1"):
+        sensitivity_peaks(many)
+    with pytest.raises(ValueError, match="the loop must be well posed"):
+        sensitivity_peaks(loop((1 - s) / (s + 1)))
+    assert not loop_margins(loop((1 - s) / (s + 1))).stable
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_peaks_are_those_of_both_sensitivities(dt: float) -> None:
+    rng = np.random.default_rng(1)
+    A = rng.standard_normal((4, 4))
+    A = 0.5 * A / np.abs(linalg.eigvals(A)).max() if dt else A - (linalg.eigvals(A).real.max() + 1.0) * np.eye(4)
+    B, C = 0.3 * rng.standard_normal((4, 2)), 0.3 * rng.standard_normal((2, 4))
+    L = System(A, B, C, np.zeros((2, 2)), [("u", 2)], [("y", 2)], "two", dt)
+    found = sensitivity_peaks(L)
+    omega = np.linspace(0.0, math.pi / dt, 500) if dt else np.geomspace(1e-3, 1e3, 500)
+    S = np.linalg.inv(np.eye(2) + L.response(omega))
+    T = np.eye(2) - S
+    for norm, response in ((found.sensitivity, S), (found.complementary, T)):
+        assert norm.value == pytest.approx(np.linalg.norm(response, 2, axis=(1, 2)).max(), rel=1e-3)
+    assert np.allclose(System(*sensitivity(L), L.inputs, L.inputs, dt=dt).response(omega), S)
+
+
+def test_peaks_of_an_unstable_loop_are_infinite() -> None:
+    found = sensitivity_peaks(loop(100 / (s + 1) ** 3))
+    assert math.isinf(found.sensitivity.value) and math.isinf(found.complementary.value)
+
+
+def test_python_control_systems_are_taken() -> None:
+    assert loop_margins(from_control(control.tf([2.0], [1.0, 1.0]))).phase_margin == pytest.approx(120.0)
+    assert loop_margins(control.tf([2.0], [1.0, 1.0])).phase_margin == pytest.approx(120.0)

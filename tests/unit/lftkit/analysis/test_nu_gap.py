@@ -1,0 +1,141 @@
+"""The nu-gap: printed values, its laws, the winding number followed along the axis, margins of closed loops."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lftkit import System, ncfmr, nu_gap, s, transfer
+from lftkit.analysis.coprime_factors import right_coprime_factors
+from lftkit.synthesis import ncfsyn
+from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.sampled.bilinear import to_discrete
+
+
+def random(rng: np.random.Generator, states: int, sizes: tuple[int, int]) -> System:
+    p, m = sizes
+    A, B, C = rng.standard_normal((states, states)), rng.standard_normal((states, m)), rng.standard_normal((p, states))
+    return System(A, B, C, 0.3 * rng.standard_normal((p, m)), [("u", m)], [("y", p)])
+
+
+def pairs(count: int) -> list[tuple[System, System]]:
+    rng = np.random.default_rng(0)
+    found = []
+    for k in range(count):
+        sizes = int(rng.integers(1, 3)), int(rng.integers(1, 3))
+        first = random(rng, int(rng.integers(1, 4)), sizes)
+        near = rng.standard_normal(first.A.shape)
+        A, B, C, D = first.matrices
+        close = System(A + 0.3 * near, B, C, D, first.inputs, first.outputs)
+        found.append((first, close if k % 2 else random(rng, int(rng.integers(1, 4)), sizes)))
+    return found
+
+
+def root(matrix: Any) -> Any:
+    return linalg.inv(linalg.sqrtm(matrix))
+
+
+def test_published_values() -> None:
+    """Zhou and Doyle, Essentials of Robust Control (1998), chapter 17."""
+    one, two, three = ((e).system("u", "y") for e in (100 / (2 * s + 1), 100 / (2 * s - 1), 100 / (s + 1) ** 2))
+    assert nu_gap(one, two).value == pytest.approx(0.02, abs=5e-5)
+    assert nu_gap(one, three).value == pytest.approx(0.8988, abs=5e-5)
+    assert nu_gap(two, three).value == pytest.approx(0.8941, abs=5e-5)
+
+
+def test_the_winding_number_is_that_along_the_axis() -> None:
+    """wno det(1 + G2~ G1) + the unstable poles of G1 - those of G2, from the change of phase."""
+    omega = np.tan(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1501)[1:-1])
+    seen = set()
+    for first, second in pairs(24):
+        one, two = (g.response(np.abs(omega)) for g in (first, second))
+        one, two = (np.where(omega[:, None, None] < 0.0, g.conj(), g) for g in (one, two))
+        eye = np.eye(one.shape[2])
+        determinant = np.linalg.det(eye + two.conj().swapaxes(1, 2) @ one)
+        turns = np.diff(np.unwrap(np.angle(determinant)))
+        unstable = [int(np.sum(g.poles().real > 0.0)) for g in (first, second)]
+        number = -round(turns.sum() / (2.0 * np.pi)) + unstable[0] - unstable[1]
+        found = nu_gap(first, second)
+        chordal = max(
+            linalg.norm(root(np.eye(len(b)) + b @ b.conj().T) @ (b - a) @ root(eye + a.conj().T @ a), 2)
+            for a, b in zip(one[750::10], two[750::10])
+        )
+        if chordal < 0.99:
+            assert found.same_winding == (number == 0)
+            seen.add(found.same_winding)
+        if found.same_winding:
+            assert chordal <= found.upper * (1.0 + 1e-9)
+            assert found.value == pytest.approx(chordal, rel=0.02)
+        else:
+            assert found.value == found.upper == 1.0
+    assert seen == {True, False}
+
+
+def test_it_is_a_metric() -> None:
+    rng = np.random.default_rng(3)
+    systems = [random(rng, 2, (1, 1)) for _ in range(6)]
+    gap = {(i, j): nu_gap(a, b).value for i, a in enumerate(systems) for j, b in enumerate(systems)}
+    for i in range(6):
+        assert gap[i, i] < 1e-7
+        for j in range(6):
+            assert gap[i, j] == pytest.approx(gap[j, i], abs=1e-6)
+            for k in range(6):
+                assert gap[i, k] <= gap[i, j] + gap[j, k] + 1e-6
+
+
+def test_constants_have_the_chordal_distance() -> None:
+    one, two = transfer([2.0], [1.0]), transfer([-1.0], [1.0])
+    assert nu_gap(one, two).value == pytest.approx(min(1.0, 3.0 / math.sqrt(5.0 * 2.0)))
+
+
+def test_a_margin_is_lost_by_at_most_the_gap() -> None:
+    """asin(margin of G2) >= asin(margin of G1) - asin(gap), with the same controller, and a stable loop."""
+    tried = 0
+    for first, second in pairs(30):
+        gap, design = nu_gap(first, second), ncfsyn(first)
+        margin = 1.0 / design.value
+        if gap.upper >= margin:
+            continue
+        tried += 1
+        loop = close_loop(second, design.controller, ["u"], ["y"])
+        assert linalg.eigvals(loop.A).real.max() < 0.0
+        best = 1.0 / ncfsyn(second).lower
+        assert math.asin(min(best, 1.0)) >= math.asin(margin) - math.asin(gap.upper) - 1e-6
+    assert tried >= 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_at_most_the_error_of_reduced_coprime_factors(seed: int) -> None:
+    given = random(np.random.default_rng(seed), 5, (2, 2))
+    for order in range(1, 5):
+        found = ncfmr(given, order)
+        assert nu_gap(given, found.system).value <= found.error_bound * (1.0 + 1e-6)
+
+
+def test_sampled_systems_have_the_gap_of_their_images() -> None:
+    for first, second in pairs(6):
+        images = [System(*to_discrete(*g.matrices, 0.1), g.inputs, g.outputs, dt=0.1) for g in (first, second)]
+        assert nu_gap(*images).value == pytest.approx(nu_gap(first, second).value, abs=1e-6)
+    unequal = (1 / (s + 1)).system("u", "y"), System([[0.5]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)], dt=0.1)
+    with pytest.raises(ValueError, match="same sampling period"):
+        nu_gap(*unequal)
+
+
+def test_coprime_factors_are_normalised_and_give_the_system() -> None:
+    for given, _ in pairs(8):
+        factors = System(*right_coprime_factors(given.matrices), given.inputs, [("nm", sum(given.D.shape))])
+        assert linalg.eigvals(factors.A).real.max() < 0.0
+        for response, value in zip(factors.response([0.0, 0.7, 30.0]), given.response([0.0, 0.7, 30.0])):
+            N, M = response[: len(value)], response[len(value) :]
+            assert np.allclose(N.conj().T @ N + M.conj().T @ M, np.eye(len(M)))
+            assert np.allclose(N @ linalg.inv(M), value)
+
+
+def test_systems_of_other_sizes_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match=r"systems must have the same size, got \(1, 1\) and \(2, 1\)"):
+        nu_gap(random(rng, 1, (1, 1)), random(rng, 1, (2, 1)))
