@@ -1,4 +1,4 @@
-"""Line of sight in a bag of any program: any message type with two or three numbers, read by its definition.
+"""Line of sight in a bag of any program: any message with two or three numbers or a quaternion, by its definition.
 
 The bag is MCAP (a file, or a rosbag2 folder); the definitions are those in the bag, plain CDR. The time of a sample is
 the stamp of its header; without a header, or where it is zero, the time at which the message was recorded. The bag is
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
+from pointing_analysis.read.attitude import line_of_sight, turned_about, unit_quaternions
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
@@ -22,9 +23,12 @@ from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
 from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
+from pointing_analysis.read.tables.table import split_unit, unit_name
+from pointing_analysis.units import ANGLES
 
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
+NO_ATTITUDE = "a quaternion must have norm 1, got another, such as the zeros of an unknown attitude"
 Samples = tuple[FloatArray, IntArray, BoolArray]
 
 
@@ -37,10 +41,12 @@ class Candidate:
     topic : its name in the bag
     schema : message type
     field : path of the field in the message; empty if it is the message itself
-    components : names of its numbers; the first two are used
+    components : names of its numbers, the first two of which are used; of an attitude the axes of rotation
     stamped : whether the messages have a header
     messages : number of messages
     rate : median rate of recording [Hz]; NaN with fewer than two messages
+    unit : of the numbers, where the type or their names have it; empty: to be stated
+    axis : of an attitude, the axis of the body that is the line of sight; else empty
     """
 
     topic: str
@@ -50,11 +56,13 @@ class Candidate:
     stamped: bool
     messages: int
     rate: float
+    unit: str = ""
+    axis: str = ""
 
     @property
     def name(self) -> str:
-        """Name for the option ``--los``."""
-        return f"{self.topic}.{self.field}" if self.field else self.topic
+        """Name for the option ``--los``: topic, field, and axis of an attitude."""
+        return ".".join(filter(None, (self.topic, self.field, self.axis)))
 
     def __str__(self) -> str:
         return f"{self.name} ({self.schema}: {', '.join(self.components)})"
@@ -80,25 +88,30 @@ class _Topic:
         middle = float(np.median(steps)) if steps.size else 0.0
         rate = 1e9 / middle if middle > 0 else float("nan")
         name, schema = self.channel.topic, self.channel.schema
-        angles = [v for v in self.vectors if not v.quantity]
-        return [Candidate(name, schema, v.path, v.components, v.stamped, logged.size, rate) for v in angles]
+        return [
+            Candidate(name, schema, v.path, _components(v), v.stamped, logged.size, rate, _unit(v), v.axis)
+            for v in self.vectors
+            if not v.quantity
+        ]
 
     def names(self, los: str) -> list[ros_definitions.Vector]:
         """Fields that an option ``--los`` means; angles, where one of them can be one."""
         topic = self.channel.topic
-        exact = [v for v in self.vectors if los == (f"{topic}.{v.path}" if v.path else topic)]
+        exact = [v for v in self.vectors if los == (f"{topic}.{v.name}" if v.name else topic)]
+        exact = exact or [v for v in self.vectors if v.axis and los == f"{topic}.{v.path}"]
         found = exact or (list(self.vectors) if los == topic else [])
         return [v for v in found if not v.quantity] or found
 
     def decode(self, block: Block, rows: IntArray, vector: ros_definitions.Vector) -> Samples:
-        """Numbers (n, 2) and header stamps (n,) of messages, and which of them could be read."""
-        values = np.full((rows.size, 2), np.nan)
+        """Numbers (n, 2), of an attitude (n, 4), and header stamps (n,) of messages, and which could be read."""
+        count = len(ros_definitions.QUATERNION) if vector.axis else 2
+        values: FloatArray = np.full((rows.size, count), np.nan)
         stamps, fitting = np.zeros(rows.size, np.int64), np.zeros(rows.size, bool)
         for index, payloads in block.payloads(rows):
             while index.size:
                 try:
                     schema, first = self.channel.schema, payloads[0].tobytes()
-                    places = ros_definitions.locate(schema, self.types, vector.path, first)
+                    places = ros_definitions.locate(schema, self.types, vector.path, first, count)
                 except BagError as error:
                     self.left_out[str(error)] += 1
                     index, payloads = index[1:], payloads[1:]
@@ -108,7 +121,29 @@ class _Topic:
                 if vector.stamped:
                     stamps[index[fits]] = ros_definitions.stamps(payloads[fits], places.order)
                 index, payloads = index[~fits], payloads[~fits]
+        if vector.axis:
+            values = values[:, [vector.components.index(one) for one in ros_definitions.QUATERNION]]
+            turned = unit_quaternions(values)
+            if strange := int((fitting & ~turned).sum()):
+                self.left_out["a quaternion must have norm 1, got another, such as that of an unknown attitude"] += (
+                    strange
+                )
+            fitting &= turned
         return values, stamps, fitting
+
+
+def _components(vector: ros_definitions.Vector) -> tuple[str, ...]:
+    return tuple(f"about {axis}" for axis in turned_about(vector.axis)) if vector.axis else vector.components
+
+
+def _unit(vector: ros_definitions.Vector) -> str:
+    """Unit of the two numbers where the type has one (an attitude: rad), or their names, or that of the field."""
+    if vector.axis:
+        return "rad"
+    own = {split_unit(name)[1] for name in vector.components[:2]}
+    found = own.pop() if len(own) == 1 else ""
+    found = found or split_unit(vector.path.rpartition(".")[2])[1]
+    return found if found in ANGLES else ""
 
 
 def _met(channel: Channel, first: bytes) -> _Topic:
@@ -178,7 +213,9 @@ def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
                     "sight as geometry_msgs/msg/Vector3Stamped, or in a type of its own"
                 )
     everything = [c for name in sorted(topics) for c in topics[name].candidates()]
-    named = [c for c in everything if c.name == los] or [c for c in everything if c.topic == los]
+    named = [c for c in everything if c.name == los] or [
+        c for c in everything if los in (c.topic, f"{c.topic}.{c.field}")
+    ]
     if len(named) == 1:
         return named[0]
     if named:
@@ -197,6 +234,20 @@ def _is_start(stamps: IntArray) -> bool:
     return bool(abs(float(others[0]) - step) <= 0.5 * step)
 
 
+def _of_attitude(quaternions: FloatArray, chosen: Candidate, path: Path, problems: list[str]) -> FloatArray:
+    """Angles (n, 2) of the axis about its mean, which is noted."""
+    try:
+        angles = line_of_sight(quaternions, chosen.axis)
+    except BagError as error:
+        raise BagError(f"{path}: {chosen.name}: {error}") from None
+    first, second = turned_about(chosen.axis)
+    problems.append(
+        f"{chosen.topic}: the line of sight is the body's {chosen.axis} axis, its angles about {first} and {second} "
+        "are those from the mean attitude: a constant error is not seen"
+    )
+    return angles
+
+
 def read_external(
     path: Path,
     los: str,
@@ -211,8 +262,9 @@ def read_external(
     Parameters
     ----------
     path : rosbag2 folder or MCAP file
-    los : topic, or topic and field: ``/my/los``, ``/imu.angular_velocity``; the first two numbers are used
-    unit : of the numbers
+    los : topic, or topic and field: ``/my/los``, ``/my/msg.error``, of which the first two numbers are used; of an
+        attitude with the axis of the body, ``/imu.orientation.z``: `pointing_analysis.read.attitude.line_of_sight`
+    unit : of the numbers; not needed where the type or their names have it
     rate : sampling rate [Hz] to whose grid the times are moved; by default that of the times, where they have one
     time : ``header``, ``log`` (time of recording), or ``auto``: the header where it is there and set
     max_chunk : largest chunk that is unpacked [byte]; a larger one is left out and noted
@@ -220,7 +272,8 @@ def read_external(
     Raises
     ------
     BagError
-        Not a bag, no such field (the message lists what could be used), messages that cannot be read.
+        Not a bag, no such field (the message lists what could be used), messages that cannot be read, another unit than
+        theirs, an attitude that slews.
     ValueError
         Unknown unit or time, or a rate that the samples do not have.
     """
@@ -228,9 +281,11 @@ def read_external(
         raise ValueError(f"time must be one of {', '.join(TIME_SOURCES)}, got {time!r}")
     topics, reading = _scan(path, los, max_chunk)
     chosen = _choose(path, los, topics)
+    if chosen.unit and unit is not None and unit_name(unit) != chosen.unit:
+        raise BagError(f"{path}: unit must be {chosen.unit} for {chosen.name}, got {unit!r}")
     topic, problems = topics[chosen.topic], reading.problems()
     values, header, fitting = (np.concatenate(arrays) for arrays in zip(*topic.samples))
-    for reason, count in topic.left_out.most_common(LISTED):
+    for reason, count in (+topic.left_out).most_common(LISTED):
         problems.append(f"{chosen.topic}: {count} messages excluded: {reason}")
     logged, published = np.concatenate(topic.logged), np.concatenate(topic.published)
     by_header = chosen.stamped and time != "log" and bool(header[fitting].any())
@@ -244,6 +299,9 @@ def read_external(
         stamps = stamps + ORIGIN  # the clock of the samples began at zero, as one of a simulation does
     elif zero:
         problems.append(f"{chosen.topic}: {zero} messages without a stamp are excluded")
+    used = values[fitting]
+    if chosen.axis:
+        used = _of_attitude(used, chosen, path, problems)
     about = {
         "line_of_sight": chosen.name,
         "message_type": chosen.schema,
@@ -252,8 +310,8 @@ def read_external(
     }
     found = make_series(
         stamps[fitting],
-        values[fitting],
-        unit=unit,
+        used,
+        unit=chosen.unit or unit,
         rate=rate,
         published=published[fitting],
         provenance=Provenance(path, "bag", chosen.name, chosen.schema, about, problems),

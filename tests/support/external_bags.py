@@ -49,16 +49,36 @@ def _message(kind: str, stamp: int, a: float, b: float, i: int) -> Any:
     raise AssertionError(kind)
 
 
+def _attitude(kind: str, stamp: int, row: list[float]) -> Any:
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="f"
+    )
+    turn = types["geometry_msgs/msg/Quaternion"](*row)
+    if kind == "sensor_msgs/msg/Imu":
+        vector, nine = types["geometry_msgs/msg/Vector3"](x=9.0, y=8.0, z=7.0), np.arange(9.0)
+        return types[kind](header, turn, nine, vector, nine, vector, nine)
+    if kind == "geometry_msgs/msg/PoseStamped":
+        return types[kind](
+            header, types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0), turn)
+        )
+    if kind == "geometry_msgs/msg/TransformStamped":
+        moved = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0), turn)
+        return types[kind](header, "camera", moved)
+    return types[kind](*row)
+
+
 def write_external(
     path: Path, topics: dict[str, tuple[str, ArrayLike]], rate: float, logged: ArrayLike | None = None
 ) -> Path:
-    """Write a bag: topic -> (message type, samples (n, 2)); stamps on the grid of `rate` [Hz]."""
+    """Write a bag: topic -> (message type, samples (n, 2), of attitudes (n, 4)); stamps on the grid of `rate` [Hz]."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for name, (kind, samples) in topics.items():
             connection = writer.add_connection(name, kind, typestore=STORE)
-            for i, (a, b) in enumerate(np.asarray(samples, dtype=float).tolist()):
+            for i, row in enumerate(np.asarray(samples, dtype=float).tolist()):
                 stamp = START + i * round(1e9 / rate)
                 time = stamp if logged is None else int(np.asarray(logged)[i])
-                data = STORE.serialize_cdr(_message(kind, stamp, a, b, i), kind)
+                message = _attitude(kind, stamp, row) if len(row) == 4 else _message(kind, stamp, *row, i)
+                data = STORE.serialize_cdr(message, kind)
                 writer.write(connection, time, data)
     return path

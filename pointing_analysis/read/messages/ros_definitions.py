@@ -37,6 +37,7 @@ SIZES = {
     "float64": 8,
 }
 FLOATS = {"float32": "f4", "float64": "f8"}
+_WORDS = {2: "two", 4: "four"}
 STAMP = "builtin_interfaces/Time"
 HEADER = "std_msgs/Header"
 QUANTITIES: Mapping[tuple[str, str], str] = MappingProxyType(
@@ -92,9 +93,13 @@ BUILT_IN: Definitions = MappingProxyType(
 """Types that definitions need not hold."""
 
 
+QUATERNION = ("x", "y", "z", "w")
+"""Names of the four numbers of an attitude, in any order."""
+
+
 @dataclass(frozen=True)
 class Vector:
-    """Two or three floats in a message type.
+    """Two or three floats in a message type, or the four of a quaternion.
 
     Attributes
     ----------
@@ -102,12 +107,19 @@ class Vector:
     components : names of the numbers
     stamped : whether the message begins with a header
     quantity : what they are where that is no angle, with its article and unit; else empty
+    axis : of a quaternion, the axis of the body that is the line of sight: ``x``, ``y`` or ``z``; else empty
     """
 
     path: str
     components: tuple[str, ...]
     stamped: bool
     quantity: str = ""
+    axis: str = ""
+
+    @property
+    def name(self) -> str:
+        """Field and axis, as ``orientation.z``; empty for the message itself."""
+        return ".".join(filter(None, (self.path, self.axis)))
 
 
 def short_name(schema: str) -> str:
@@ -156,7 +168,7 @@ def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
         return ()
     fields = types[root]
     stamped = bool(fields) and fields[0].type == HEADER
-    found: list[tuple[str, tuple[str, ...], str]] = []
+    found: list[_Group] = []
     # some hundred bytes of definitions can stand for any number of paths
     for number, group in enumerate(_groups(root, types, "", 0)):
         if number > MESSAGE_FIELDS:
@@ -164,24 +176,28 @@ def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
         if group is not None:
             found.append(group)
     found.sort(key=lambda group: group[0].count("."))
-    return tuple(Vector(path, names, stamped, quantity) for path, names, quantity in found)
+    return tuple(Vector(path, names, stamped, quantity, axis) for path, names, quantity, axis in found)
 
 
-def _groups(
-    kind: str, types: Definitions, path: str, depth: int, quantity: str = ""
-) -> Iterator[tuple[str, tuple[str, ...], str] | None]:
-    """Path, names and quantity of each group, which holds for all that is inside; None for each other field."""
+_Group = tuple[str, tuple[str, ...], str, str]
+
+
+def _groups(kind: str, types: Definitions, path: str, depth: int, quantity: str = "") -> Iterator[_Group | None]:
+    """Path, names, quantity (it holds for all that is inside) and axis of attitude of each group, else None."""
     fields = types.get(kind, ())
     names = tuple(f.name for f in fields if f.type in FLOATS and f.count is None)
     if 2 <= len(names) <= 3:
-        yield path, names, quantity or QUANTITIES.get((kind, ""), "")
+        yield path, names, quantity or QUANTITIES.get((kind, ""), ""), ""
+    if len(names) == len(fields) == 4 and sorted(names) == sorted(QUATERNION):
+        for axis in "xyz":
+            yield path, names, quantity, axis
     for f in fields:
         inner = f"{path}.{f.name}" if path else f.name
         what = quantity or QUANTITIES.get((kind, f.name), "")
         if f.type in FLOATS and f.count in (2, 3):
-            yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count))), what
+            yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count))), what, ""
         elif f.type in FLOATS and f.count == 0:
-            yield inner, (f"{f.name}[0]", f"{f.name}[1]"), what
+            yield inner, (f"{f.name}[0]", f"{f.name}[1]"), what, ""
         else:
             yield None
         if f.count is None and f.type in types and f.type != HEADER and depth < MESSAGE_DEPTH:
@@ -192,13 +208,14 @@ def _groups(
 class _Reader:
     """Walks through a payload, remembering the length fields that fix its layout and the places of floats by field.
 
-    With a `target` it ends behind the first two numbers of this field.
+    With a `target` it ends behind the first numbers of this field, as many as are `wanted`.
     """
 
     payload: bytes
     types: Definitions
     order: str
     target: str | None = None
+    wanted: int = 2
     at: int = 4
     lengths: list[tuple[int, int]] = field(default_factory=list)
     places: dict[str, tuple[list[tuple[int, str]], int]] = field(default_factory=dict)
@@ -233,7 +250,7 @@ class _Reader:
                 if f.type in FLOATS:
                     self.note(path if f.count is None else inner, f.type, count)
                 self.at += SIZES[f.type] * count
-                if self.target in self.places and len(self.places[self.target][0]) >= 2:
+                if self.target in self.places and len(self.places[self.target][0]) >= self.wanted:
                     return True
                 continue
             for _ in range(count):
@@ -251,14 +268,14 @@ class _Reader:
         if owner is None:
             return
         known, _ = self.places.get(owner, ([], 0))
-        if len(known) < 2:
-            new = [(self.at + i * SIZES[kind], FLOATS[kind]) for i in range(min(count, 3))]
+        if len(known) < self.wanted:
+            new = [(self.at + i * SIZES[kind], FLOATS[kind]) for i in range(min(count, max(3, self.wanted)))]
             self.places[owner] = known + new, len(self.lengths)
 
 
 @dataclass(frozen=True)
 class Places:
-    """Positions of two numbers in messages of one size.
+    """Positions of numbers in messages of one size.
 
     Attributes
     ----------
@@ -274,22 +291,22 @@ class Places:
     order: str
 
 
-def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places:
-    """Find the first two numbers of a field in one message.
+def locate(schema: str, types: Definitions, path: str, payload: bytes, count: int = 2) -> Places:
+    """Find the first two numbers of a field in one message, or the first `count`.
 
     Raises
     ------
     BagError
-        Not plain CDR, a truncated message, or a field with fewer than two numbers.
+        Not plain CDR, a truncated message, or a field with fewer numbers.
     """
-    reader = _Reader(payload, types, byte_order(schema, payload), path)
+    reader = _Reader(payload, types, byte_order(schema, payload), path, count)
     try:
         reader.message(short_name(schema), "")
     except struct.error:
         raise BagError(f"{schema}: the payload of {len(payload)} bytes is truncated") from None
     found = _places(reader, path)
     if found is None:
-        raise BagError(f"{schema}: {path or 'the message'} must have two numbers, got fewer")
+        raise BagError(f"{schema}: {path or 'the message'} must have {_WORDS[count]} numbers, got fewer")
     return found
 
 
@@ -303,14 +320,14 @@ def located(schema: str, types: Definitions, payload: bytes) -> frozenset[str]:
 
 def _places(reader: _Reader, path: str) -> Places | None:
     places, lengths = reader.places.get(path, ([], 0))
-    numbers = tuple(places[:2])
-    if len(numbers) < 2 or any(at + int(kind[1]) > len(reader.payload) for at, kind in numbers):
+    numbers = tuple(places[: reader.wanted])
+    if len(numbers) < reader.wanted or any(at + int(kind[1]) > len(reader.payload) for at, kind in numbers):
         return None
     return Places(len(reader.payload), numbers, tuple(reader.lengths[:lengths]), reader.order)
 
 
 def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[FloatArray, BoolArray]:
-    """Numbers (m, 2) of messages (m, size) of one size, and which of them have this layout."""
+    """Numbers (m, 2 or 4) of messages (m, size) of one size, and which of them have this layout."""
 
     def column(at: int, kind: str) -> NDArray[np.generic]:
         width = int(kind[1])

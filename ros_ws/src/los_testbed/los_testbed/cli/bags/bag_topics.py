@@ -15,6 +15,9 @@ from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 TOPICS_EXAMPLES = """List topics of any bag that can be the line of sight, for `analyse --los`.
 
+Attitudes have one line for each axis of the body that can be the line of sight; its angles are those about the mean.
+"--unit" in place of a unit: state it.
+
 **Example**
 
     los-testbed bag topics my_bag
@@ -34,16 +37,19 @@ def topics(
             c.name,
             c.schema.rpartition("/")[2],
             ", ".join(c.components),
+            c.unit or "--unit",
             "header" if c.stamped else "log",
             str(c.messages),
             f"{c.rate:.6g}",
         )
         for c in found
     ]
-    heads = (*texts("--los", "type", "values", "time"), *numbers("count", "Hz"))
+    heads = (*texts("--los", "type", "values", "unit", "time"), *numbers("count", "Hz"))
     table = TextTable.of(heads, rows, f"{bag.name}: possible lines of sight")
     shown = on_screen(table, whole=("--los",), box=None, padding=(0, 1))
-    Screen(stderr=json_).print(shown if found else f"{bag}: no message with two numbers", soft_wrap=not found)
+    Screen(stderr=json_).print(
+        shown if found else f"{bag}: no message with two numbers or a quaternion", soft_wrap=not found
+    )
     if json_:
         content = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
         print_json({"bag": str(bag), "candidates": content})

@@ -1,0 +1,159 @@
+"""Quaternions as line of sight: the angles of an axis of the body about its mean, by rotations of scipy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from scipy.spatial.transform import Rotation
+
+from pointing_analysis.read.attitude import line_of_sight, turned_about
+from pointing_analysis.read.external_bag import candidates
+from pointing_analysis.read.los_source import open_los
+from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
+
+external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
+
+RATE = 200.0
+AXES = {"x": np.eye(3)[0], "y": np.eye(3)[1], "z": np.eye(3)[2]}
+
+
+def motion(n: int = 400, size: float = 1e-5) -> np.ndarray:
+    """Rotation vectors [rad] without mean."""
+    turns = size * np.random.default_rng(4).standard_normal((n, 3))
+    return np.asarray(turns - turns.mean(axis=0))
+
+
+def attitudes(turns: np.ndarray, seed: int = 7) -> np.ndarray:
+    """Quaternions of a random attitude turned in the body, with a random sign."""
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1.0, 1.0], size=(len(turns), 1))
+    return np.asarray(signs * (Rotation.random(random_state=seed) * Rotation.from_rotvec(turns)).as_quat())
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("seed", range(4))
+def test_small_turns_are_their_components_across_the_axis(axis: str, seed: int) -> None:
+    """To the second order of the angles; the sign of a quaternion and the attitude do not count."""
+    turns = motion()
+    first, second = ("xyz".index(one) for one in turned_about(axis))
+    found = line_of_sight(attitudes(turns, seed), axis)
+    np.testing.assert_allclose(found, turns[:, [first, second]], atol=10 * np.abs(turns).max() ** 2)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_directions_are_those_of_the_rotated_axis(axis: str) -> None:
+    """Large angles and any roll: by the directions of scipy's matrices, relative to the mean by scipy."""
+    rng = np.random.default_rng(11)
+    rotations = Rotation.random(random_state=1) * Rotation.from_rotvec(0.1 * rng.standard_normal((300, 3)))
+    found = line_of_sight(rotations.as_quat(), axis)
+    d = (rotations.mean().inv() * rotations).apply(AXES[axis])
+    k, (first, second) = "xyz".index(axis), ("xyz".index(one) for one in turned_about(axis))
+    np.testing.assert_allclose(np.tan(found[:, 0]), -d[:, second] / d[:, k], atol=1e-9)
+    np.testing.assert_allclose(np.tan(found[:, 1]), d[:, first] / d[:, k], atol=1e-9)
+
+
+def test_roll_about_the_line_of_sight_does_not_move_it() -> None:
+    roll = np.zeros((50, 3))
+    roll[:, 2] = np.linspace(-1.0, 1.0, 50)
+    assert np.abs(line_of_sight(attitudes(roll), "z")).max() < 1e-12
+    with pytest.raises(ValueError, match=r"within 0.5 rad of its mean attitude, got 1 rad"):
+        line_of_sight(attitudes(roll), "x")
+
+
+KINDS = {
+    "sensor_msgs/msg/Imu": "orientation",
+    "geometry_msgs/msg/PoseStamped": "pose.orientation",
+    "geometry_msgs/msg/TransformStamped": "transform.rotation",
+    "geometry_msgs/msg/Quaternion": "",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_offers_each_axis_with_its_unit(tmp_path: Path, kind: str) -> None:
+    turns = motion()
+    bag = external_bags.write_external(tmp_path / "bag", {"/a": (kind, attitudes(turns))}, RATE)
+    field = ".".join(filter(None, ("/a", KINDS[kind])))
+    found = {one.name: (one.components, one.unit) for one in candidates(bag)}
+    assert found == {
+        f"{field}.x": (("about y", "about z"), "rad"),
+        f"{field}.y": (("about z", "about x"), "rad"),
+        f"{field}.z": (("about x", "about y"), "rad"),
+    }
+    run = open_los(bag, los=f"{field}.z", rate=RATE)
+    np.testing.assert_allclose(run["truth/los"].values, turns[:, :2], atol=1e-9)
+    assert any("from the mean attitude: a constant error is not seen" in problem for problem in run.problems)
+    with pytest.raises(ValueError, match=f"must name a field, {field}.x or {field}.y or {field}.z, got"):
+        open_los(bag, los="/a")
+    with pytest.raises(ValueError, match=f"unit must be rad for {field}.z, got 'mas'"):
+        open_los(bag, los=f"{field}.z", unit="mas")
+
+
+def test_messages_without_an_attitude_are_excluded_and_counted(tmp_path: Path) -> None:
+    """Drivers send zeros, REP 145 asks for them; NaN is no attitude, either."""
+    turns = motion(100)
+    sent = attitudes(turns)
+    sent[40:43] = 0.0
+    sent[60] = np.nan
+    bag = external_bags.write_external(tmp_path / "bag", {"/imu": ("sensor_msgs/msg/Imu", sent)}, RATE)
+    run = open_los(bag, los="/imu.orientation.y", rate=RATE)
+    assert len(run["truth/los"]) == 96
+    assert any("4 messages excluded: a quaternion must have norm 1" in problem for problem in run.problems)
+
+
+def test_a_slew_is_refused_in_one_line(tmp_path: Path) -> None:
+    turns = np.zeros((100, 3))
+    turns[:, 0] = np.linspace(0.0, 2.0, 100)
+    topics = {"/imu": ("sensor_msgs/msg/Imu", attitudes(turns))}
+    bag = external_bags.write_external(tmp_path / "bag", topics, RATE)
+    with pytest.raises(ValueError, match=r"/imu.orientation.z: line of sight must stay within 0.5 rad") as caught:
+        open_los(bag, los="/imu.orientation.z", rate=RATE)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_quaternion_in_another_type_and_order() -> None:
+    text = "my/Q q\n" + "=" * 20 + "\nMSG: my/Q\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
+    found = vectors("my/msg/Status", parse_definition("my/msg/Status", text))
+    assert [(v.name, v.components) for v in found] == [(f"q.{axis}", ("w", "x", "y", "z")) for axis in "xyz"]
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("float64 los_x_mas\nfloat64 los_y_mas", "mas"),
+        ("float64 x_mas\nfloat64 y_urad", ""),
+        ("float64[2] error_arcsec", "arcsec"),
+        ("float64 x_mm\nfloat64 y_mm", ""),
+        ("float64 az\nfloat64 el", ""),
+    ],
+)
+def test_the_unit_is_that_of_the_names(text: str, unit: str) -> None:
+    from pointing_analysis.read.external_bag import _unit
+
+    (found,) = vectors("my/msg/Los", parse_definition("my/msg/Los", text))
+    assert _unit(found) == unit
+
+
+def test_topics_are_listed_with_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    topics: dict[str, Any] = {
+        "/imu": ("sensor_msgs/msg/Imu", attitudes(motion(600))),
+        "/los": ("geometry_msgs/msg/Vector3Stamped", np.zeros((600, 2))),
+    }
+    bag = external_bags.write_external(tmp_path / "bag", topics, RATE)
+    assert main(["bag", "topics", str(bag), "--json"]) == 0
+    shown = capsys.readouterr()
+    rows = json.loads(shown.out.splitlines()[-1])["candidates"]
+    assert {row["los"]: row["unit"] for row in rows} == {
+        "/imu.orientation.x": "rad",
+        "/imu.orientation.y": "rad",
+        "/imu.orientation.z": "rad",
+        "/los.vector": "",
+    }
+    assert "--unit" in shown.err + shown.out
+    assert main(["analyse", str(bag), "--los", "/imu.orientation.z", "--rate", "200", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["ape_arcsec"] is not None
