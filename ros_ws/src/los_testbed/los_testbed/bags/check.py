@@ -1,4 +1,4 @@
-"""Check of a bag: end of the data, checksums, digests, chain, counts, signature."""
+"""Check of a bag: end of the data, checksums, digests, chain, counts, signature, and the times of the messages."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import DIAGNOSTICS_TOPIC
+from pointing_analysis.read.arrivals import KINDS, Arrivals
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
@@ -51,6 +52,7 @@ class BagCheck:
     problems : these and further defects
     messages : that can be read, by topic
     losses : what was recorded and cannot be read
+    arrivals : gaps, stalls and clock steps by topic: of what was sent, no defect of the bag
     """
 
     path: Path
@@ -59,6 +61,7 @@ class BagCheck:
     problems: tuple[str, ...]
     messages: dict[str, int]
     losses: tuple[TopicLoss, ...]
+    arrivals: dict[str, Arrivals]
 
     @property
     def title(self) -> str:
@@ -84,6 +87,15 @@ class BagCheck:
             "checks": [vars(row) for row in self.rows],
             "messages": self.messages,
             "lost": {loss.topic: loss.missing for loss in self.losses},
+            "times": {
+                topic: {
+                    "period": found.period,
+                    "stamped": found.stamped,
+                    "lost": found.lost,
+                    "events": [vars(event) for event in found.events],
+                }
+                for topic, found in self.arrivals.items()
+            },
             "contradictions": list(self.contradictions),
             "problems": list(self.problems),
         }
@@ -146,13 +158,16 @@ def _check(
         BagCheckRow(
             "lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))
         ),
+        _times(arrived := contents.arrivals()),
         _end_of_run(known, contents, losses),
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
     differences = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
     problems = tuple(dict.fromkeys([*reading.problems(), *differences]))
-    result = BagCheck(path, found, (*reading.contradictions, *differences), problems, dict(contents.topics), losses)
+    result = BagCheck(
+        path, found, (*reading.contradictions, *differences), problems, dict(contents.topics), losses, arrived
+    )
     return result, infos, bag.files
 
 
@@ -295,6 +310,15 @@ def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[T
     if end.by_plan:
         return BagCheckRow("end of the run", "agrees", f"as planned, after {end.done} ticks")
     return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")
+
+
+def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
+    """Sums over the topics; what did not come is no damage of the bag."""
+    lost = sum(found.lost or 0 for found in arrived.values())
+    counts = {kind: sum(len(found.of(kind)) for found in arrived.values()) for kind in KINDS}
+    parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items() if count]
+    text = ", ".join([*parts, *([f"{lost} message{'s' * (lost > 1)} not recorded"] if lost else [])])
+    return BagCheckRow("times of the messages", "none" if parts else "agrees", text or "no gap, stall or clock step")
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:

@@ -1,4 +1,4 @@
-"""Message counts of one pass over a bag: by file and topic, and the ticks covered."""
+"""Message counts and times of one pass over a bag: by file and topic, and the ticks covered."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 
 from pointing_analysis.arrays import IntArray
 from pointing_analysis.files.structured_text import is_number
+from pointing_analysis.read.arrivals import Arrivals, arrivals
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED
-from pointing_analysis.read.mcap.records import BODY, HEAD, Block, FileInfo
+from pointing_analysis.read.mcap.records import BODY, HEAD, BagError, Block, Channel, FileInfo
 from pointing_analysis.read.messages.cdr import NS_PER_S, STAMP, STAMP_OFFSET
+from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.messages.message_types import COLUMNS
+from pointing_analysis.read.messages.ros_definitions import HEADER, short_name
 from pointing_analysis.read.unsent import OF_EVERY_TICK
 
 
@@ -24,22 +27,46 @@ class Contents:
     Attributes
     ----------
     files : messages by topic, of each file
-    stamps : first and last stamp [ns] of each topic with stamps
+    stamps : first and last stamp [ns] of each topic of the testbed's types with stamps
     """
 
     def __init__(self) -> None:
         self.files: list[Counter[str]] = []
         self.stamps: dict[str, tuple[int, int]] = {}
+        self._times: dict[str, list[tuple[IntArray, IntArray]]] = {}
+        self._stamped: dict[Channel, bool] = {}
 
     def add(self, number: int, info: FileInfo, block: Block) -> None:
         """Count the messages of a block of the file with this number."""
         self.files += [Counter() for _ in range(number + 1 - len(self.files))]
         for channel, rows in block.by_channel(info.channels):
             self.files[number][channel.topic] += int(rows.size)
-            stamps = _stamps(block, rows) if channel.schema in COLUMNS and channel.encoding == "cdr" else rows[:0]
-            if stamps.size:
+            stamps = _stamps(block, rows) if self._has_stamps(channel) else np.zeros(rows.size, np.int64)
+            logged = block.heads["log"][rows].astype(np.int64)
+            self._times.setdefault(channel.topic, []).append((logged, stamps))
+            stamps = stamps[stamps != 0]
+            if stamps.size and channel.schema in COLUMNS:
                 first, last = self.stamps.get(channel.topic, (int(stamps[0]), int(stamps[0])))
                 self.stamps[channel.topic] = min(first, int(stamps.min())), max(last, int(stamps.max()))
+
+    def _has_stamps(self, channel: Channel) -> bool:
+        """Whether the messages of a channel begin with a header, by their definition or as a type of the testbed."""
+        if channel not in self._stamped:
+            try:
+                fields = channel_types(channel).get(short_name(channel.schema), ())
+                self._stamped[channel] = bool(fields) and fields[0].type == HEADER
+            except BagError:
+                self._stamped[channel] = channel.schema in COLUMNS and channel.encoding == "cdr"
+        return self._stamped[channel]
+
+    def arrivals(self) -> dict[str, Arrivals]:
+        """Gaps, stalls and clock steps of each topic; messages without a stamp among others with one are left out."""
+        found = {}
+        for topic, parts in sorted(self._times.items()):
+            logged, stamps = (np.concatenate(arrays) for arrays in zip(*parts))
+            stamped = stamps != 0
+            found[topic] = arrivals(logged[stamped], stamps[stamped]) if stamped.any() else arrivals(logged)
+        return found
 
     @property
     def topics(self) -> Counter[str]:
@@ -68,10 +95,11 @@ class Contents:
 
 
 def _stamps(block: Block, rows: IntArray) -> IntArray:
-    """Stamps [ns] of messages of a block; those of messages too short for one, and zeros, are left out."""
-    whole = rows[block.heads["length"][rows] >= BODY + STAMP_OFFSET + STAMP.size]
-    starts = block.offsets[whole] + HEAD + STAMP_OFFSET
+    """Stamps (m,) [ns] of messages of a block; 0 of those too short for one."""
+    whole = block.heads["length"][rows] >= BODY + STAMP_OFFSET + STAMP.size
+    starts = block.offsets[rows[whole]] + HEAD + STAMP_OFFSET
     data = np.frombuffer(block.data, np.uint8)[starts[:, None] + np.arange(STAMP.size)]
     found = np.ascontiguousarray(data).view(np.dtype([("s", "<i4"), ("ns", "<u4")])).reshape(-1)
-    stamps = found["s"].astype(np.int64) * NS_PER_S + found["ns"]
-    return np.asarray(stamps[stamps != 0])
+    stamps = np.zeros(rows.size, np.int64)
+    stamps[whole] = found["s"].astype(np.int64) * NS_PER_S + found["ns"]
+    return stamps

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -13,7 +13,11 @@ from rich.console import Console
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
 from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
+
+if TYPE_CHECKING:
+    from pointing_analysis.read.arrivals import Arrivals
 
 INFO_EXAMPLES = """Show the contents of a bag: times, topics with types and counts, the run with its seed, hashes.
 
@@ -25,6 +29,10 @@ INFO_EXAMPLES = """Show the contents of a bag: times, topics with types and coun
 VERIFY_EXAMPLES = """Read a whole bag and check its digests, counts and signature.
 
 Exit code 0: intact. 1: damaged or incomplete. 5: contradicts its own digests, counts, or the signature.
+
+Of any bag, of other programs too, the times of each topic are listed: messages lost before the recorder, by their
+stamps, gaps, stalls (recorded late, together) and clock steps (positive: the stamps fell behind). They do not change
+the code.
 
 **Examples**
 
@@ -95,12 +103,30 @@ def verify(
     found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
     rows = [(row.name, Marked(row.state, MARKS.get(row.state, "open")), row.found) for row in found.rows]
     console.print(on_screen(TextTable.of(("check", "result", "found"), rows, f"{bag}: {found.title}")))
+    console.print(on_screen(_times(found.arrivals), whole=("topic",), box=None, padding=(0, 1)))
     for problem in found.problems:
         say(console, problem, "note")
     if json_:
         print_json(found.as_dict())
     if found.code:
         raise typer.Exit(found.code)
+
+
+def _times(arrived: Mapping[str, Arrivals]) -> TextTable:
+    """Rates, lost messages, and number and largest of the events, by topic."""
+    from pointing_analysis.read.arrivals import KINDS
+
+    rows = []
+    for topic, found in arrived.items():
+        rate = digits(None if found.period is None else 1.0 / found.period, 6)
+        lost = ABSENT if found.lost is None else str(found.lost)
+        cells = []
+        for kind in KINDS:
+            sizes = [event.size for event in found.of(kind)]
+            cells.append(f"{len(sizes)} ({max(sizes, key=abs):.3g} s)" if sizes else "0")
+        rows.append((topic, str(found.messages), rate, lost, *cells))
+    heads = (*texts("topic"), *numbers("count", "Hz", "lost", *(f"{kind}s" for kind in KINDS)))
+    return TextTable.of(heads, rows, "times of the messages; of gaps, stalls and clock steps the largest")
 
 
 def sign(

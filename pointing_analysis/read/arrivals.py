@@ -1,0 +1,168 @@
+"""When the messages of a topic came: lost messages, gaps, stalls and clock steps, from stamps and times of recording.
+
+A message has the time of its stamp, on the sender's clock, and that at which it was recorded. Their difference is the
+delay, which a queue or a busy machine raises for a while and a step of one of the clocks for good:
+
+===========  ===========================  ==================================================================
+finding      between two messages          evidence
+===========  ===========================  ==================================================================
+gap          stamps of several periods     messages in between were lost, or not sent
+stall        recorded late                 the delay rises and falls back: the messages came, together
+clock step   delay with another level      the stamps or the recorder's clock jumped, also backwards
+===========  ===========================  ==================================================================
+
+Without stamps a gap in the times of recording may be any of these. Topics without a period have no gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from pointing_analysis.arrays import IntArray
+
+Kind = Literal["gap", "stall", "clock step"]
+KINDS: tuple[Kind, ...] = ("gap", "stall", "clock step")
+NANO = 1e9
+FEWEST = 10
+"""Fewest messages whose times are judged."""
+REGULAR = 0.8
+"""Least share of the steps within half a period of the period, of a topic that has one."""
+GAP = 1.5
+"""Step in periods above which messages are missing."""
+STEP, STALL = 0.01, 0.1
+"""Least clock step and least stall [s], or `GAP` and twice `GAP` periods where these are longer."""
+BEFORE = 50
+"""Messages whose least delay is the level before and after."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something between two messages.
+
+    Attributes
+    ----------
+    kind : what
+    at : time of recording of the message before, from the first message of the topic [s]
+    size : of a gap and a stall its length, of a clock step the change of the delay [s]; **positive: the stamps fell
+        behind, or the clock of the recorder went ahead**
+    lost : messages that are missing
+    """
+
+    kind: Kind
+    at: float
+    size: float
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Times of a topic.
+
+    Attributes
+    ----------
+    messages : number
+    stamped : whether they have stamps
+    period : median step [s]; None with fewer than `FEWEST` messages, or where the steps have none
+    events : in the order of the recording
+    """
+
+    messages: int
+    stamped: bool
+    period: float | None
+    events: tuple[Event, ...] = ()
+
+    def of(self, kind: Kind) -> tuple[Event, ...]:
+        """Events of a kind."""
+        return tuple(event for event in self.events if event.kind == kind)
+
+    @property
+    def lost(self) -> int | None:
+        """Messages missing between others by their stamps; None where no stamps show it."""
+        return sum(event.lost for event in self.events) if self.stamped and self.period is not None else None
+
+
+NO_STAMPS: IntArray = np.zeros(0, np.int64)
+
+
+def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
+    """What the times of the messages of a topic show.
+
+    Parameters
+    ----------
+    logged : (n,) times of recording [ns], in the order of the file
+    stamps : (n,) of the headers [ns]; empty where there are none
+
+    Examples
+    --------
+    100 Hz, three messages lost, and 20 messages that came together after a stall:
+
+    >>> stamps = np.delete(np.arange(400) * 10_000_000, [100, 101, 102])
+    >>> logged = stamps + 1_000_000
+    >>> logged[200:220] = logged[220]
+    >>> found = arrivals(logged, stamps)
+    >>> found.lost, [(event.kind, event.size) for event in found.events]
+    (3, [('gap', 0.04), ('stall', 0.2)])
+    """
+    stamped = stamps.size == logged.size > 0
+    times = stamps if stamped else logged
+    if logged.size < FEWEST:
+        return Arrivals(logged.size, stamped, None)
+    steps = np.diff(times)
+    ahead = steps[steps > 0]
+    period = float(np.median(ahead)) if ahead.size else 0.0
+    regular = period > 0 and float(np.mean(np.abs(steps - period) <= 0.5 * period)) >= REGULAR
+    jumps = _delays(logged, stamps, period if regular else 0.0) if stamped else _backwards(logged)
+    since = np.asarray((logged - logged[0]) / NANO)
+    found = [Event(kind, float(since[i]), size / NANO) for i, (kind, size) in jumps.items()]
+    if regular:
+        steps = steps.copy()
+        for i, (kind, _) in jumps.items():
+            if kind == "clock step":  # the clock that did not step counts what is missing: the shorter of the two
+                both = [step for step in (steps[i], logged[i + 1] - logged[i]) if step > -STEP * NANO]
+                shorter = min(both, default=period)  # with the jitter of the recorder
+                steps[i] = shorter if shorter > max(GAP * period, STEP * NANO) else period
+        least = GAP * period if stamped else max(2.0 * GAP * period, STALL * NANO)
+        for i in np.flatnonzero(steps > least).tolist():
+            lost = round(float(steps[i]) / period) - 1 if stamped else 0
+            found.append(Event("gap", float(since[i]), float(steps[i]) / NANO, lost))
+    found.sort(key=lambda event: event.at)
+    return Arrivals(logged.size, stamped, period / NANO if regular else None, tuple(found))
+
+
+def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, tuple[Kind, float]]:
+    """Stalls and clock steps by the message before them, sizes [ns]."""
+    delay = logged - stamps
+    least, longest = max(STEP * NANO, GAP * period), max(STALL * NANO, 2.0 * GAP * period)
+    found: dict[int, tuple[Kind, float]] = {}
+    start = 0  # of the present level
+    for i in np.flatnonzero(np.abs(np.diff(delay)) > least).tolist():
+        if i < start:
+            continue  # a stall that is being caught up
+        level = int(delay[max(start, i + 1 - BEFORE) : i + 1].min())
+        rise = float(delay[i + 1] - level)
+        if abs(rise) <= least:
+            continue
+        after = delay[i + 1 :]
+        within = logged[i + 1 :] <= logged[i + 1] + 2.0 * abs(rise) + NANO
+        back = np.flatnonzero((after - level <= max(0.1 * rise, least)) & within)
+        if rise > 0 and (back.size or after.size < BEFORE):
+            if rise > longest:
+                found[i] = ("stall", rise)
+            start = i + 1 + int(back[0]) if back.size else logged.size
+        else:
+            change = float(after[:BEFORE].min() - level)
+            start = i + 1
+            if abs(change) > least:
+                found[i] = ("clock step", change)
+    return MappingProxyType(found)
+
+
+def _backwards(logged: IntArray) -> Mapping[int, tuple[Kind, float]]:
+    """Steps of the recorder's clock that are seen without stamps: those to earlier times."""
+    steps = np.diff(logged)
+    return {int(i): ("clock step", float(steps[i])) for i in np.flatnonzero(steps < -STEP * NANO)}
