@@ -12,12 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh, inv, lstsq, null_space
+from scipy.linalg import block_diag, eigh, inv, lstsq, null_space
+from scipy.spatial.transform import Rotation
 
 from titop_plant.structures import BeamFrame
 from titop_plant.structures.beam_element import beam_axes
 from titop_plant.structures.beam_frame import assemble, rigid_body_modes
 from titop_plant.structures.kinematics import tau
+
+RECTANGULAR, CYLINDRICAL = 7, 8
+ORIGIN = np.array([-0.4, 0.2, 0.1])
+TURNED = Rotation.from_euler("xyz", [0.4, -0.7, 1.1]).as_matrix()
+"""Axes of both as rows."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,7 @@ class Delivery:
     lumped : NASTRAN's default: half the mass of a bar at each end; False: consistent masses with PARAM,COUPMASS
     keep : number of modes
     cards : further lines at the head of the deck
+    cd : displacement coordinates by node: `RECTANGULAR`, or `CYLINDRICAL` about an axis through `ORIGIN`
     """
 
     frame: BeamFrame
@@ -44,22 +51,37 @@ class Delivery:
     lumped: bool = False
     keep: int = 8
     cards: str = ""
+    cd: Mapping[str, int] = field(default_factory=dict)
 
     def grid(self, node: str) -> int:
         """Grid point of a node, counted from 1."""
         return 1 + list(self.frame.divided().nodes).index(node)
 
+    def axes(self, node: str) -> np.ndarray:
+        """Axes of the displacements of a node as rows, translation and rotation, shape (6, 6)."""
+        kind = self.cd.get(node, 0)
+        if kind == 0:
+            return np.eye(6)
+        rows = TURNED
+        if kind == CYLINDRICAL:
+            arm = self.frame.divided().nodes[node] - ORIGIN
+            out = arm - (arm @ TURNED[2]) * TURNED[2]
+            out = out / np.sqrt(out @ out)
+            rows = np.array([out, np.cross(TURNED[2], out), TURNED[2]])
+        return block_diag(rows, rows)
 
-def write_deck(delivery: Delivery, path: Path, cd: int = 0) -> None:
+
+def write_deck(delivery: Delivery, path: Path) -> None:
     """BDF of the frame."""
     from pyNastran.bdf.bdf import BDF
 
     source, model = delivery.frame.divided(), BDF(debug=None)
     grids = {name: delivery.grid(name) for name in source.nodes}
     for name, grid in grids.items():
-        model.add_grid(grid, source.nodes[name], cd=cd)
-    if cd:
-        model.add_cord2r(cd, [0.0, 0, 0], [0.0, 0, 1], [0.0, 1, 0])
+        model.add_grid(grid, source.nodes[name], cd=delivery.cd.get(name, 0))
+    if delivery.cd:
+        for add, kind in ((model.add_cord2r, RECTANGULAR), (model.add_cord2c, CYLINDRICAL)):
+            add(kind, ORIGIN, ORIGIN + TURNED[2], ORIGIN + TURNED[0])
     for k, beam in enumerate(source.beams, start=1):
         s = beam.section
         model.add_mat1(k, s.E, s.G, None, rho=s.density / delivery.wtmass)
@@ -113,8 +135,8 @@ def matrices(delivery: Delivery) -> tuple[list[str], np.ndarray, np.ndarray]:
     return list(names), M, K
 
 
-def equations(delivery: Delivery, row: Mapping[str, int], size: int) -> tuple[np.ndarray, list[int]]:
-    """Rows G of ``G u = 0``, those of the SPC last, and the degrees of freedom of these."""
+def equations(delivery: Delivery, row: Mapping[str, int], size: int) -> tuple[np.ndarray, int]:
+    """Rows G of ``G u = 0``, those of the SPC last, and the number of these."""
     source = delivery.frame.divided()
     found: list[np.ndarray] = [np.zeros((0, size))]
 
@@ -134,8 +156,12 @@ def equations(delivery: Delivery, row: Mapping[str, int], size: int) -> tuple[np
         equation(
             {centre: -np.eye(6), **{node: np.hstack([sums @ arm.T, np.zeros((6, 3))]) for node, arm in arms.items()}}
         )
-    held = [row[node] + int(one) - 1 for node, components in delivery.spc.items() for one in components]
-    return np.vstack([*found, np.eye(size)[held]]), held
+    held = []
+    for node, components in delivery.spc.items():
+        rows = np.zeros((6, size))
+        rows[:, row[node] : row[node] + 6] = delivery.axes(node)
+        held += [rows[int(one) - 1] for one in components]
+    return np.vstack([*found, *held]), len(held)
 
 
 def solved(delivery: Delivery) -> Solution:
@@ -157,7 +183,7 @@ def solved(delivery: Delivery) -> Solution:
     forces = np.zeros_like(shapes)
     if held:
         multipliers = lstsq(G.T, out_of_balance)[0]
-        forces[held] = multipliers[-len(held) :]
+        forces = G[-held:].T @ multipliers[-held:]
     return Solution(M, K, squares, shapes, forces)
 
 
@@ -177,6 +203,7 @@ def write_results(delivery: Delivery, path: Path, *, modes: bool = True, forces:
     numbers, cycles = np.arange(1, keep + 1), np.sqrt(np.abs(found.squares)) / (2 * np.pi)
 
     def table(kind: Any, name: str, columns: np.ndarray) -> Any:
+        columns = block_diag(*(delivery.axes(node) for node in names)) @ columns
         data = columns.T.reshape(keep, len(names), 6).astype("float32")
         return kind.add_modal_case(name, grids, data, 1, numbers, found.squares, cycles)
 
@@ -215,6 +242,9 @@ def write_superelement(
     kept = [first[node] + int(one) - 1 for node, components in boundary.items() for one in components]
     fixed = null_space(np.vstack([G, np.eye(M.shape[0])[kept]]))
     static = _static_shapes(K, G, kept, fixed)
+    turn = block_diag(*(delivery.axes(node) for node in boundary))  # of boundaries with all six components
+    if delivery.cd:
+        static = static @ turn.T
     basis = static
     if modes:
         shapes = eigh(fixed.T @ K @ fixed, fixed.T @ M @ fixed, subset_by_index=(0, modes - 1))[1]

@@ -3,7 +3,7 @@
 Requirements on the run:
 
 * the bulk data (BDF), in SI, in the units that ``PARAM,UNITSYS`` states, or with the option `units`;
-  ``PARAM,WTMASS`` is read. Basic displacement coordinates at the interface and the ports;
+  ``PARAM,WTMASS`` is read. Displacement coordinates (CD) are turned to the basic ones;
 * ``SOL 103`` clamped at the parent by ``SPC1``: one grid point in all six components, as that at the centre of a ring
   of bolts (RBE2, RBE3), or the grid points of an :class:`~titop_plant.structures.nastran_interface.Interface`;
   constraints elsewhere only of what has no stiffness;
@@ -36,7 +36,8 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData
-from titop_plant.structures.nastran_deck import is_coupled
+from titop_plant.structures.nastran_axes import to_basic
+from titop_plant.structures.nastran_deck import is_coupled, parameters_of
 from titop_plant.structures.nastran_files import (
     grid_positions,
     mass_normalisation,
@@ -134,6 +135,9 @@ def read_nastran(
     results = read_results(Path(op2))
     table = of_subcase(results.eigenvectors, "real eigenvectors", str(op2), subcase)
     forces = of_subcase(results.spc_forces, "forces of single-point constraint", str(op2), subcase)
+    if parameters_of(deck, model, Path(bdf)).get("OUGCORD", "GLOBAL").upper() != "BASIC":
+        to_basic(model, table, str(bdf))
+    to_basic(model, forces, str(bdf))
     check_clamped(model, interface, table, forces, str(bdf))
     squares = _squares(table, str(op2))
     scale = mass_normalisation(results, squares.size)[:, None]
@@ -210,7 +214,7 @@ def _check_same(
     """Deck against OP2: mass by the grid point weight, momentum of the modes where all mass is known."""
     (path, coupled), (participation, point, mass) = files, found
     maps, unknown = momentum_maps(model, point, coupled)
-    if unknown or any(model.nodes[grid].Cd() != 0 for grid in maps):
+    if unknown:
         return
     total = float(sum(by_velocity[0, 0] for by_velocity in maps.values()))
     for weight in results.grid_point_weight.values():

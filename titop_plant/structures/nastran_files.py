@@ -121,12 +121,12 @@ def mass_normalisation(results: Any, n: int) -> FloatArray:
 
 
 def grid_positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str, FloatArray]:
-    """Positions (3,) of grid points with basic displacement coordinates, in the units of the deck.
+    """Positions (3,) of grid points in the basic coordinates, in the units of the deck.
 
     Raises
     ------
     ValueError
-        Not in the deck, or displacement coordinates of its own.
+        Not in the deck, or not finite.
     """
     positions = {}
     for name, grid in grids.items():
@@ -134,10 +134,6 @@ def grid_positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str,
         if node is None:
             raise ValueError(
                 f"{path}: grid point of {name!r} must be one of the {len(model.nodes)} in the file, got GRID {grid}"
-            )
-        if node.Cd() != 0:
-            raise ValueError(
-                f"{path}: GRID {grid} ({name!r}) must have basic displacement coordinates (CD = 0), got {node.Cd()}"
             )
         positions[name] = np.asarray(node.get_position(), dtype=float)
         if not np.all(np.isfinite(positions[name])):

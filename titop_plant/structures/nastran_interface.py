@@ -16,6 +16,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from titop_plant.structures.kinematics import tau
+from titop_plant.structures.nastran_axes import six_axes
 from titop_plant.structures.nastran_files import grid_positions, rows_of
 
 STILL = 1e-5
@@ -73,7 +74,7 @@ class Interface:
         Raises
         ------
         ValueError
-            A grid point that is not in the deck or has displacement coordinates of its own.
+            A grid point that is not in the deck.
         """
         places = [grid_positions(model, {self.name: grid}, path)[self.name] for grid in self.clamped]
         if self.at is None:
@@ -109,7 +110,7 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
     for grid in interface.clamped:
         position = np.asarray(model.nodes[grid].get_position(), dtype=float)
         rows = [int(one) - 1 for one in sorted(held.get(grid, set())) if one in "123456"]
-        parts.append(tau(position, point)[rows])
+        parts.append((six_axes(model.nodes[grid], path) @ tau(position, point))[rows])
     rigid = np.vstack(parts)
     size = float(np.abs(rigid[:, 3:]).max(initial=0.0)) if len(interface.clamped) > 1 else 1.0
     if rigid.shape[0] < 6 or linalg.svdvals(rigid / np.repeat([1.0, size or 1.0], 3))[-1] < 1e-6:
@@ -119,7 +120,11 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
             also = f" and SPC at {others[:12]}: Interface({interface.name!r}, ...) takes several" if others else ""
             raise ValueError(f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got {got[first]}{also}")
         raise ValueError(f"{path}: SPC at the interface must hold all six rigid motions, got {got}")
-    others = [grid for grid in sorted(set(held) - set(interface.clamped)) if not _is_idle(table, forces, grid, held)]
+    others = [
+        grid
+        for grid in sorted(set(held) - set(interface.clamped))
+        if not all(_largest(model, found, grid, held, path) <= STILL for found in (forces, table))
+    ]
     if others:
         where = f"GRID {first}" if len(interface.clamped) == 1 else f"grid points {list(interface.clamped)}"
         both = (*interface.clamped, *others)
@@ -128,7 +133,9 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
             f"{path}: SPC must be at the parent {where} alone, got SPC at {others[:12]} too; "
             f"Interface({interface.name!r}, {several}) takes them as one rigid part"
         )
-    _check_still(table, interface, held, path)
+    for grid in interface.clamped:
+        if _largest(model, table, grid, held, path, absent=0.0) > STILL:
+            raise ValueError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")
 
 
 def held_wrench(model: Any, interface: Interface, forces: Any, path: str) -> FloatArray:
@@ -185,22 +192,12 @@ def _integers(nodes: Iterable[Any]) -> list[int]:
     return [int(getattr(node, "nid", node)) if not isinstance(node, (int, str)) else int(node) for node in nodes]
 
 
-def _is_idle(table: Any, forces: Any, grid: int, held: dict[int, set[str]]) -> bool:
-    """Whether a constraint only holds what has no stiffness: no force and no motion of the components in any mode."""
-    rows = [int(one) - 1 for one in held[grid]]
-    for found in (forces, table):
-        index = np.flatnonzero(np.asarray(found.node_gridtype)[:, 0] == grid)
-        values = np.abs(np.asarray(found.data, dtype=float))
-        if index.size != 1 or values[:, index[0], rows].max() > STILL * values.max():
-            return False
-    return True
-
-
-def _check_still(table: Any, interface: Interface, held: dict[int, set[str]], path: str) -> None:
-    """Refuse eigenvectors that move what the deck clamps."""
-    values = np.abs(np.asarray(table.data, dtype=float))
-    for grid in interface.clamped:
-        rows = [int(one) - 1 for one in held[grid]]
-        index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
-        if index.size == 1 and values[:, index[0], rows].max(initial=0.0) > STILL * values.max():
-            raise ValueError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")
+def _largest(model: Any, table: Any, grid: int, held: dict[int, set[str]], path: str, absent: float = np.inf) -> float:
+    """Largest value of the constrained components of a grid point, relative to the largest of the table."""
+    index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
+    if index.size != 1:
+        return absent
+    rows = [int(one) - 1 for one in held[grid] if one in "123456"]
+    data = np.asarray(table.data, dtype=float)
+    own = data[:, index[0], :] @ six_axes(model.nodes[grid], path).T
+    return float(np.abs(own[:, rows]).max(initial=0.0) / max(float(np.abs(data).max()), 1e-300))

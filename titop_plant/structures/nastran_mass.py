@@ -44,23 +44,37 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
         maps[grid] = maps.get(grid, np.zeros((6, 6))) + momentum
 
     for lump in model.masses.values():
-        if lump.type != "CONM2" or lump.Cid() != 0:
+        if lump.type != "CONM2":
             return maps, f"{lump.type} {lump.eid}"
-        center, mass, inertia = lump.centroid_mass_inertia()  # a tensor, minus the products of the card
-        body = linalg.block_diag(float(mass) * np.eye(3), np.asarray(inertia, dtype=float))
-        position, center = _position(model.nodes[lump.Nid()]), np.asarray(center, dtype=float)
+        position = _position(model.nodes[lump.Nid()])
+        center, body = _concentrated(lump, position)
         add(lump.Nid(), tau(center, point).T @ body @ tau(center, position))
     for element in model.elements.values():
         mass = float(element.Mass()) if hasattr(element, "Mass") else 0.0
         grids = [grid for grid in element.node_ids if grid] if mass else []
         if coupled and element.type in BARS and grids:
+            start, end = (_position(node) for node in element.nodes_ref)
             for grid, momentum in zip(grids, _bar(element, mass)):
-                center = 0.5 * sum(_position(node) for node in element.nodes_ref)
-                add(grid, tau(center, point).T @ momentum)
+                add(grid, tau(0.5 * (start + end), point).T @ momentum)
             continue
         for grid in grids:
             add(grid, tau(_position(model.nodes[grid]), point).T @ np.diag([mass / len(grids)] * 3 + [0.0] * 3))
     return maps, ""
+
+
+def _concentrated(lump: Any, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre of mass of a CONM2 in the basic coordinates, shape (3,), and its mass matrix there, shape (6, 6).
+
+    Offset and inertia are in the axes of CID, Cartesian whatever its kind; with CID -1 the offset is a position.
+    """
+    i = np.asarray(lump.I, dtype=float)  # products of inertia with the sign of the integrals
+    inertia = np.array([[i[0], -i[1], -i[3]], [-i[1], i[2], -i[4]], [-i[3], -i[4], i[5]]])
+    offset = np.asarray(lump.X, dtype=float)
+    if lump.Cid() > 0:
+        axes = np.asarray(lump.cid_ref.beta(), dtype=float)
+        offset, inertia = axes.T @ offset, axes.T @ inertia @ axes
+    center = offset if lump.Cid() == -1 else position + offset
+    return center, np.asarray(linalg.block_diag(float(lump.mass) * np.eye(3), inertia))
 
 
 def _bar(element: Any, mass: float) -> tuple[FloatArray, FloatArray]:
@@ -92,10 +106,7 @@ def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) ->
     """
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
-        raise ValueError(
-            f"{path}: mass elements must be CONM2 in basic coordinates (or add PARAM,GRDPNT,0 to the run), "
-            f"got {unknown}"
-        )
+        raise ValueError(f"{path}: mass elements must be CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}")
     total = np.zeros((6, 6))
     for grid, momentum in maps.items():
         total += momentum @ tau(_position(model.nodes[grid]), point)

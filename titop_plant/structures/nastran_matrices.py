@@ -24,6 +24,7 @@ from titop_plant.ports import AXES
 from titop_plant.structures.clamped_modes import FreeStructure, clamped_body
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
+from titop_plant.structures.nastran_axes import displacement_axes
 from titop_plant.structures.nastran_files import grid_positions, read_model
 from titop_plant.structures.nastran_interface import Interface
 from titop_plant.structures.nastran_units import DeckUnits, Units, units_of
@@ -93,7 +94,8 @@ def read_nastran_matrices(
     named = {f"{grid}": grid for grid, component in coordinates if component}
     positions = {int(key): place for key, place in grid_positions(geometry, named, str(bdf)).items()}
     point = interface.place(geometry, str(bdf))
-    K, M = (_matrix(model.dmigs[key], coordinates, stated) for key in (STIFFNESS, MASS))
+    turn = _to_basic(geometry, coordinates, str(bdf))
+    K, M = (turn.T @ _matrix(model.dmigs[key], coordinates, stated) @ turn for key in (STIFFNESS, MASS))
     rigid = _rigid_motions(coordinates, {grid: stated.length * (place - point) for grid, place in positions.items()}, K)
     _check_free(coordinates, rigid, K, path)
     clamped = np.array([k for k, (grid, _) in enumerate(coordinates) if grid in interface.clamped])
@@ -141,6 +143,30 @@ def _matrix(matrix: Any, coordinates: list[Coordinate], units: DeckUnits) -> Flo
             full[j, i] = value
     by_unit = np.array([1.0 if 1 <= component <= 3 else units.length for _, component in coordinates])
     return np.asarray(units.mass * np.outer(by_unit, by_unit) * 0.5 * (full + full.T))
+
+
+def _to_basic(geometry: Any, coordinates: list[Coordinate], path: str) -> FloatArray:
+    """Coordinates of the matrices by those with basic displacement axes, shape (n, n).
+
+    Raises
+    ------
+    ValueError
+        A grid point with displacement axes of its own and one or two of three translations or rotations.
+    """
+    turn = np.eye(len(coordinates))
+    index = {coordinate: k for k, coordinate in enumerate(coordinates)}
+    for grid in {grid for grid, component in coordinates if component and geometry.nodes[grid].Cd() != 0}:
+        axes = displacement_axes(geometry.nodes[grid], path)
+        for three in ((1, 2, 3), (4, 5, 6)):
+            there = [index[grid, one] for one in three if (grid, one) in index]
+            if len(there) == 3:
+                turn[np.ix_(there, there)] = axes
+            elif there:
+                raise ValueError(
+                    f"{path}: GRID {grid} must have all three translations or rotations in the matrices, since its "
+                    f"displacement coordinates are CD {geometry.nodes[grid].Cd()}, got {len(there)}"
+                )
+    return turn
 
 
 def _check_known(interface: Interface, ports: Mapping[str, int], coordinates: list[Coordinate], path: str) -> None:

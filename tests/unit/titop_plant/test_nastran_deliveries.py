@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.linalg import eigh
-from support.nastran_deliveries import Delivery, equations, matrices, solved, write_deck, write_results
+from support.nastran_deliveries import (
+    CYLINDRICAL,
+    ORIGIN,
+    RECTANGULAR,
+    TURNED,
+    Delivery,
+    equations,
+    matrices,
+    solved,
+    write_deck,
+    write_results,
+)
 from unit.titop_plant.test_nastran_decks import scaled
 from unit.titop_plant.test_structures_nastran import same_body
 
@@ -29,6 +40,7 @@ from titop_plant.structures import (
 )
 from titop_plant.structures.beam_frame import rigid_body_modes
 from titop_plant.structures.kinematics import tau
+from titop_plant.structures.nastran_axes import displacement_axes
 from titop_plant.structures.nastran_files import read_model
 from titop_plant.structures.nastran_mass import momentum_maps
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE, DeckUnits
@@ -116,6 +128,79 @@ def test_a_ring_of_bolts_is_one_interface(tmp_path: Path, kind: str, lumped: boo
     delivery, parent = HELD[kind]
     delivery = replace(delivery, lumped=lumped, weight=None if lumped else 0)
     same_body(load(tmp_path, delivery, parent), expected(delivery), 1e-5)
+
+
+TURNED_GRIDS = {**dict.fromkeys(RING, CYLINDRICAL), "tip": RECTANGULAR, "top": CYLINDRICAL}
+"""Grid points whose displacements have axes of their own."""
+
+
+@pytest.mark.parametrize("kind", ["bolts clamped", "bolts pinned", "RBE2"])
+def test_displacement_coordinates_do_not_change_the_body(tmp_path: Path, kind: str) -> None:
+    """Radial and tangential components at the bolts, turned ones at the port: the body is in the basic coordinates."""
+    delivery, parent = HELD[kind]
+    same_body(load(tmp_path, replace(delivery, cd=TURNED_GRIDS), parent), expected(delivery), 1e-5)
+
+
+def test_constraints_are_in_the_displacement_coordinates(tmp_path: Path) -> None:
+    """A kinematic mount of six components along axes of their own holds; two radial ones less do not."""
+    spc = {RING[0]: "123", RING[2]: "13", RING[4]: "3"}
+    delivery = Delivery(tower(False), spc, cd=dict.fromkeys(RING, CYLINDRICAL))
+    parent = Interface("P", (1, 3, 5), at=tuple(POINT))
+    same_body(load(tmp_path, delivery, parent), expected(delivery), 1e-5)
+
+
+def test_a_grid_point_on_the_axis_of_its_coordinates_is_refused(tmp_path: Path) -> None:
+    source = boom(2)
+    nodes = {"P": ORIGIN, "tip": ORIGIN + TURNED[2]}
+    frame = BeamFrame("boom", nodes, (replace(source.beams[0], elements=2),))
+    delivery = Delivery(frame, {"P": "123456"}, cards="")
+    write_results(delivery, tmp_path / "x.op2")
+    write_deck(replace(delivery, cd={"P": RECTANGULAR}), tmp_path / "x.bdf")
+    text = (tmp_path / "x.bdf").read_text()
+    (tmp_path / "x.bdf").write_text(text.replace(f"{RECTANGULAR:>16}", f"{CYLINDRICAL:>16}", 1))
+    with pytest.raises(ValueError, match=r"GRID 1 must have displacement coordinates that exist there, got CD 8"):
+        again(tmp_path, delivery)
+
+
+@pytest.mark.parametrize("kind", ["r", "c", "s"])
+def test_axes_are_the_directions_in_which_the_coordinates_grow(kind: str) -> None:
+    """By differences of pyNastran's positions."""
+    from pyNastran.bdf.bdf import BDF
+
+    model = BDF(debug=None)
+    getattr(model, f"add_cord2{kind}")(7, ORIGIN, ORIGIN + TURNED[2], ORIGIN + TURNED[0])
+    model.add_grid(1, [0.9, -0.3, 0.7], cd=7)
+    model.cross_reference()
+    system = model.nodes[1].cd_ref
+    here = system.transform_node_to_local(model.nodes[1].get_position())
+    rows = []
+    for step in 1e-5 * np.eye(3):
+        grown = system.transform_node_to_global(here + step) - system.transform_node_to_global(here - step)
+        rows.append(grown / np.linalg.norm(grown))
+    np.testing.assert_allclose(displacement_axes(model.nodes[1], "x"), rows, atol=1e-8)
+
+
+@pytest.mark.parametrize("cid", [RECTANGULAR, CYLINDRICAL, -1])
+def test_a_mass_in_coordinates_of_its_own_is_the_same(tmp_path: Path, cid: int) -> None:
+    """Offset and inertia of a CONM2 in the axes of CID, or its position with CID -1."""
+    from pyNastran.bdf.bdf import BDF
+
+    source = tower()
+    lump = replace(source.masses[0], inertia=TURNED.T @ np.diag([0.02, 0.03, 0.04]) @ TURNED)
+    delivery = Delivery(replace(source, masses=(lump,)), cd={"top": RECTANGULAR})
+    write_deck(delivery, tmp_path / "x.bdf")
+    whole = nastran_mass(tmp_path / "x.bdf", parent=("P", 1))
+    own = lump.inertia if cid == -1 else TURNED @ lump.inertia @ TURNED.T
+    offset = source.nodes["tip"] + lump.offset if cid == -1 else TURNED @ lump.offset
+    model = BDF(debug=None)
+    entries = [own[0, 0], -own[1, 0], own[1, 1], -own[2, 0], -own[2, 1], own[2, 2]]
+    model.add_conm2(1001, delivery.grid("tip"), lump.mass, cid=cid, X=offset, I=entries)
+    text = (tmp_path / "x.bdf").read_text()
+    before, after = text.split("$MASSES")
+    cards = after.split("$")[1:]
+    (tmp_path / "x.bdf").write_text(f"{before}{model.masses[1001].write_card_16(is_double=True)}${'$'.join(cards)}")
+    found = nastran_mass(tmp_path / "x.bdf", parent=("P", 1))
+    np.testing.assert_allclose(found, whole, atol=1e-9 * np.abs(whole).max())
 
 
 def test_a_rigid_ring_and_clamped_bolts_are_the_same_body(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nastran_deliveries import Delivery, write_deck, write_superelement
+from support.nastran_deliveries import CYLINDRICAL, RECTANGULAR, Delivery, write_deck, write_superelement
 from unit.titop_plant.test_nastran_decks import scaled
 from unit.titop_plant.test_nastran_deliveries import HELD, POINT, RING, expected, tower
 from unit.titop_plant.test_structures_nastran import same_body
@@ -71,6 +71,12 @@ def test_matrices_in_other_units_are_the_same_body(tmp_path: Path, units: str, l
     delivery = replace(FREE, frame=scaled(FREE.frame, length, mass), wtmass=1.0 / 386.0)
     reduced(tmp_path, delivery, 18)
     same_body(load(tmp_path, units=units, n_modes=8), expected(HELD["RBE2"][0]), 1e-6)
+
+
+def test_matrices_in_displacement_coordinates_are_the_same_body(tmp_path: Path) -> None:
+    turned = replace(FREE, cd={"P": CYLINDRICAL, "tip": RECTANGULAR})
+    reduced(tmp_path, turned, 18)
+    same_body(load(tmp_path, n_modes=8), expected(HELD["RBE2"][0]), 1e-6)
 
 
 def test_lumped_masses_leave_out_rotations_without_mass(tmp_path: Path) -> None:

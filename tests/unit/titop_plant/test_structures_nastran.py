@@ -35,9 +35,9 @@ def frame(density: float = 2800.0) -> BeamFrame:
     return BeamFrame("crane", nodes, beams, masses)
 
 
-def write_bdf(source: BeamFrame, path: Path, clamp: str = "123456", also: int | None = None, cd: int = 0) -> None:
+def write_bdf(source: BeamFrame, path: Path, clamp: str = "123456", also: int | None = None) -> None:
     held = [PARENT] if also is None else [PARENT, list(source.nodes)[also - 1]]
-    write_deck(Delivery(source, dict.fromkeys(held, clamp) if clamp else {}), path, cd)
+    write_deck(Delivery(source, dict.fromkeys(held, clamp) if clamp else {}), path)
 
 
 def write_op2(source: BeamFrame, path: Path, *, weight: int | None = 0, **missing: bool) -> None:
@@ -126,7 +126,6 @@ def test_an_op2_without_required_results_is_an_error(
         ({"clamp": ""}, "crane.bdf: the parent GRID 1 must be clamped .*got nothing"),
         ({"clamp": "123"}, "crane.bdf: the parent GRID 1 must be clamped .*got 123"),
         ({"also": 3}, r"crane.bdf: SPC must be at the parent GRID 1 alone, got SPC at \[3\]"),
-        ({"cd": 7}, "crane.bdf: GRID 1 .*CD = 0.*got 7"),
     ],
 )
 def test_a_bdf_with_other_constraints_is_an_error(tmp_path: Path, options: dict[str, Any], word: str) -> None:
