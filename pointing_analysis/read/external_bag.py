@@ -22,6 +22,7 @@ from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Chan
 from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
 from pointing_analysis.read.messages.channel_types import channel_types
+from pointing_analysis.read.messages.transforms import TF_MESSAGE, Transform, transforms
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
 from pointing_analysis.read.tables.table import split_unit, unit_name
 from pointing_analysis.units import ANGLES
@@ -73,6 +74,7 @@ class _Topic:
     """A topic as far as the pass has come: what of it could be used, times of its messages, numbers of the field."""
 
     channel: Channel
+    name: str
     types: ros_definitions.Definitions = field(default_factory=dict)
     vectors: tuple[ros_definitions.Vector, ...] = ()
     refusal: str = ""
@@ -83,20 +85,22 @@ class _Topic:
 
     def candidates(self) -> list[Candidate]:
         """A possible line of sight."""
+        if not self.logged:
+            return []
         logged = np.concatenate(self.logged)
         steps = np.diff(np.sort(logged))
         middle = float(np.median(steps)) if steps.size else 0.0
         rate = 1e9 / middle if middle > 0 else float("nan")
-        name, schema = self.channel.topic, self.channel.schema
+        schema = self.channel.schema
         return [
-            Candidate(name, schema, v.path, _components(v), v.stamped, logged.size, rate, _unit(v), v.axis)
+            Candidate(self.name, schema, v.path, _components(v), v.stamped, logged.size, rate, _unit(v), v.axis)
             for v in self.vectors
             if not v.quantity
         ]
 
     def names(self, los: str) -> list[ros_definitions.Vector]:
         """Fields that an option ``--los`` means; angles, where one of them can be one."""
-        topic = self.channel.topic
+        topic = self.name
         exact = [v for v in self.vectors if los == (f"{topic}.{v.name}" if v.name else topic)]
         exact = exact or [v for v in self.vectors if v.axis and los == f"{topic}.{v.path}"]
         found = exact or (list(self.vectors) if los == topic else [])
@@ -148,7 +152,7 @@ def _unit(vector: ros_definitions.Vector) -> str:
 
 def _met(channel: Channel, first: bytes) -> _Topic:
     """A topic by one of its messages."""
-    topic = _Topic(channel)
+    topic = _Topic(channel, channel.topic)
     try:
         topic.types = channel_types(channel)
         byte_order(channel.schema, first)
@@ -162,12 +166,46 @@ def _met(channel: Channel, first: bytes) -> _Topic:
     return topic
 
 
+def _add_transforms(topics: dict[str, _Topic], channel: Channel, block: Block, rows: IntArray) -> None:
+    """Attitudes of messages of tf2, those of each child frame as a topic of its own: ``/tf[camera]``."""
+    found: dict[str, list[tuple[int, int, int, tuple[float, ...]]]] = {}
+    for row in rows.tolist():
+        for child, stamp, rotation in _read_transforms(topics, channel, block.payload(row)):
+            times = int(block.heads["log"][row]), int(block.heads["publish"][row])
+            found.setdefault(child, []).append((*times, stamp, rotation))
+    for child, all_of_it in found.items():
+        name = f"{channel.topic}[{child}]"
+        if name not in topics:
+            vectors = (ros_definitions.Vector("rotation", ros_definitions.QUATERNION, True, "", axis) for axis in "xyz")
+            topics[name] = _Topic(channel, name, vectors=tuple(vectors))
+        logged, published, stamps, rotations = zip(*all_of_it)
+        values, topic = np.array(rotations, dtype=float), topics[name]
+        turned = unit_quaternions(values)
+        topic.left_out[NO_ATTITUDE] += int((~turned).sum())
+        topic.logged.append(np.array(logged, np.int64))
+        topic.published.append(np.array(published, np.int64))
+        topic.samples.append((values, np.array(stamps, np.int64), turned))
+
+
+def _read_transforms(topics: dict[str, _Topic], channel: Channel, payload: bytes) -> list[Transform]:
+    """Transforms of a message; none of one that cannot be read, which the topic of the whole counts."""
+    try:
+        return transforms(payload)
+    except BagError as error:
+        whole = topics.setdefault(channel.topic, _Topic(channel, channel.topic, refusal=str(error)))
+        whole.left_out[str(error)] += 1
+        return []
+
+
 def _scan(path: Path, los: str = "", max_chunk: int = MAX_CHUNK) -> tuple[dict[str, _Topic], BagPass]:
     """Topics of a bag with the times of their messages; the numbers of the one field that `los` means."""
     reading = BagPass(path, bag_files(path), max_chunk)
     topics: dict[str, _Topic] = {}
     for info, block in reading.blocks():
         for channel, rows in block.by_channel(info.channels):
+            if ros_definitions.short_name(channel.schema) == TF_MESSAGE and channel.encoding == "cdr":
+                _add_transforms(topics, channel, block, rows)
+                continue
             topic = topics.get(channel.topic)
             if topic is None:
                 first = [_met(channel, block.payload(row)) for row in rows[:LISTED].tolist()]
@@ -263,7 +301,8 @@ def read_external(
     ----------
     path : rosbag2 folder or MCAP file
     los : topic, or topic and field: ``/my/los``, ``/my/msg.error``, of which the first two numbers are used; of an
-        attitude with the axis of the body, ``/imu.orientation.z``: `pointing_analysis.read.attitude.line_of_sight`
+        attitude with the axis of the body, ``/imu.orientation.z``, of tf2 with the child frame, too,
+        ``/tf[camera].rotation.z``: `pointing_analysis.read.attitude.line_of_sight`
     unit : of the numbers; not needed where the type or their names have it
     rate : sampling rate [Hz] to whose grid the times are moved; by default that of the times, where they have one
     time : ``header``, ``log`` (time of recording), or ``auto``: the header where it is there and set
@@ -285,7 +324,9 @@ def read_external(
         raise BagError(f"{path}: unit must be {chosen.unit} for {chosen.name}, got {unit!r}")
     topic, problems = topics[chosen.topic], reading.problems()
     values, header, fitting = (np.concatenate(arrays) for arrays in zip(*topic.samples))
-    for reason, count in (+topic.left_out).most_common(LISTED):
+    whole = topics.get(topic.channel.topic, topic)  # of tf2, the messages that cannot be read
+    left_out = topic.left_out + whole.left_out if whole is not topic else +topic.left_out
+    for reason, count in left_out.most_common(LISTED):
         problems.append(f"{chosen.topic}: {count} messages excluded: {reason}")
     logged, published = np.concatenate(topic.logged), np.concatenate(topic.published)
     by_header = chosen.stamped and time != "log" and bool(header[fitting].any())
@@ -316,7 +357,7 @@ def read_external(
         published=published[fitting],
         provenance=Provenance(path, "bag", chosen.name, chosen.schema, about, problems),
     )
-    loss = next((loss for loss in reading.losses() if loss.topic == chosen.topic), None)
+    loss = next((loss for loss in reading.losses() if loss.topic == topic.channel.topic), None)
     before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)
     judged = replace(found.topic, lost_before=before, lost_after=after, open_end=reading.cut)
     return replace(found, topic=judged, losses=reading.losses(), contradictions=reading.contradictions)

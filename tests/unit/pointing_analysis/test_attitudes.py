@@ -15,6 +15,7 @@ from pointing_analysis.read.attitude import line_of_sight, turned_about
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
+from pointing_analysis.read.messages.transforms import transforms
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
 
@@ -91,6 +92,53 @@ def test_a_bag_offers_each_axis_with_its_unit(tmp_path: Path, kind: str) -> None
         open_los(bag, los="/a")
     with pytest.raises(ValueError, match=f"unit must be rad for {field}.z, got 'mas'"):
         open_los(bag, los=f"{field}.z", unit="mas")
+
+
+def transform_messages(path: Path, frames: dict[str, np.ndarray]) -> Path:
+    """A bag of /tf: each message has the transforms of all frames, in changing order, at stamps of their own."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    types, kind = external_bags.STORE.types, "tf2_msgs/msg/TFMessage"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/tf", kind, typestore=external_bags.STORE)
+        for i in range(max(len(rows) for rows in frames.values())):
+            stamp = external_bags.START + i * round(1e9 / RATE)
+            sent = [
+                external_bags._attitude("geometry_msgs/msg/TransformStamped", stamp, rows[i].tolist())
+                for rows in frames.values()
+                if i < len(rows)
+            ]
+            for message, name in zip(sent, frames):
+                object.__setattr__(message, "child_frame_id", name)
+            data = external_bags.STORE.serialize_cdr(types[kind](sent[:: 1 if i % 2 else -1]), kind)
+            writer.write(connection, stamp, data)
+    return path
+
+
+def test_each_child_frame_of_tf_is_a_line_of_sight(tmp_path: Path) -> None:
+    turns = {"camera": motion(), "a_longer_name": 3.0 * motion(), "short": motion(100)}
+    frames = {name: attitudes(turned, k) for k, (name, turned) in enumerate(turns.items())}
+    bag = transform_messages(tmp_path / "bag", frames)
+    assert {one.name for one in candidates(bag)} == {
+        f"/tf[{name}].rotation.{axis}" for name in frames for axis in "xyz"
+    }
+    for name, turned in turns.items():
+        run = open_los(bag, los=f"/tf[{name}].rotation.z", rate=RATE)
+        np.testing.assert_allclose(run["truth/los"].values, (turned - turned.mean(axis=0))[:, :2], atol=1e-8)
+    with pytest.raises(ValueError, match=r"los must be one of /tf\[a_longer_name\].rotation.x .*got '/tf'"):
+        open_los(bag, los="/tf")
+
+
+@pytest.mark.parametrize("cut", [3, 7, 11, 40, 100, -1])
+def test_a_truncated_transform_is_an_error(tmp_path: Path, cut: int) -> None:
+    turn = external_bags._attitude("geometry_msgs/msg/TransformStamped", external_bags.START, [0.0, 0.0, 0.6, 0.8])
+    kind = "tf2_msgs/msg/TFMessage"
+    whole = bytes(external_bags.STORE.serialize_cdr(external_bags.STORE.types[kind]([turn, turn]), kind))
+    assert [(child, rotation) for child, _, rotation in transforms(whole)] == 2 * [("camera", (0.0, 0.0, 0.6, 0.8))]
+    with pytest.raises(ValueError, match=r"truncated|plain CDR"):
+        transforms(whole[:cut])
+    with pytest.raises(ValueError, match="truncated"):
+        transforms(whole[:4] + b"\xff" * 4 + whole[8:])
 
 
 def test_messages_without_an_attitude_are_excluded_and_counted(tmp_path: Path) -> None:
