@@ -8,7 +8,9 @@ Requirements on the run:
   of bolts (RBE2, RBE3), or the grid points of an :class:`~titop_plant.structures.nastran_interface.Interface`;
   constraints elsewhere only of what has no stiffness;
 * mass-normalised real eigenvectors of at least the ports (``DISPLACEMENT(PLOT)=ALL``);
-* forces of single-point constraint of the interface (``SPCFORCES(PLOT)=ALL``): they give the participation;
+* forces of single-point constraint of the interface (``SPCFORCES(PLOT)=ALL``): they give the participation. Without
+  them it is the momentum of the deck's lumped masses, if the modes have all of them and are orthonormal with them
+  (1 %), which shows that they are the masses of the run;
 * ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM2 exactly, elements
   as points at their grid points, bars with ``PARAM,COUPMASS,1`` as slender rods with their polar inertia. A straight
   boom has no inertia about itself in lumped masses: the polar inertia of its bars is added;
@@ -48,7 +50,14 @@ from titop_plant.structures.nastran_files import (
 )
 from titop_plant.structures.nastran_interface import Interface, check_clamped, held_wrench
 from titop_plant.structures.nastran_mass import mass_of_elements, momentum_maps, rigid_mass
-from titop_plant.structures.nastran_match import MASS, check_grids, check_mass, check_momentum
+from titop_plant.structures.nastran_match import (
+    MASS,
+    check_grids,
+    check_mass,
+    check_momentum,
+    modal_masses,
+    momentum_of,
+)
 from titop_plant.structures.nastran_units import Units, units_of
 from titop_plant.structures.residual_mass import check_residual_mass
 
@@ -57,6 +66,8 @@ if TYPE_CHECKING:
 
 #: The OP2 file is in single precision: a residual negative by less than this fraction is a rounding error.
 SINGLE_PRECISION = 1e-5
+ORTHONORMAL = 0.01
+"""Largest error of the products of the modes with the masses of the deck, that are those of the run."""
 FREE_BODY = 1e-9
 """Squares of frequencies, relative to the largest, that are those of rigid-body modes."""
 
@@ -134,15 +145,20 @@ def read_nastran(
     positions = grid_positions(model, ports, str(bdf))
     results = read_results(Path(op2))
     table = of_subcase(results.eigenvectors, "real eigenvectors", str(op2), subcase)
-    forces = of_subcase(results.spc_forces, "forces of single-point constraint", str(op2), subcase)
+    forces = None
+    if results.spc_forces or coupled:
+        forces = of_subcase(results.spc_forces, "forces of single-point constraint", str(op2), subcase)
+        to_basic(model, forces, str(bdf))
     if parameters_of(deck, model, Path(bdf)).get("OUGCORD", "GLOBAL").upper() != "BASIC":
         to_basic(model, table, str(bdf))
-    to_basic(model, forces, str(bdf))
     check_clamped(model, interface, table, forces, str(bdf))
     squares = _squares(table, str(op2))
     scale = mass_normalisation(results, squares.size)[:, None]
     check_grids(model, results, table, str(op2))
-    participation = -scale * held_wrench(model, interface, forces, str(op2)) / squares[:, None]
+    if forces is None:
+        participation = _by_momentum(model, table, (scale, units.weight, point), str(op2))
+    else:
+        participation = -scale * held_wrench(model, interface, forces, str(op2)) / squares[:, None]
     shapes = {port: scale * rows_of(table, grid, str(op2), port) for port, grid in ports.items()}
     if stated is None:
         rigid = rigid_mass(model, results, point, str(bdf), coupled)
@@ -206,6 +222,32 @@ def _squares(table: Any, path: str) -> FloatArray:
             f"(least eigenvalue {squares.min():.3g} of up to {squares.max():.3g})"
         )
     return squares
+
+
+def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatArray], path: str) -> FloatArray:
+    """Participation by the momentum of the deck's lumped masses, shape (n, 6), if these are the masses of the run.
+
+    Parameters
+    ----------
+    found : (ndarray of shape (n, 1), float, ndarray of shape (3,))
+        Factors that normalise the modes, ``PARAM,WTMASS``, and P.
+
+    Raises
+    ------
+    ValueError
+        The modes are not orthonormal with these masses, or lack grid points with mass.
+    """
+    scale, weight, point = found
+    maps, unknown = momentum_maps(model, point, False)
+    momentum = None if unknown else momentum_of(maps, table)
+    asked = f"{path}: file must contain forces of single-point constraint (SPCFORCES(PLOT)=ALL), got none"
+    if momentum is None:
+        raise ValueError(f"{asked}, and not the motion of all masses of the deck")
+    products = weight * scale * modal_masses(model, maps, table, point) * scale.T
+    worst = float(np.abs(products - np.eye(len(products))).max())
+    if not worst <= ORTHONORMAL:
+        raise ValueError(f"{asked}, and the masses of the deck give products of the modes that miss I by {worst:.2g}")
+    return np.asarray(scale * weight * momentum)
 
 
 def _check_same(

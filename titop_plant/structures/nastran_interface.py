@@ -93,6 +93,8 @@ class Interface:
 def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, path: str) -> None:
     """Check that the deck holds the interface in all six directions and nothing else.
 
+    Without `forces` (None) no other constraint is accepted.
+
     Raises
     ------
     ValueError
@@ -123,7 +125,7 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
     others = [
         grid
         for grid in sorted(set(held) - set(interface.clamped))
-        if not all(_largest(model, found, grid, held, path) <= STILL for found in (forces, table))
+        if forces is None or not all(_largest(model, one, grid, held, path) <= STILL for one in (forces, table))
     ]
     if others:
         where = f"GRID {first}" if len(interface.clamped) == 1 else f"grid points {list(interface.clamped)}"

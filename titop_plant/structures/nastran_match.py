@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import tau
 
 MASS = 0.02
 """Largest difference of the masses, relative; elements of some kinds differ by their rounding and offsets."""
@@ -62,6 +63,42 @@ def check_mass(total: float, stated: float, path: str) -> None:
         )
 
 
+def momentum_of(maps: Mapping[int, FloatArray], table: Any) -> FloatArray | None:
+    """Momentum of the deck's masses in each mode, shape (n, 6); None where the modes lack a grid point with mass.
+
+    Parameters
+    ----------
+    maps, table
+        As for :func:`check_momentum`.
+    """
+    rows = {int(grid): row for row, grid in enumerate(np.asarray(table.node_gridtype)[:, 0])}
+    if not maps or any(grid not in rows for grid in maps):
+        return None
+    shapes = np.asarray(table.data, dtype=float)
+    return np.asarray(sum(shapes[:, rows[grid]] @ by_velocity.T for grid, by_velocity in maps.items()))
+
+
+def modal_masses(model: Any, maps: Mapping[int, FloatArray], table: Any, point: FloatArray) -> FloatArray:
+    """Products of the modes with the masses of a deck at its grid points, shape (n, n): I for the masses of the run.
+
+    Parameters
+    ----------
+    model : object
+    maps : mapping of int to ndarray, shape (6, 6)
+        Of lumped masses, about `point`; the modes have all their grid points.
+    table : object
+        Eigenvectors.
+    point : ndarray, shape (3,)
+    """
+    rows = {int(grid): row for row, grid in enumerate(np.asarray(table.node_gridtype)[:, 0])}
+    shapes = np.asarray(table.data, dtype=float)
+    total = np.zeros((len(shapes), len(shapes)))
+    for grid, by_velocity in maps.items():
+        mass = tau(point, np.asarray(model.nodes[grid].get_position(), dtype=float)).T @ by_velocity
+        total += shapes[:, rows[grid]] @ mass @ shapes[:, rows[grid]].T
+    return total
+
+
 def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: FloatArray, path: str) -> None:
     """Compare what holds a mode at the clamped point with the momentum of the deck's masses in its shape.
 
@@ -79,13 +116,9 @@ def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: Fl
     ValueError
         They differ by more than `MOMENTUM`: the OP2 file is of another model.
     """
-    rows = {int(grid): row for row, grid in enumerate(np.asarray(table.node_gridtype)[:, 0])}
-    if not maps or any(grid not in rows for grid in maps):
+    momentum = momentum_of(maps, table)
+    if momentum is None:
         return
-    shapes = np.asarray(table.data, dtype=float)
-    momentum = np.zeros_like(participation)
-    for grid, by_velocity in maps.items():
-        momentum += shapes[:, rows[grid]] @ by_velocity.T
     for part, name in ((slice(0, 3), "forces"), (slice(3, 6), "moments")):
         held, has = participation[:, part], momentum[:, part]
         size = max(float(linalg.norm(held)), float(linalg.norm(has)))

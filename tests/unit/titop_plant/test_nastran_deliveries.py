@@ -203,6 +203,29 @@ def test_a_mass_in_coordinates_of_its_own_is_the_same(tmp_path: Path, cid: int) 
     np.testing.assert_allclose(found, whole, atol=1e-9 * np.abs(whole).max())
 
 
+@pytest.mark.parametrize("kind", ["RBE2", "RBE3", "bolts pinned"])
+def test_without_constraint_forces_lumped_masses_give_the_participation(tmp_path: Path, kind: str) -> None:
+    """With WTMASS and turned displacements, too; the expected body is that of all forces."""
+    delivery, parent = HELD[kind]
+    delivery = replace(delivery, lumped=True, wtmass=0.5, cd={"tip": RECTANGULAR})
+    write_deck(delivery, tmp_path / "x.bdf")
+    write_results(delivery, tmp_path / "x.op2", forces=False)
+    same_body(again(tmp_path, delivery, parent, units="SI"), expected(delivery), 1e-5)
+
+
+def test_without_constraint_forces_other_masses_are_refused(tmp_path: Path) -> None:
+    """A deck that is lumped by its parameters beside modes of consistent masses, or of a lighter block."""
+    delivery, parent = HELD["RBE2"]
+    write_deck(replace(delivery, lumped=True), tmp_path / "x.bdf")
+    write_results(delivery, tmp_path / "x.op2", forces=False)
+    with pytest.raises(ValueError, match=r"SPCFORCES\(PLOT\)=ALL\), got none, and the masses of the deck .* miss I by"):
+        again(tmp_path, delivery, parent)
+    light = replace(tower(), masses=(replace(tower().masses[0], mass=2.9), tower().masses[1]))
+    write_results(replace(delivery, frame=light, lumped=True, weight=None), tmp_path / "x.op2", forces=False)
+    with pytest.raises(ValueError, match="miss I by"):
+        again(tmp_path, delivery, parent)
+
+
 def test_a_rigid_ring_and_clamped_bolts_are_the_same_body(tmp_path: Path) -> None:
     """RBE2 with its centre clamped, against the bolts clamped and a frame whose bolts are one node's."""
     rigid = load(tmp_path, *HELD["RBE2"])
