@@ -13,6 +13,7 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from lftkit.analysis.disk_margin import DiskMargin, disk_margin
+    from lftkit.analysis.magnitude_fit import fit_magnitude
     from lftkit.analysis.margins import LoopMargins, SensitivityPeaks, loop_margins, sensitivity_peaks
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lftkit.analysis.nu_gap import NuGap, nu_gap
@@ -85,6 +86,7 @@ __all__ = [
     "disk_margin",
     "dynamic",
     "feedback",
+    "fit_magnitude",
     "from_control",
     "from_json",
     "from_scipy",
@@ -126,6 +128,7 @@ __all__ = [
 
 _MODULES = {
     "analysis.disk_margin": ("DiskMargin", "disk_margin"),
+    "analysis.magnitude_fit": ("fit_magnitude",),
     "analysis.margins": ("LoopMargins", "SensitivityPeaks", "loop_margins", "sensitivity_peaks"),
     "analysis.nu_gap": ("NuGap", "nu_gap"),
     "analysis.passivity": ("PassivityIndex", "passivity_index"),

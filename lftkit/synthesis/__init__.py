@@ -1,6 +1,7 @@
-"""Full-order controllers: H-infinity, H2, mixed sensitivity, loop shaping."""
+"""Full-order controllers: H-infinity, H2, mixed sensitivity, loop shaping, robust performance."""
 
 from lftkit.synthesis.full_order import FullOrderDesign, augw, h2syn, hinfsyn, mixsyn
 from lftkit.synthesis.loop_shaping import ncfsyn
+from lftkit.synthesis.mu_synthesis import MuDesign, musyn
 
-__all__ = ["FullOrderDesign", "augw", "h2syn", "hinfsyn", "mixsyn", "ncfsyn"]
+__all__ = ["FullOrderDesign", "MuDesign", "augw", "h2syn", "hinfsyn", "mixsyn", "musyn", "ncfsyn"]

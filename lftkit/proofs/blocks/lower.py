@@ -126,7 +126,7 @@ class _Search:
         for block, z_part, w_part in self.parts:
             one, two = a[z_part], b[w_part]
             if block.kind == FULL:
-                sizes = max(float(linalg.norm(one)), TINY) * max(float(linalg.norm(two)), TINY)
+                sizes = max(float(linalg.norm(one)) * float(linalg.norm(two)), TINY)
                 delta[w_part, z_part] = np.outer(two, one.conj()) / sizes
                 continue
             product = complex(np.vdot(one, two))

@@ -1,0 +1,194 @@
+"""Stable minimum-phase systems whose gain fits given values, or stays above them.
+
+The gain is a product of sections of first and second order with poles and zeros in the left half-plane, so that the fit
+is a smooth problem without constraints on phase: least squares of the logarithm, then the least largest distance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import to_discrete, warped_frequency
+from lftkit.systems.system import System
+
+sl_optimize: Any = optimize
+BEYOND = 5.0
+"""Logarithm of the ratio by which a pole or zero may be outside the band of the frequencies."""
+DAMPING = 1e-3, 1e2
+"""Least and largest damping ratio of a section of second order."""
+OVER = 1e-9
+"""Part by which a gain that must stay above is above at least: more than rounding."""
+
+
+def fit_magnitude(
+    omega: ArrayLike,
+    magnitude: ArrayLike,
+    order: int,
+    *,
+    weight: ArrayLike | None = None,
+    above: bool = False,
+    dt: float = 0.0,
+) -> System:
+    """Stable minimum-phase system of one input and one output with a given gain (fitmagfrd in MATLAB).
+
+    Parameters
+    ----------
+    omega : array_like, shape (N,)
+        Frequencies [rad/s], positive, rising; below pi / dt for a sampled system.
+    magnitude : array_like, shape (N,)
+        Gains, positive.
+    order : int
+        Of the system, as many zeros as poles.
+    weight : array_like, shape (N,), optional
+        How much the relative error counts at each frequency; 1 by default.
+    above : bool
+        Stay at or above `magnitude` at every frequency that is given, with the least largest ratio found.
+    dt : float
+        Sampling period [s]; 0: continuous time.
+
+    Raises
+    ------
+    ValueError
+        Frequencies or gains that are not positive and finite, or not as many; a negative order.
+
+    Examples
+    --------
+    The gain of an unstable non-minimum-phase lag is that of a stable one:
+
+    >>> omega = np.geomspace(0.01, 100.0, 40)
+    >>> found = fit_magnitude(omega, np.abs((1j * omega - 2.0) / (1j * omega - 0.5)), 1)
+    >>> found.poles().real.round(4).tolist(), round(abs(found(0.0)), 3)
+    ([-0.5], 4.0)
+    """
+    w, gains = np.asarray(omega, dtype=float), np.asarray(magnitude, dtype=float)
+    if w.ndim != 1 or w.shape != gains.shape or not len(w):
+        raise ValueError(f"omega and magnitude must be as many numbers, got shapes {w.shape} and {gains.shape}")
+    if not (np.all(np.isfinite(w)) and np.all(w > 0.0) and np.all(np.diff(w) > 0.0)):
+        raise ValueError("omega must be positive, finite and rising, got other frequencies")
+    if not (np.all(np.isfinite(gains)) and np.all(gains > 0.0)):
+        raise ValueError(f"magnitude must be positive and finite, got {gains.min()} to {gains.max()}")
+    if order < 0:
+        raise ValueError(f"order must be at least 0, got {order}")
+    if dt and not w[-1] < math.pi / dt:
+        raise ValueError(f"omega must be below pi / dt = {math.pi / dt:g} rad/s, got {w[-1]:g}")
+    warped = np.array([warped_frequency(x, dt) for x in w]) if dt else w
+    counts = np.ones(len(w)) if weight is None else np.asarray(weight, dtype=float)
+    sections = _Sections(np.log(warped), np.log(gains), counts, order)
+    x = sections.least_squares()
+    if above:
+        x = sections.raised(sections.closest_above(x))
+    system = sections.system(x)
+    return system if not dt else system.with_lft(to_discrete(*system.matrices, dt), dt=dt)
+
+
+class _Sections:
+    """Logarithm of the gain by the logarithms of a factor, of frequencies and of damping ratios.
+
+    Parameters are the factor, then for each section of second order frequency and damping of its zeros and of its
+    poles, then those of one of first order.
+    """
+
+    def __init__(self, log_omega: FloatArray, target: FloatArray, weight: FloatArray, order: int) -> None:
+        self.log_omega, self.target, self.weight = log_omega, target, weight
+        self.pairs, self.single = divmod(order, 2)
+
+    def log_gain(self, x: FloatArray) -> FloatArray:
+        """Logarithm of the gain at the frequencies, shape (N,)."""
+        found = np.full(len(self.log_omega), x[0])
+        for wz, dz, wp, dp in x[1 : 1 + 4 * self.pairs].reshape(-1, 4):
+            found += _second(self.log_omega, wz, dz) - _second(self.log_omega, wp, dp)
+        if self.single:
+            found += 0.5 * (np.logaddexp(2.0 * self.log_omega, 2.0 * x[-2]))
+            found -= 0.5 * np.logaddexp(2.0 * self.log_omega, 2.0 * x[-1])
+        return np.asarray(found)
+
+    def least_squares(self) -> FloatArray:
+        """The best parameters of some starts."""
+        best, cost = self._start(0.0), math.inf
+        for shift in (0.0, 0.7, -0.7) if self.pairs or self.single else (0.0,):
+            start = self._start(shift)
+            found = sl_optimize.least_squares(
+                lambda x: self.weight * (self.log_gain(x) - self.target), start, bounds=self._bounds(len(start))
+            )
+            if found.cost < cost:
+                best, cost = found.x, float(found.cost)
+        return best
+
+    def _start(self, shift: float) -> FloatArray:
+        low, high = self.log_omega[0], self.log_omega[-1]
+        places = np.linspace(low, high, self.pairs + self.single + 2)[1:-1]
+        pairs = [[at + shift, 0.0, at - shift, 0.0] for at in places[: self.pairs]]
+        single = [places[-1] + shift, places[-1] - shift] if self.single else []
+        start = np.array([float(self.target.mean()), *np.ravel(pairs), *single])
+        return np.clip(start, *self._bounds(len(start)))
+
+    def _bounds(self, count: int) -> tuple[FloatArray, FloatArray]:
+        low, high = self.log_omega[0] - BEYOND, self.log_omega[-1] + BEYOND
+        lower, upper = np.full(count, low), np.full(count, high)
+        lower[0], upper[0] = -np.inf, np.inf
+        lower[2 : 1 + 4 * self.pairs : 2], upper[2 : 1 + 4 * self.pairs : 2] = np.log(DAMPING)
+        return lower, upper
+
+    def closest_above(self, start: FloatArray) -> FloatArray:
+        """Parameters with the least largest weighted ratio over the values, found from `start`."""
+        start = self.raised(start)
+        first = np.append(start, self._excess(start))
+        lower, upper = self._bounds(len(start))
+
+        def room(x: FloatArray) -> FloatArray:
+            over = self.log_gain(x[:-1]) - self.target
+            return np.concatenate([over, x[-1] - self.weight * over])
+
+        found = sl_optimize.minimize(
+            lambda x: x[-1],
+            first,
+            jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
+            method="SLSQP",
+            bounds=[*zip(lower, upper), (0.0, None)],
+            constraints=[{"type": "ineq", "fun": room}],
+            options={"maxiter": 200, "ftol": 1e-9},
+        )
+        x = self.raised(np.clip(found.x[:-1], lower, upper)) if np.all(np.isfinite(found.x)) else start
+        return x if self._excess(x) < self._excess(start) else start
+
+    def raised(self, x: FloatArray) -> FloatArray:
+        """The same shape with the least factor that leaves no value below."""
+        y = x.copy()
+        y[0] += float((self.target - self.log_gain(x)).max()) + OVER
+        return y
+
+    def _excess(self, x: FloatArray) -> float:
+        return float((self.weight * (self.log_gain(x) - self.target)).max())
+
+    def system(self, x: FloatArray) -> System:
+        """The system with these parameters, its states in units of its frequencies."""
+        A: FloatArray = np.zeros((0, 0))
+        B: FloatArray = np.zeros((0, 1))
+        C: FloatArray = np.zeros((1, 0))
+        D: FloatArray = np.array([[math.exp(x[0])]])
+        parts = []
+        for wz, dz, wp, dp in np.exp(x[1 : 1 + 4 * self.pairs].reshape(-1, 4)):
+            b = np.array([[0.0], [1.0]])
+            a = np.array([[0.0, wp], [-wp, -2.0 * dp * wp]])
+            parts.append((a, b, np.array([[(wz * wz - wp * wp) / wp, 2.0 * (dz * wz - dp * wp)]])))
+        if self.single:
+            zero, pole = np.exp(x[-2:])
+            parts.append((np.array([[-pole]]), np.array([[1.0]]), np.array([[zero - pole]])))
+        for a, b, c in parts:
+            A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
+            B, C = np.vstack([B, b @ D]), np.hstack([C, c])
+        return System(A, B, C, D, (Port("in", 1),), (Port("out", 1),), "fit")
+
+
+def _second(log_omega: FloatArray, log_corner: float, log_damping: float) -> FloatArray:
+    """Logarithm of ``|s^2 + 2 zeta w s + w^2|``, without overflow."""
+    ratio = np.exp(-2.0 * np.abs(log_omega - log_corner))
+    inner = (1.0 - ratio) ** 2 + 4.0 * math.exp(2.0 * log_damping) * ratio
+    return np.asarray(2.0 * np.maximum(log_omega, log_corner) + 0.5 * np.log(np.maximum(inner, 1e-300)))

@@ -1,0 +1,41 @@
+"""Solutions of the Riccati equation: they stabilise, also where nothing drives it, or there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.riccati import riccati
+from lftkit.proofs import full_block, mu
+
+
+def test_the_solution_solves_and_stabilises() -> None:
+    rng = np.random.default_rng(0)
+    A, B, Q, R = rng.standard_normal((4, 4)), rng.standard_normal((4, 2)), np.eye(4), 2.0 * np.eye(2)
+    X = riccati(A, B, Q, R)
+    assert X is not None
+    F = -linalg.solve(R, B.T @ X)
+    assert np.abs(A.T @ X + X @ A + Q - F.T @ R @ F).max() < 1e-9 * np.abs(X).max()
+    assert linalg.eigvals(A + B @ F).real.max() < 0.0
+
+
+def test_without_weight_a_stable_system_is_left_alone_and_an_unstable_one_is_mirrored() -> None:
+    """x' = x + u with a weight on u alone: X = 2, and the pole goes to -1."""
+    one = np.eye(2)
+    X = riccati(-one, one, 0.0 * one, one)
+    assert X is not None and not X.any()
+    X = riccati(one, one, 0.0 * one, one)
+    assert X is not None and np.allclose(X, 2.0 * one)
+
+
+def test_a_mode_on_the_axis_that_nothing_moves_has_none() -> None:
+    zero = np.zeros((1, 1))
+    assert riccati(zero, zero, np.eye(1), np.eye(1)) is None
+
+
+def test_bounds_of_mu_where_a_block_is_not_reached() -> None:
+    """A block whose signals are zero leaves the norm of the other one."""
+    M = np.zeros((4, 5))
+    M[2:, 3:] = [[3.0, 0.0], [0.0, 1.0]]
+    found = mu(M, [full_block(3, 2), full_block(2)])
+    assert abs(found.lower - 3.0) < 1e-6 and 3.0 <= found.upper < 3.001
