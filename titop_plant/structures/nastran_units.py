@@ -20,6 +20,8 @@ FOOT, INCH, POUND_FORCE, POUND = 0.3048, 0.0254, 4.4482216152605, 0.45359237
 STRUCTURAL = (1e9, 2e12)
 """Young's moduli between those of plastics and above that of diamond, Pa: one material of a deck in SI is there."""
 
+SOLID = (1e6, 1e13)
+"""Young's moduli from rubber to above any solid, Pa: one material of a deck in stated units is there."""
 SAME = 1e-3
 """Relative difference of factors that is their rounding: 0.00259 is one over 386.1 in/s2."""
 
@@ -101,7 +103,7 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
     ------
     ValueError
         A unit system that is not known, two that contradict each other, ``PARAM,WTMASS`` that is no positive number
-        or without a unit system, or no unit system and materials that are none in SI.
+        or without a unit system, or units in which the materials are none of a structure.
     """
     parameters = parameters_of(deck, model, path)
     weight = number_of(parameters.get("WTMASS", "1.0"))
@@ -118,16 +120,19 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
             raise ValueError(f"{path}: units must be those of PARAM,UNITSYS,{system} in the deck, got {stated}")
         if found.weight != 1.0 != weight and abs(found.weight / weight - 1.0) > SAME:
             raise ValueError(f"{path}: units must have the weight of PARAM,WTMASS, {weight:g}, got {found.weight:g}")
-        return found if found.weight != 1.0 else replace(found, weight=weight)
-    if system:
-        return replace(UNIT_SYSTEMS[system], weight=weight)
-    if weight != 1.0:
+        found = found if found.weight != 1.0 else replace(found, weight=weight)
+    elif system:
+        found = replace(UNIT_SYSTEMS[system], weight=weight)
+    elif weight != 1.0:
         raise ValueError(
             f"{path}: units must be given with PARAM,WTMASS,{weight:g}, as units='inch-lbf-s' "
             f"(one of {', '.join([*STATED_SYSTEMS, *UNIT_SYSTEMS])}), got none"
         )
-    _check_si(model, path)
-    return UNIT_SYSTEMS["N-M"]
+    else:
+        _check_materials(model, path, UNIT_SYSTEMS["N-M"], None)
+        return UNIT_SYSTEMS["N-M"]
+    _check_materials(model, path, found, f"{stated}" if stated is not None else f"PARAM,UNITSYS,{system}")
+    return found
 
 
 def _stated(stated: str | DeckUnits | tuple[float, float]) -> DeckUnits:
@@ -145,14 +150,22 @@ def _stated(stated: str | DeckUnits | tuple[float, float]) -> DeckUnits:
     return DeckUnits(length, mass)
 
 
-def _check_si(model: Any, path: Path) -> None:
-    """Refuse a deck without stated units whose materials are all stiffer or softer than any structure in SI."""
+def _check_materials(model: Any, path: Path, units: DeckUnits, stated: str | None) -> None:
+    """Refuse units in which no material of the deck is that of a structure, or of any solid where they are stated."""
     moduli = []
     for material in model.materials.values():
         values = [getattr(material, key, None) for key in ("e", "e11", "e22", "G11")]
         moduli += [float(value) for value in values if isinstance(value, (int, float)) and value > 0]
-    if moduli and not any(STRUCTURAL[0] <= modulus <= STRUCTURAL[1] for modulus in moduli):
+    pascal = units.mass / units.length
+    least, largest = STRUCTURAL if stated is None else SOLID
+    if not moduli or any(least <= modulus * pascal <= largest for modulus in moduli):
+        return
+    if stated is None:
         raise ValueError(
             f"{path}: units must be given (units='mm-t-s', 'inch-lbf-s', ..., or PARAM,UNITSYS), got none, and "
             f"E = {max(moduli):.3g} of the stiffest material is that of no structure in SI"
         )
+    raise ValueError(
+        f"{path}: units must be those of the deck, got {stated}, in which the stiffest material has "
+        f"E = {max(moduli) * pascal:.3g} Pa"
+    )

@@ -328,6 +328,13 @@ def test_units_that_are_unknown_or_contradict_are_refused(tmp_path: Path, units:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("units", ["mm-t-s", "mm-kg-s", "inch-lbf-s"])
+def test_units_in_which_no_material_exists_are_refused(tmp_path: Path, units: str) -> None:
+    """A deck in SI, read as one in mm or inches: its aluminium would be a thousand times stiffer than diamond."""
+    with pytest.raises(ValueError, match=rf"units must be those of the deck, got {units}, .* has E = \S+e\+1[3-6] Pa"):
+        load(tmp_path, HELD["RBE2"][0], units=units)
+
+
 def test_an_unknown_option_is_a_type_error(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match=r"option must be one of .*, got unit"):
         load(tmp_path, HELD["RBE2"][0], unit="SI")
