@@ -49,6 +49,7 @@ def write_bulk_data(frame: BeamFrame, path: Path) -> None:
         i = lump.inertia
         lower = [i[0, 0], -i[1, 0], i[1, 1], -i[2, 0], -i[2, 1], i[2, 2]]
         model.add_conm2(k, grids[lump.node], lump.mass, X=lump.offset, I=lower)
+    model.add_param("COUPMASS", [1])  # consistent masses, as the frame has
     model.add_spc1(1, "123456", [1])
     model.write_bdf(str(path), size=16, is_double=True)
 
