@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from lftkit.analysis.cover import Cover, ucover
     from lftkit.analysis.disk_margin import DiskMargin, disk_margin
     from lftkit.analysis.magnitude_fit import fit_magnitude
     from lftkit.analysis.margins import LoopMargins, SensitivityPeaks, loop_margins, sensitivity_peaks
-    from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
+    from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, linf_norm, spectral_abscissa
     from lftkit.analysis.nu_gap import NuGap, nu_gap
     from lftkit.analysis.passivity import PassivityIndex, passivity_index
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ComplexParameter",
     "Connection",
+    "Cover",
     "DiskMargin",
     "DynamicElement",
     "Expression",
@@ -96,6 +98,7 @@ __all__ = [
     "hinf_norm",
     "hinf_norms",
     "invert",
+    "linf_norm",
     "loop_margins",
     "matrix",
     "minimal_realisation",
@@ -121,18 +124,20 @@ __all__ = [
     "to_scipy",
     "transfer",
     "transform",
+    "ucover",
     "write_mat",
     "write_system",
     "z",
 ]
 
 _MODULES = {
+    "analysis.cover": ("Cover", "ucover"),
     "analysis.disk_margin": ("DiskMargin", "disk_margin"),
     "analysis.magnitude_fit": ("fit_magnitude",),
     "analysis.margins": ("LoopMargins", "SensitivityPeaks", "loop_margins", "sensitivity_peaks"),
     "analysis.nu_gap": ("NuGap", "nu_gap"),
     "analysis.passivity": ("PassivityIndex", "passivity_index"),
-    "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "spectral_abscissa"),
+    "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "linf_norm", "spectral_abscissa"),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values"),
     "reduction.coprime": ("ncfmr",),

@@ -74,6 +74,10 @@ def hinf_norm(
 ) -> HInfNorm:
     """H-infinity norm of ``x' = A x + B u, y = C x + D u`` (or ``x+ = ...`` with period `dt`).
 
+    **Infinite for an unstable system**, as hinfnorm of MATLAB answers: only stable systems are in the space, and a
+    finite answer would bound no energy. The largest gain on the axis, with poles on both sides of it, is
+    :func:`linf_norm`.
+
     Parameters
     ----------
     A, B, C, D : array_like
@@ -129,6 +133,46 @@ def hinf_norm(
     if certificate == "hamiltonian":
         raise ValueError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
     return _discrete(system, dt, rtol, certificate)
+
+
+def linf_norm(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None, rtol: float = 1e-7
+) -> HInfNorm:
+    """L-infinity norm: the largest gain on the imaginary axis or the unit circle, of a stable system or not.
+
+    That of a stable system is its H-infinity norm (getPeakGain of MATLAB answers this one).
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        Shapes (n, n), (n, m), (p, n), (p, m).
+    dt : float, optional
+        Sampling period [s] of a discrete-time system; None or 0: continuous time.
+    rtol : float
+        Relative distance of the two sides.
+
+    Returns
+    -------
+    HInfNorm
+        Infinite, with the certificate ``unstable``, only for poles on the axis or the circle, to rounding.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, numbers that are not finite.
+    ArithmeticError
+        The iteration did not settle, or eigenvalues did not converge.
+
+    Examples
+    --------
+    ``1 / (s - 2)``:
+
+    >>> norms = [norm([[2.0]], [[1.0]], [[1.0]], [[0.0]]) for norm in (hinf_norm, linf_norm)]
+    >>> [round(norm.value, 6) for norm in norms]
+    [inf, 0.5]
+    """
+    last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
+    return band_gain(A, B, C, D, (0.0, last), dt=dt, rtol=rtol, stable=False)
 
 
 def hinf_norms(
