@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import HInfNorm, hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.exchange import as_system
@@ -199,8 +200,8 @@ class _Signs:
         marks = np.unique(np.concatenate([poles, np.abs(zeros.imag), np.abs(zeros)]))
         marks = marks[marks > 0.0] if marks.any() else np.ones(1)
         middle = np.sqrt(marks[1:]) * np.sqrt(marks[:-1])
-        speeds = poles[poles > 0.0] if poles.any() else np.ones(1)
-        grid = np.geomspace(1e-3 * speeds.min(), 1e3 * speeds.max(), POINTS)
+        low, high = pole_range(poles)
+        grid = np.geomspace(1e-3 * low, 1e3 * high, POINTS)
         both = np.unique(np.concatenate([grid, middle, [0.5 * marks[0], 2.0 * marks[-1]]]))
         if L.dt:
             both = np.array([unwarped_frequency(w, L.dt) for w in both])

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import band_gain, hinf_norm
 from lftkit.arrays import Matrices
 from lftkit.systems.exchange import as_system
@@ -127,13 +128,13 @@ class _Index:
 
     def first(self, *further: float) -> tuple[float, float]:
         """The least index of some frequencies, and its frequency."""
-        speeds = np.abs(self.system.poles())
-        last = math.pi / self.system.dt if self.system.dt else math.inf
+        poles, last = self.system.poles(), math.inf
         if self.system.dt:
+            last = math.pi / self.system.dt
             grid = np.linspace(0.0, last, POINTS)
         else:
-            speeds = speeds[speeds > 0.0] if speeds.any() else np.ones(1)
-            grid = np.concatenate([[0.0], speeds, np.geomspace(1e-2 * speeds.min(), 1e2 * speeds.max(), POINTS)])
+            low, high = pole_range(poles)
+            grid = np.concatenate([[0.0], np.abs(poles), np.geomspace(1e-2 * low, 1e2 * high, POINTS)])
         points = [float(omega) for omega in grid] + [last, *further]
         return min((self.at(omega), omega) for omega in points)
 

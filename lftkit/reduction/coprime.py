@@ -24,9 +24,9 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     """System of lower order by balanced truncation of its normalised right coprime factors (ncfmr in MATLAB).
 
     With ``G = N M^-1`` and ``N~N + M~M = 1`` the stable system ``[N; M]`` is reduced to ``[Nr; Mr]``, which is
-    normalised again, and ``Gr = Nr Mr^-1``. The error is at least the gap and the nu-gap between G and Gr: **a
-    controller whose margin for G (** ``1 / value`` **of** :func:`lftkit.synthesis.ncfsyn` **) is above** `error_bound`
-    **stabilises Gr, too**, and the other way round.
+    normalised again, and ``Gr = Nr Mr^-1``. The error is at least the gap and the nu-gap between G and Gr. **A
+    controller whose margin for G is above the error bound stabilises Gr, too**, and the other way round; the margin is
+    ``1 / value`` of :func:`lftkit.synthesis.ncfsyn`.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.magnitude_fit import fit_magnitude
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray
@@ -35,10 +36,9 @@ from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement, Element, width
 
-POINTS = 60
-"""Frequencies at which the scalings are computed, where none are given."""
-DECADES = 1.0
-"""By which they go beyond the slowest and the fastest pole."""
+POINTS, BEYOND = 60, 10.0
+"""Frequencies at which the scalings are computed, where none are given, beside those of resonances of the plant, and
+the factor by which they go beyond its slowest and its fastest pole."""
 WORSE = 1.02
 """Ratio of the peak with fitted scalings to that with the best ones from which on the order is raised."""
 SHARPNESS = 4
@@ -299,10 +299,9 @@ class _Problem:
         if omega is not None:
             given = np.asarray(omega, dtype=float)
             return np.asarray(2.0 / self.plant.dt * np.tan(0.5 * self.plant.dt * given)) if self.plant.dt else given
-        speeds = np.abs(self.image.poles())
-        speeds = speeds[speeds > 1e-9 * speeds.max(initial=0.0)]
-        low, high = (float(speeds.min()), float(speeds.max())) if len(speeds) else (1.0, 1.0)
-        return np.geomspace(low / 10.0**DECADES, high * 10.0**DECADES, POINTS)
+        poles = self.image.poles()
+        low, high = pole_range(poles)
+        return frequency_grid(poles, low / BEYOND, high * BEYOND, points=POINTS)
 
     def candidate(self, scaled: System, omega: FloatArray) -> _Candidate:
         """The controller of a scaled plant."""
