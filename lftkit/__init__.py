@@ -41,13 +41,12 @@ if TYPE_CHECKING:
         as_system,
         from_json,
         from_scipy,
-        read_mat,
         read_system,
         to_json,
         to_scipy,
-        write_mat,
         write_system,
     )
+    from lftkit.systems.mat_files import read_mat, write_mat
     from lftkit.systems.minimal import minimal_realisation
     from lftkit.systems.ports import Port
     from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -146,13 +145,12 @@ _MODULES = {
         "as_system",
         "from_json",
         "from_scipy",
-        "read_mat",
         "read_system",
         "to_json",
         "to_scipy",
-        "write_mat",
         "write_system",
     ),
+    "systems.mat_files": ("read_mat", "write_mat"),
     "systems.symbolic.expressions": ("Expression", "matrix"),
     "systems.connection.feedback": ("cascade", "close_loop"),
     "systems.connection.filters": ("high_pass", "transfer"),

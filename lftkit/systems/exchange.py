@@ -1,12 +1,9 @@
-"""Systems from and to other programs: scipy.signal, .mat files, JSON; and anything of these as a :class:`System`."""
+"""Systems from and to scipy.signal and JSON, sampled ones from files; and anything of these as a :class:`System`."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,12 +13,11 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import check_file, read_text
-from lftkit.support.input_limits import SYSTEM, UNPACKED
-from lftkit.support.mat_structure import check_mat
+from lftkit.support.input_limits import SYSTEM
 from lftkit.support.structured_text import StructuredTextError, load_json
+from lftkit.systems.mat_files import read_mat
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels
 from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
@@ -123,74 +119,6 @@ def to_scipy(system: System) -> Any:
     return signal.StateSpace(*system.matrices, **({"dt": system.dt} if system.dt else {}))
 
 
-def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
-    """Write certain systems to a .mat file, each as a struct: ``write_mat("plants.mat", P=plant)``.
-
-    In MATLAB: ``load plants; P = ss(P.A, P.B, P.C, P.D, P.Ts, 'InputName', P.InputName, 'OutputName', P.OutputName)``.
-    Names of signals are those of MATLAB: ``w(1)``, ``w(2)`` for a port ``w`` of two signals.
-
-    Raises
-    ------
-    ValueError
-        No system, an uncertain one, or a port with the name of a signal.
-    """
-    from scipy import io
-
-    if not systems:
-        raise ValueError("systems must be given by keyword, got none")
-    content = {}
-    for name, system in systems.items():
-        A, B, C, D = system.matrices
-        names = [_cells([_one_based(x) for x in labels_of_ports(side)]) for side in (system.inputs, system.outputs)]
-        units = [_cells([p.unit for p in side for _ in p.signals]) for side in (system.inputs, system.outputs)]
-        content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
-        content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
-    io.savemat(path, content)
-
-
-def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
-    """Read a system from a .mat file (version 7.2 or older): matrices A, B, C, D or a struct with these fields.
-
-    MATLAB: ``save('plant.mat', 'A', 'B', 'C', 'D')``, or ``P = struct('A', G.A, 'B', G.B, 'C', G.C, 'D', G.D, 'Ts',
-    G.Ts, 'InputName', {G.InputName}, 'OutputName', {G.OutputName}); save('plant.mat', 'P')``. Fields may be lower case,
-    all but A, B, C, D may be missing.
-
-    Parameters
-    ----------
-    path : str or path
-    name : str, optional
-        Variable with the struct; needed where the file has several.
-
-    Raises
-    ------
-    ValueError
-        A file that cannot be read, no system or several (also several in one array of structs), an `ss` object that was
-        saved as such (only MATLAB reads it), or matrices that do not fit.
-    """
-    from scipy import io
-
-    try:
-        check_mat(path)
-        content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
-    except (OSError, ValueError, NotImplementedError, TypeError, io.matlab.MatReadError) as error:
-        text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path} must be a .mat file of version 7.2 or older, got: {text}") from None
-    opaque = content.get("__function_workspace__") is not None
-    variables = {key: value for key, value in content.items() if not key.startswith("__")}
-    structs = {k: v for k, v in variables.items() if getattr(v.dtype, "names", None) and _matrices_of(_fields(v))}
-    if name is None and _matrices_of(variables):
-        return _from_fields(variables, Path(path).stem, path)
-    if name is None and len(structs) == 1:
-        name = next(iter(structs))
-    if name not in structs:
-        advice = " (an ss object must be saved as a struct: see read_mat)" if opaque else ""
-        found = ", ".join(structs) or "none"
-        raise ValueError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
-    if structs[name].size != 1:
-        raise ValueError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
-    return _from_fields(_fields(structs[name]), name, path)
-
-
 def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
     """A sampled system from its JSON file or from a .mat file, told by the content; see :func:`read_mat`.
 
@@ -222,68 +150,6 @@ def as_sampled(system: System) -> SampledSystem:
         An uncertain or continuous system.
     """
     return SampledSystem(*system.matrices, system.inputs, system.outputs, system.dt, system.name)
-
-
-def _fields(struct: Any) -> dict[str, Any]:
-    return {key: struct[key].flat[0] for key in struct.dtype.names} if struct.size else {}
-
-
-def _matrices_of(fields: Mapping[str, Any]) -> bool:
-    return {"a", "b", "c", "d"} <= {key.lower() for key in fields}
-
-
-def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
-    lower = {key.lower(): value for key, value in fields.items()}
-    try:
-        A, B, C, D = (_full(lower[key]) for key in "abcd")
-        m, p = (B.shape[1] if B.size else D.shape[1]), (C.shape[0] if C.size else D.shape[0])
-        sides = []
-        for kind, count, default in (("input", m, "u"), ("output", p, "y")):
-            labels = _texts(lower.get(f"{kind}name"))
-            units = _texts(lower.get(f"{kind}unit"))
-            if not any(labels):
-                labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
-            ports, order = ports_of_labels([_zero_based(x) for x in labels], None, kind)
-            unit = dict(zip((_zero_based(x).partition("[")[0] for x in labels), units))
-            sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
-        (inputs, columns), (outputs, rows) = sides
-        dt = float(np.asarray(lower.get("ts", 0.0)).flat[0])
-        title = "".join(_texts(lower.get("name"))) or name
-        return System(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], inputs, outputs, title, dt)
-    except (IndexError, TypeError) as error:
-        raise ValueError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-
-
-def _full(matrix: Any) -> Any:
-    """A matrix that may be sparse, in full."""
-    if not hasattr(matrix, "todense"):
-        return np.asarray(matrix)
-    if 8 * math.prod(matrix.shape) > UNPACKED:
-        raise ValueError(f"a sparse matrix must have at most {UNPACKED // 8} entries in full, got {matrix.shape}")
-    return np.asarray(matrix.todense())
-
-
-def _texts(value: Any) -> list[str]:
-    """Strings of a cell array or a char array."""
-    if value is None:
-        return []
-    return [str(np.asarray(x).flat[0]) if np.size(x) else "" for x in np.asarray(value).flat]
-
-
-def _cells(texts: Sequence[str]) -> Any:
-    cells = np.empty((len(texts), 1), dtype=object)
-    cells[:, 0] = texts
-    return cells
-
-
-def _one_based(label: str) -> str:
-    return re.sub(r"\[(\d+)\]$", lambda m: f"({int(m[1]) + 1})", label)
-
-
-def _zero_based(label: str) -> str:
-    return re.sub(r"\((\d+)\)$", lambda m: f"[{int(m[1]) - 1}]", label)
 
 
 def to_json(system: System) -> str:

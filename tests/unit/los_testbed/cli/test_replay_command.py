@@ -13,7 +13,7 @@ from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lftkit.systems.exchange import write_mat
+from lftkit.systems.mat_files import write_mat
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.system import System

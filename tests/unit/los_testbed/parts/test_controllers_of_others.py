@@ -13,7 +13,8 @@ from los_testbed.run.loop.simulate import run_in_process
 import fsm_pma_controller
 import los_estimator
 from lftkit import System
-from lftkit.systems.exchange import as_system, read_sampled, write_mat
+from lftkit.systems.exchange import as_system, read_sampled
+from lftkit.systems.mat_files import write_mat
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.read.run import Run
 
