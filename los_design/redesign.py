@@ -167,7 +167,7 @@ def search_stages(
     ports = telescope.loop_ports.used_by(k_fsm, k_pma)
     open_loops = {
         isolated: OpenLoop(loop_plant(telescope, ports, isolated=isolated), telescope, ports=ports)
-        for isolated in (False, True)
+        for isolated in {stage != STAGES[0] for stage in telescope.stages}
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
     stages = telescope.stages

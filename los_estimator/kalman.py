@@ -23,6 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System, state_space
+from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.connection.filters import high_pass, with_input_filter
 from lftkit.systems.sampled.sampling import sampled
@@ -40,13 +41,21 @@ from titop_plant.interface import (
 from titop_plant.ports import accel
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.components import optics_component
+from titop_plant.telescope.control_plant import disturbances_of
 from titop_plant.telescope.telescope import Telescope
 
 CAMERA_NOISE_FACTOR = 1e5
 """The paper's K_LOS: the camera's noise in the model over that of the sensor."""
 
-MODELLED = np.concatenate([np.arange(MEASUREMENTS)[COLUMNS[accel(point).name]] for point in ("Ip", "M1", "M2")])
+SEEN = tuple(accel(point).name for point in ("Ip", "M1", "M2"))
+"""Accelerometers in the model."""
+
+FITTED, FIT_POINTS, FIT_RANK = (5.0, 500.0), 60, 1e-6
+"""Frequencies [rad/s] of the fit of :func:`fitted_sensitivity`, and what counts as no direction of it."""
+
+MODELLED = np.concatenate([np.arange(MEASUREMENTS)[COLUMNS[name]] for name in SEEN])
 """Columns of the accelerometers in the model; it leaves sensors aside that the paper does not have."""
 
 
@@ -83,14 +92,34 @@ def acceleration_sensitivity(telescope: Telescope, payload: ModalData) -> FloatA
     return np.hstack([base, *mirrors])
 
 
-def kalman_observer(telescope: Telescope, payload: ModalData, *, lead: float = 0.0) -> System:
+def fitted_sensitivity(plant: System) -> FloatArray:
+    """C_a of a plant whose bodies are not known: the least-squares fit to its responses, shape (2, 18).
+
+    The nominal accelerations of the line of sight, without the mirror's own part, by those at the accelerometers, due
+    to wheels and drives, at frequencies above the attitude control and below the structure's fast modes.
+
+    Parameters
+    ----------
+    plant : System
+        With the ports of :mod:`titop_plant.telescope.assembly`.
+    """
+    omega = np.geomspace(*FITTED, FIT_POINTS)
+    response = frequency_response(plant[("los_controlled", *SEEN), disturbances_of(plant)].nominal(), omega)
+    los = -(omega**2)[:, None, None] * response[:, :2]
+    seen = response[:, 2:]
+    scale = 1.0 / np.abs(los).max(axis=(1, 2), keepdims=True)  # each frequency counts alike
+    rows = [np.moveaxis(part * scale, 1, 2).reshape(-1, part.shape[1]) for part in (seen, los)]
+    a, b = (np.vstack([part.real, part.imag]) for part in rows)
+    return np.asarray(linalg.lstsq(a, b, cond=FIT_RANK)[0].T)
+
+
+def kalman_observer(telescope: Telescope, *, lead: float = 0.0) -> System:
     """Continuous observer K_est of order 4: measurements to the line of sight.
 
     Parameters
     ----------
     telescope : Telescope
         Of the telescope (tables ``optics``, ``sensors``, ``fsm``).
-    payload : ModalData
     lead : float
         The output is the estimate this much ahead, ``LOS + lead * rate`` [s]: it compensates
         the delay of the loop and adds noise. 0: the paper's observer.
@@ -100,7 +129,11 @@ def kalman_observer(telescope: Telescope, payload: ModalData, *, lead: float = 0
     System
         Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
-    C_a = acceleration_sensitivity(telescope, payload)
+    assembled = assembled_telescope(telescope)
+    if assembled.bodies:
+        C_a = acceleration_sensitivity(telescope, assembled.bodies[1])
+    else:
+        C_a = fitted_sensitivity(assembled.system)
     sigma = telescope.loop_ports.reference.noise
     noise, camera = sigma[MODELLED], float(sigma[CAMERA.start])
     Q = np.zeros((4, 4))

@@ -38,7 +38,6 @@ from lftkit.tuning.nested_orders import with_decaying_states
 from lftkit.tuning.structures.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
-from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import NOISE_PORTS, control_plant, disturbances_of
 from titop_plant.telescope.telescope import Telescope
 
@@ -139,7 +138,7 @@ def kalman_of_order(order: int, telescope: Telescope, *, lead: float = 0.0) -> S
 
     For lower orders it is truncated (balanced); for higher ones it has more states, which decay and act on nothing.
     """
-    guess = kalman_observer(telescope, assembled_telescope(telescope).bodies[1], lead=lead).at({}).named("K_est")
+    guess = kalman_observer(telescope, lead=lead).at({}).named("K_est")
     if order < guess.order:
         return balanced_truncation(guess, order)
     return with_decaying_states(guess, np.geomspace(*FURTHER_POLES, order - guess.order), seed=0)

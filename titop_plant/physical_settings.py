@@ -83,10 +83,11 @@ class PhysicalSettings(Settings):
         TELESCOPE,
         setting(
             None,
-            "uncertain frequencies of all arrays and appendages, in the order of los-testbed plant",
+            "frequencies of all arrays and appendages, or other parameters of a plant's file, in the order of "
+            "los-testbed plant",
             "rad/s",
-            0.0,
-            1e5,
+            -1e9,
+            1e9,
             absent="those of omega_1 and omega_2, or nominal",
             length=ANY,
         ),

@@ -3,7 +3,8 @@
 An uncertain system is ``F_u(M, Delta)``: its matrices are those of M, whose first inputs and outputs are the channels
 of Delta, and the field ``Blocks`` says the elements in the order of their channels. **Delta is normalised**, as that of
 ``lftdata``: a channel has values in [-1, 1], of which -1, 0 and 1 are the lowest, nominal and highest value of its
-element, and what lies between is the fractional map of :attr:`lftkit.RealParameter.bilinear`.
+element, and what lies between is the fractional map of :attr:`lftkit.RealParameter.bilinear`. Where a field
+``Normalized`` is 0, as in the files that are written here, a channel is the deviation from the nominal value.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import UNPACKED
 from lftkit.support.mat_structure import check_mat
 from lftkit.systems.ports import Port
@@ -48,14 +50,16 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
     content = {}
     for name, system in systems.items():
         system.require_real()
-        A, B, C, D = system.sorted_channels().normalised().lft
+        A, B, C, D = system.sorted_channels().lft
         names = [_cells([_one_based(x) for x in labels_of_ports(side)]) for side in (system.inputs, system.outputs)]
-        units = [_cells([p.unit for p in side for _ in p.signals]) for side in (system.inputs, system.outputs)]
+        units = [_cells([u for p in side for u in p.units]) for side in (system.inputs, system.outputs)]
         content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
         content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
         if system.elements:
-            content[name] |= {"Blocks": _blocks(system)}
-    io.savemat(path, content)
+            content[name] |= {"Blocks": _blocks(system), "Normalized": 0.0}
+    file = Path(path)
+    with atomic_file(file if file.suffix else file.with_suffix(".mat")) as made:
+        io.savemat(made, content, appendmat=False)
 
 
 def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
@@ -137,14 +141,15 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
             if not any(labels):
                 labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
             ports, order = ports_of_labels([_zero_based(x) for x in labels], None, kind)
-            unit = dict(zip((_zero_based(x).partition("[")[0] for x in labels), units))
+            unit = _unit_of_ports([_zero_based(x).partition("[")[0] for x in labels], units)
             sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
         (inputs, columns), (outputs, rows) = sides
         dt = float(np.asarray(lower.get("ts", 0.0)).flat[0])
         title = "".join(_texts(lower.get("name"))) or name
         right, below = (np.r_[np.arange(q), q + np.asarray(order)] for order in (columns, rows))
         matrices = A, B[:, right], C[below], D[np.ix_(below, right)]
-        return _in_own_units(System(*matrices, inputs, outputs, title, dt, channels, elements), elements)
+        system = System(*matrices, inputs, outputs, title, dt, channels, elements)
+        return _in_own_units(system, elements) if np.all(lower.get("normalized", 1.0)) else system
     except (IndexError, TypeError) as error:
         raise ValueError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
     except ValueError as error:
@@ -205,6 +210,14 @@ def _blocks(system: System) -> Any:
     for row, (e, count) in enumerate(zip(system.parameters, system.occurrences().values())):
         rows[row, 0] = e.name, e.nominal, np.array([[e.lower, e.upper]]), float(count), e.unit
     return rows
+
+
+def _unit_of_ports(ports: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """Unit of each port, of which each signal has one: the common one, or all with commas between them."""
+    found: dict[str, list[str]] = {}
+    for port, unit in zip(ports, units):
+        found.setdefault(port, []).append(unit)
+    return {port: own[0] if len(set(own)) == 1 else ",".join(own) for port, own in found.items()}
 
 
 def _full(matrix: Any) -> Any:

@@ -54,6 +54,12 @@ class Port:
             return (self.name,)
         return tuple(f"{self.name}[{i}]" for i in range(self.size))
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each signal."""
+        units = tuple(self.unit.split(","))
+        return units if len(units) == self.size else (self.unit,) * self.size
+
 
 def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     """Ports given as such or as (name, size); names must be unique.

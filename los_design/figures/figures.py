@@ -28,7 +28,6 @@ from los_loop.open_loop import OpenLoop
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.disturbances.responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.interface import LOOP_DELAY, MIRROR
-from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
@@ -204,8 +203,7 @@ def _controllers(designed: DesignedTelescope) -> Figure:
     figure = LaidOutFigure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
     left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
     omega: FloatArray = np.asarray(np.geomspace(1e-2, 3e3, 400), dtype=float)
-    assembled = assembled_telescope(designed.telescope)
-    kalman = kalman_observer(designed.telescope, assembled.bodies[1], lead=LOOP_DELAY)
+    kalman = kalman_observer(designed.telescope, lead=LOOP_DELAY)
     for system, colour, label in (
         (kalman, "#999999", "Kalman observer"),
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),

@@ -91,7 +91,7 @@ def _of_plant(name: str) -> tuple[tuple[float, float], Callable[[Figure, PaperCa
 def _controllers(figure: Figure, case: PaperCase, design: str) -> None:
     """K_FSM and the Kalman observer, a panel for each group of sensors, and K_PMA."""
     k_fsm, k_pma = (continuous(system) for system in case.pairs[design])
-    kalman = kalman_observer(case.telescope, case.assembled.bodies[1])
+    kalman = kalman_observer(case.telescope)
     panels = figure.subplots(2, 3, sharex=True).ravel()
     omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
     _, colour = STAGE_STYLES["fsm"]

@@ -9,7 +9,7 @@ member                      content
 ``telescope.json``          all values of the telescope's parameters, its requirements among them; without sources of
                             disturbance and what only images need: no proof depends on them
 ``modal_data/BODY.*``       modal data of a body of the user, where the telescope has one; ``BODY-NUMBER.*`` of arrays
-                            and appendages
+                            and appendages; ``modal_data/plant.*``: a plant that is a file
 ``k_fsm.json``              sampled controllers, as :class:`lftkit.SampledSystem` stores them
 ``k_pma.json``
 ``proofs/STAGE-FIGURE.npz`` of :class:`lftkit.proofs.sampled_loop.LoopProof`
@@ -63,6 +63,7 @@ from los_loop.open_loop import OpenLoop
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
+from titop_plant.telescope.plant_file import FILE, PLANT
 from titop_plant.telescope.requirements import design_limits, read_requirements
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
 
@@ -367,6 +368,8 @@ def _with_modal_data(content: Mapping[str, Any], changed: Callable[[str, str], s
             found[name] = [of(table, f"{name}-{number}") for number, table in enumerate(tables, 1)]
         elif tables is not None:
             found[name] = of(tables, name)
+    if PLANT in content:
+        found[PLANT] = {FILE: changed(PLANT, content[PLANT][FILE])}
     return found
 
 

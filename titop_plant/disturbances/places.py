@@ -21,6 +21,8 @@ the positive axis.**
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lftkit import Port
@@ -61,7 +63,8 @@ def source_ports(telescope: Telescope) -> tuple[Port, ...]:
     imbalance, *torques = telescope.disturbance_ports
     wheels = Port(WHEEL_TORQUE, len(telescope.wheels), "Nm")
     loads = map(load_port, telescope.loaded_nodes)
-    return (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(telescope))
+    ports = (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(telescope))
+    return tuple(port for port in ports if telescope.has_input(port.name))
 
 
 def place_matrix(
@@ -107,13 +110,21 @@ def place_matrix(
         i = wheels[place]
         if frame is not None:
             wrench = np.kron(np.eye(2), spin_frame(telescope.wheel_axes[:, i])) @ wrench
+        _require_input(WHEEL_TORQUE, place, columns)
         first = columns[WHEEL_IMBALANCE].start + 5 * i
         whole[first : first + 5] = wrench[:5]
         whole[columns[WHEEL_TORQUE].start + i] = wrench[5]
         return whole
     loaded = EXTERNAL_WRENCH.name if place == REFERENCE_POINT else load_port(telescope.nodes[place]).name
+    _require_input(loaded, place, columns)
     whole[columns[loaded]] = wrench
     return whole
+
+
+def _require_input(name: str, place: str, columns: Mapping[str, slice]) -> None:
+    """Refuse a place where a plant from a file has no input."""
+    if name not in columns:
+        raise ValueError(f"the plant must have the input {name} for a source at {place}, got {', '.join(columns)}")
 
 
 def _rotation(frame: FloatArray) -> FloatArray:

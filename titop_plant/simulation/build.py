@@ -221,7 +221,8 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     whole = assembled_telescope(telescope, True).system
     assembled = whole["los_controlled", disturbances_of(whole)]
     for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
-        data = assembled.at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
+        values = dict(zip(speed_names(len(speeds)), speeds))
+        data = assembled.at({name: speed for name, speed in values.items() if name in telescope.uncertain})
         speeds = senses * loudest_speeds(telescope, data, senses)
     return tuple(float(round(s, 3)) for s in speeds)
 
@@ -236,7 +237,7 @@ def _tones(config: PlantConfig, telescope: Telescope, values: Mapping[str, float
         return no_tones(telescope.channels)
     if config.ramps and (unit := _unit_tones(config, telescope)) is not None:
         return MovingTones(motion(config, telescope), unit).start()
-    speeds = np.array([values[name] for name in speed_names(len(telescope.wheels))])
+    speeds = np.array(motion(config, telescope).speeds(0.0), dtype=float)
     return TONES[str(config.scenario)](_circumstances(config, telescope, values, speeds))
 
 

@@ -33,7 +33,8 @@ from titop_plant.telescope.telescope import Telescope
 
 def driven_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Ports of the vector that a disturbance of the user writes."""
-    return (*telescope.disturbance_ports, EXTERNAL_WRENCH)
+    further = (EXTERNAL_WRENCH,) if telescope.has_input(EXTERNAL_WRENCH.name) else ()
+    return (*telescope.disturbance_ports, *further)
 
 
 DISTURBANCE_PORTS = driven_ports(load_telescope())

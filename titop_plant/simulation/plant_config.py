@@ -20,6 +20,7 @@ from titop_plant.telescope.motion_profiles import (
     trapezoidal_profile,
 )
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.uncertain_parameters import further_parameters
 
 
 @settings_class
@@ -71,13 +72,13 @@ def values_along(config: PlantConfig, profile: MotionProfile, time: float, teles
     values |= frequencies(config, telescope)
     if telescope.arrays_turn:
         values[ANGLE] = math.tan(float(profile.angle(time)) / 4.0)
-    return values
+    return {name: value for name, value in values.items() if name in telescope.uncertain}
 
 
 def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, float]:
     """Values of the uncertain frequencies that the settings give: of the first array, or of all bodies in order."""
     if config.frequencies is not None:
-        names = [name for name in telescope.uncertain if ".omega_" in name]
+        names = further_parameters(telescope.uncertain)
         if len(names) != len(config.frequencies):
             given = len(config.frequencies)
             raise ValueError(

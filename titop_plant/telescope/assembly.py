@@ -148,6 +148,8 @@ def build_telescope(
     AssembledTelescope
     """
     given = load_telescope() if telescope is None else telescope
+    if given.plant is not None:
+        return _from_file(given.plant, isolated)
     body, payload = build_body(given, given.mounted_points), build_payload(given)
     outside = (*map(load_port, loads), *(motor_ports(given) if motors else ()))
     driven = _driven_at_G(given, body, payload, isolated, loads, outside)
@@ -158,6 +160,14 @@ def build_telescope(
     kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
     own = [component.body_modes(one) for one in kinds.values()]
     return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own), _rigid_mass(free))
+
+
+def _from_file(system: System, isolated: bool) -> AssembledTelescope:
+    """The plant of a file; its bodies, inertia and mass are not known."""
+    if not isolated:
+        raise ValueError(f"a plant from a file must have its isolator, got a run without it ({system.name})")
+    unknown = np.full((6, 6), np.nan)
+    return AssembledTelescope(system, unknown[:3, :3], (), unknown)
 
 
 def assembled_telescope(telescope: Telescope | None = None, isolated: bool = True) -> AssembledTelescope:

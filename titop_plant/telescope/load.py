@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import StructuredTextError, parse
 from titop_plant.telescope.guide_camera import with_guide_camera
+from titop_plant.telescope.plant_file import PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_spreads
@@ -44,7 +45,8 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
         ``[[reaction_wheel]]`` and ``[[appendage]]`` define the layout, see :mod:`titop_plant.telescope.layout`,
         ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`,
-        ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`.
+        ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`, ``[plant]`` a
+        system from a file in place of the assembly, :mod:`titop_plant.telescope.plant_file`.
         Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
 
     Raises
@@ -63,6 +65,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
 
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)
+    plant = take_plant(own, file, Path(path).parent)
     limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
     spreads = own.pop(UNCERTAIN, {})
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
@@ -87,7 +90,13 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
             check_modal_file(name, merged[name], file)
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
-    return Telescope(merged)
+    found = Telescope({**merged, **plant})
+    if plant:
+        try:
+            found.plant  # noqa: B018  # read and checked before anything else is done with the telescope
+        except ValueError as error:
+            raise file.error(PLANT, f"must name a plant that fits: {error}") from None
+    return found
 
 
 def differences(path: str | Path) -> list[str]:

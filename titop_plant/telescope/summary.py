@@ -67,6 +67,7 @@ class PlantSummary:
     centre_of_mass : ndarray, shape (3,)
         From G [m].
     bodies : tuple of BodySummary
+        None for a plant from a file, whose inertia and mass are NaN: they are not known.
     mechanisms : tuple of MechanismMode
         Modes of the rotors of wheels and drives; none in the reference telescope.
     """
@@ -92,10 +93,7 @@ class PlantSummary:
             "hurwitz": self.hurwitz,
             "slowest_pole": self.slowest_pole,
             "largest_real_part": self.largest_real_part,
-            "mass": self.mass,
-            "centre_of_mass": self.centre_of_mass.tolist(),
-            "total_inertia": np.diag(self.total_inertia).tolist(),
-            "total_inertia_matrix": self.total_inertia.tolist(),
+            **(self._mass_properties() if self.bodies else {}),
             "min_residual_mass": {b.name: b.min_residual_mass for b in self.bodies},
             "min_residual_fraction": {b.name: b.min_residual_fraction for b in self.bodies},
             "parameters": {
@@ -104,6 +102,14 @@ class PlantSummary:
             },
             "bodies": {b.name: {"mass": b.mass, "modes": b.modes, "frequencies": b.frequencies} for b in self.bodies},
             **({"mechanisms": rotors} if rotors else {}),
+        }
+
+    def _mass_properties(self) -> dict[str, Any]:
+        return {
+            "mass": self.mass,
+            "centre_of_mass": self.centre_of_mass.tolist(),
+            "total_inertia": np.diag(self.total_inertia).tolist(),
+            "total_inertia_matrix": self.total_inertia.tolist(),
         }
 
 

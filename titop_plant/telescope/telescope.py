@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_a
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.places import REFERENCE_POINT
+from titop_plant.telescope.plant_file import FILE, PLANT, plant_parameters, plant_system
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
     AttitudeTable,
@@ -51,6 +52,9 @@ from titop_plant.telescope.sections import (
 )
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
 from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
+
+if TYPE_CHECKING:
+    from lftkit.systems.system import System
 
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
@@ -199,6 +203,15 @@ class Telescope:
         """Guide star and detector."""
         return made(CameraTable, self._tables["camera"])
 
+    @cached_property
+    def plant(self) -> System | None:
+        """The system of a file in place of the assembly, see :mod:`titop_plant.telescope.plant_file`; None without."""
+        if PLANT not in self._tables:
+            return None
+        forces = bool(self.pma.azimuths_deg)
+        file = self._tables[PLANT][FILE]
+        return plant_system(file, self.disturbance_ports, forces, float(self.fsm.los_sensitivity))
+
     # ---- on board ---------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -244,7 +257,7 @@ class Telescope:
     @property
     def arrays_turn(self) -> bool:
         """Whether the telescope has the parameter of the arrays' angle."""
-        return any(array.turns for array in self.solar_arrays)
+        return layout.ANGLE in self.uncertain if self.plant else any(array.turns for array in self.solar_arrays)
 
     @property
     def on_bearings(self) -> bool:
@@ -266,7 +279,12 @@ class Telescope:
         >>> list(load_telescope().nodes)
         ['wheels', 'isolator', 'array_1', 'array_2', 'payload', 'M1', 'M2', 'detector']
         """
-        return layout.read_nodes(self._tables)
+        nodes = layout.read_nodes(self._tables)
+        return {place: node for place, node in nodes.items() if self.has_input(f"load_{node}")}
+
+    def has_input(self, name: str) -> bool:
+        """Whether sources can act on an input of the plant: all of an assembly, of a file's plant those that it has."""
+        return self.plant is None or name in {port.name for port in self.plant.inputs}
 
     @property
     def loaded_nodes(self) -> tuple[str, ...]:
@@ -359,7 +377,8 @@ class Telescope:
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages of the control: those with forces only where there are proof-mass actuators."""
-        return tuple(stage for stage in STAGES if self.pma.azimuths_deg or stage not in FORCE_STAGES)
+        known = STAGES if self.plant is None else STAGES[1:]  # the isolator of a file's plant cannot be taken out
+        return tuple(stage for stage in known if self.pma.azimuths_deg or stage not in FORCE_STAGES)
 
     @property
     def mirror_stages(self) -> tuple[str, ...]:
@@ -411,6 +430,8 @@ class Telescope:
     @cached_property
     def uncertain(self) -> Mapping[str, RealParameter]:
         """The varying and uncertain parameters by name, in the order of Delta."""
+        if self.plant is not None:
+            return plant_parameters(self.plant)
         return uncertain_parameters(self.wheels, self.solar_arrays, self.appendages, self.factors)
 
     @property
@@ -431,6 +452,8 @@ class Telescope:
             Another form, an unknown entry, a half-width out of its range, a mode that is none.
         """
         table = {**self.spreads, **dict(map(spread_of, spreads))}
+        if table and self.plant is not None:
+            raise ValueError(f"uncertain entries must be blocks of the plant's file, got {', '.join(table)}")
         require_modes(table, self._tables)
         return Telescope({**self._tables, UNCERTAIN: table}) if table else self
 
@@ -523,6 +546,8 @@ class Telescope:
         content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
         for name in OWN_BODIES:
             content[name] = _with_digest(content[name])
+        if PLANT in content:
+            content[PLANT] = _with_digest(content[PLANT], FILE)
         for name in (layout.ARRAYS, layout.APPENDAGES):
             if isinstance(content.get(name), list):
                 content[name] = [_with_digest(table) for table in content[name]]
@@ -543,10 +568,10 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _with_digest(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The table of a body, of its modal data file the content in place of the name."""
-    file = table.get("modal_data", "")
-    return {**table, "modal_data": hashlib.sha256(read_bytes(file)).hexdigest()} if file else table
+def _with_digest(table: Mapping[str, Any], key: str = "modal_data") -> Mapping[str, Any]:
+    """A table of a body or plant, of its file the content in place of the name."""
+    file = table.get(key, "")
+    return {**table, key: hashlib.sha256(read_bytes(file)).hexdigest()} if file else table
 
 
 __all__ = ["SOURCES", "Telescope"]

@@ -5,11 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 import random
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.telescope.layout import ANGLE, MountedBody, WheelOnBoard
+from titop_plant.telescope.tables.uncertain import is_factor
 
+SPEED = re.compile(r"wheel_[1-9]\d*\.speed")
+"""Names of the speeds of wheels."""
 MOST_CORNERS = 256
 """Corners of the box that are looked at one by one: all of eight parameters."""
 
@@ -70,6 +74,17 @@ def _words(owners: Sequence[MountedBody], bodies: Sequence[MountedBody]) -> str:
     if len(owners) == len(bodies) == 2 and all(body.axis is not None for body in owners):
         return "both arrays"
     return ", ".join(body.name for body in owners)
+
+
+def further_parameters(names: Iterable[str]) -> list[str]:
+    """Parameters that a run sets by ``frequencies``: neither speeds of wheels, nor the arrays' angle, nor factors.
+
+    Examples
+    --------
+    >>> further_parameters(["wheel_1.speed", "solar_array.omega_1", "solar_array.tau", "isolator.stiffness"])
+    ['solar_array.omega_1']
+    """
+    return [name for name in names if not (SPEED.fullmatch(name) or name == ANGLE or is_factor(name))]
 
 
 def box_corners(box: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

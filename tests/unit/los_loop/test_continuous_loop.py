@@ -19,7 +19,6 @@ from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from los_loop.implemented_loop import LoopMetric
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMAND_PORTS, COMMANDED, FORCES, MEASURED, MIRROR, MIRROR_STAGES, PLATFORM
-from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
@@ -36,7 +35,7 @@ def open_loop() -> OpenLoop:
 def matrices() -> tuple[FloatArray, FloatArray]:
     """Gain matrices of the Kalman observer and of a random K_PMA with which the loop is stable."""
     return (
-        gain_matrix_of(kalman_observer(load_telescope(), assembled_telescope().bodies[1]).at({})),
+        gain_matrix_of(kalman_observer(load_telescope()).at({})),
         gain_matrix_of(random_law(2, 1.0)),
     )
 
@@ -133,7 +132,7 @@ def test_poles_are_those_of_the_connected_systems(stage: str, open_loop: OpenLoo
     values = members(open_loop)[1]
     plant = control_plant(load_telescope()).at(values)
     law = transform(
-        kalman_observer(load_telescope(), assembled_telescope().bodies[1]),
+        kalman_observer(load_telescope()),
         outputs={"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])},
     )
     systems = {"plant": plant, "mirror": law, "forces": random_law(2, 1.0)}

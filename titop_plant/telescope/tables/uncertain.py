@@ -69,6 +69,11 @@ def spread_of(text: str) -> tuple[str, float]:
     return checked(name, spread), spread
 
 
+def is_factor(name: str) -> bool:
+    """Whether an uncertain parameter is a factor of this table, nominal in a run."""
+    return name in ENTRIES or MODAL.fullmatch(name) is not None
+
+
 def checked(name: str, spread: Any) -> str:
     """The name of an entry.
 
@@ -77,7 +82,7 @@ def checked(name: str, spread: Any) -> str:
     ValueError
         An unknown entry, a half-width out of its range.
     """
-    if name not in ENTRIES and not MODAL.fullmatch(name):
+    if not is_factor(name):
         modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (f"{FREQUENCY_OF}_1", f"{DAMPING_OF}_1"))
         raise ValueError(f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, got {name!r}")
     if isinstance(spread, bool) or not isinstance(spread, (int, float)) or not 0.0 < spread <= LARGEST:

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from los_testbed.config.members import family, member_settings
+from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.motion_profiles import read_csv
+from titop_plant.telescope.uncertain_parameters import SPEED, further_parameters
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
@@ -61,20 +63,20 @@ class MemberParameters:
         table = family(parameters)
 
         def place(name: str) -> int:
-            return 0 if name.endswith(".tau") else 1 if name.endswith(".speed") else 2
+            return 0 if name == ANGLE else 1 if SPEED.fullmatch(name) else 2
 
         return cls({name: (table[name].lower, table[name].upper) for name in sorted(table, key=place)})
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Columns of the data set, in the order of `ranges`."""
-        frequencies = tuple(name for name in self.ranges if ".omega_" in name)
+        frequencies = tuple(further_parameters(self.ranges))
 
         def column(name: str) -> str:
             stem, _, quantity = name.rpartition(".")
-            if quantity == "speed":
+            if SPEED.fullmatch(name):
                 return f"wheel_speed_{stem.removeprefix('wheel_')}"
-            return quantity if quantity == "tau" or frequencies == REFERENCE_FREQUENCIES else name
+            return quantity if name == ANGLE or frequencies == REFERENCE_FREQUENCIES else name
 
         return tuple(column(name) for name in self.ranges)
 

@@ -57,6 +57,17 @@ CASES_EXAMPLES = """List the named telescopes of `los-testbed run --case NAME`.
     los-testbed plant cases
 """
 
+EXPORT_EXAMPLES = """Write the assembled telescope as an uncertain system with named ports.
+
+A parameter file with a table `[plant]` and `file = "FILE"` uses it, or one of your own, in place of the assembly.
+
+**Examples**
+
+    los-testbed plant export telescope.mat
+
+    los-testbed plant export mine.json --parameters my_telescope.toml --loads
+"""
+
 plant_app = typer.Typer(rich_markup_mode="markdown")
 
 
@@ -143,6 +154,34 @@ def check(
         print_json({**found.to_mapping(), **further, "figures": [str(path) for path in pictures]})
 
 
+@plant_app.command(help=EXPORT_EXAMPLES)
+def export(
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="New file, .mat or .json.")],
+    parameters: TelescopeFile = None,
+    loads: Annotated[
+        bool, typer.Option("--loads", help="With an input load_NODE at each node where a source can act.")
+    ] = False,
+) -> None:
+    """See EXPORT_EXAMPLES."""
+    from lftkit import write_mat, write_system
+    from lftkit.support.atomic_output import check_output
+    from lftkit.support.threads import one_thread
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.load import load_telescope
+
+    if output.suffix not in (".mat", ".json"):
+        raise ValueError(f"FILE must end with .mat or .json, got {output}")
+    check_output(output, "FILE", new=True)
+    telescope = load_telescope(parameters)
+    with one_thread():
+        system = build_telescope(telescope, loads=telescope.loaded_nodes if loads else ()).system
+    if output.suffix == ".json":
+        write_system(output, system)
+    else:
+        write_mat(output, P=system)
+    Screen().print(f"{output}: order {system.order}, {len(system.channels)} channels of Delta", highlight=False)
+
+
 def _loop_of(telescope: Telescope) -> dict[str, str]:
     """Stages, sensors, actuators, requirements and own disturbances of a telescope, in words."""
     ports = telescope.loop_ports
@@ -181,14 +220,16 @@ def cases(
 def show(console: Console, found: PlantSummary) -> None:
     """Print a model's properties as tables."""
     stable = "all poles in the left half plane" if found.hurwitz else "not stable"
-    inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
     console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)
-    centre = ", ".join(f"{x:.3f}" for x in found.centre_of_mass)
-    console.print(f"mass {found.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
-    console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
+    if found.bodies:
+        inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
+        centre = ", ".join(f"{x:.3f}" for x in found.centre_of_mass)
+        console.print(f"mass {found.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
+        console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
     console.print(_table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(found)))
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
-    console.print(_table("bodies", heads, _bodies(found)))
+    if found.bodies:
+        console.print(_table("bodies", heads, _bodies(found)))
     if found.mechanisms:
         rotors = ("rotor", "at rest [rad/s]", "at the default speed [rad/s]")
         rows: list[tuple[Any, ...]] = [(mode.name, mode.at_rest, mode.at_speed) for mode in found.mechanisms]

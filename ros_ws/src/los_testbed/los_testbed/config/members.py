@@ -19,9 +19,10 @@ from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_testbed.config.run_config import RunConfig, read_yaml
 from titop_plant.simulation.plant_config import check_wheels, frequencies
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.layout import ANGLE, speed_names
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.motion_profiles import PROFILES, read_profile
+from titop_plant.telescope.uncertain_parameters import SPEED, further_parameters
 
 if TYPE_CHECKING:
     from lftkit import RealParameter
@@ -133,10 +134,11 @@ def member_settings(values: Mapping[str, float]) -> dict[str, Any]:
     >>> member_settings({"wheel_1.speed": 2.0, "boom.omega_1": 3.0})
     {'wheel_speed': [2.0], 'frequencies': [3.0]}
     """
-    angles = [value for name, value in values.items() if name.endswith(".tau")]
+    angles = [value for name, value in values.items() if name == ANGLE]
     found: dict[str, Any] = {"tau": angles[0]} if angles else {}
-    found["wheel_speed"] = [value for name, value in values.items() if name.endswith(".speed")]
-    omegas = {name: value for name, value in values.items() if ".omega_" in name}
+    if speeds := [value for name, value in values.items() if SPEED.fullmatch(name)]:
+        found["wheel_speed"] = speeds
+    omegas = {name: values[name] for name in further_parameters(values)}
     if tuple(omegas) == ("solar_array.omega_1", "solar_array.omega_2"):
         found |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
     elif omegas:
@@ -160,7 +162,8 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
     Returns
     -------
     dict
-        As :func:`random_member`; empty where no worst values of this telescope are stored: nominal values are meant.
+        As :func:`random_member`; empty where no worst values of this telescope and stage are stored: nominal values are
+        meant.
 
     Raises
     ------
@@ -178,7 +181,8 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         content = load_json(read_text(path), path)
         if content["parameters_hash"] != used:
             return {}
-        return member_settings(content["stages"][loop][worst_of]["parameters"])
+        stages = content["stages"]
+        return member_settings(stages[loop][worst_of]["parameters"]) if loop in stages or not stages else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
 
@@ -207,7 +211,8 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     """
     table = telescope.uncertain
     if config.loop not in (stages := telescope.stages):
-        raise ValueError(f"loop must be one of {', '.join(stages)} without proof-mass actuators, got {config.loop}")
+        why = "without proof-mass actuators" if telescope.plant is None else "with a plant from a file"
+        raise ValueError(f"loop must be one of {', '.join(stages)} {why}, got {config.loop}")
     for name, omega in frequencies(config, telescope).items():
         _within(_setting_of(name, config), table[name], omega)
     check_wheels(config, telescope)
@@ -220,6 +225,8 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
             _within("tau", table[ANGLE], config.tau)
         for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
             _within_angle(table[ANGLE], angle, when)
+    if speed_names(1)[0] not in table:  # of a plant from a file: the speeds are those of its tones alone
+        return
     for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
@@ -235,7 +242,8 @@ def _check_profile(config: RunConfig, telescope: Telescope, table: Mapping[str, 
         if ANGLE in table:
             _within_angle(table[ANGLE], theta, when)
         for i, speed in enumerate(speeds, start=1):
-            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed, when)
+            if (name := f"wheel_{i}.speed") in table:
+                _within(f"wheel_speed (wheel {i})", table[name], speed, when)
 
 
 def _setting_of(name: str, config: RunConfig) -> str:

@@ -1,0 +1,173 @@
+"""A spacecraft that is a file: an uncertain system with named ports in place of the assembly from blocks.
+
+The table ``[plant]`` of a parameter file names it, a .mat file as :func:`lftkit.read_mat` reads it (of a ``uss`` of
+MATLAB's Robust Control Toolbox) or a JSON file of :func:`lftkit.write_system`. **It includes the isolator, the mirror,
+the proof-mass actuators and the attitude control**; sensors, their filters and noise, the controllers and the sampling
+are the testbed's. Ports have the names, units and axes of :mod:`titop_plant.telescope.assembly`:
+
+======================  ====================================================================================
+input                   signals
+======================  ====================================================================================
+``wheel_imbalance``     5 for each wheel: forces and lateral torques in the wheel's frame [N, Nm]
+``sadm_torque``         1 for each array drive [Nm], where there are drives
+``fsm_command``         2, commanded angles of the mirror [rad]
+``pma_force``           6 [N], where the telescope has proof-mass actuators
+further ones            ``external_wrench``, ``wheel_torque`` and ``load_NODE`` where sources of a user act
+======================  ====================================================================================
+
+Outputs: ``accel_Ip``, ``accel_M1``, ``accel_M2`` (6 each), ``fsm_angle`` (2) and ``los_controlled`` (2), or ``los``
+(2), the line of sight without the mirror. Blocks ``wheel_1.speed``, ``solar_array.tau`` and ``NAME.omega_1`` are values
+of a run (``--wheel-speed``, ``--theta``, ``--frequencies``); others vary in designs, searches and proofs, and are
+nominal in a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lftkit.support.input_files import read_bytes
+from lftkit.systems.ports import Port
+from lftkit.uncertainty.parameters import RealParameter
+from titop_plant.interface import COMMAND_PORTS, TRUTH_PORTS
+from titop_plant.sensors import GAUGE_PORT, MEASURED_SENSORS
+from titop_plant.telescope.layout import IMBALANCE_CHANNELS, speed_names
+from titop_plant.telescope.uncertain_parameters import SPEED
+
+if TYPE_CHECKING:
+    from lftkit import System
+    from titop_plant.telescope.tables.parameter_check import ParameterFile
+
+PLANT = "plant"
+"""Table ``[plant]`` of a user's file."""
+FILE = "file"
+"""Its key for the name of the file."""
+LOS = Port("los", 2, "rad")
+UNKNOWN = ("", "1")
+"""Units of ports that state none."""
+
+
+def take_plant(own: dict[str, Any], file: ParameterFile, folder: Path) -> dict[str, dict[str, str]]:
+    """Take the table out of a user's file: ``{"plant": {"file": path}}``, or nothing where there is none.
+
+    Raises
+    ------
+    ValueError
+        Another key, no name, or a telescope with what such a plant cannot have.
+    """
+    table = own.pop(PLANT, None)
+    if table is None:
+        return {}
+    if not isinstance(table, dict) or set(table) != {FILE} or not isinstance(table[FILE], str) or not table[FILE]:
+        raise file.error(PLANT, f"must be a table with the name of a file, {FILE} = 'NAME', got {table!r}")
+    for name in ("sensor", "actuator", "appendage", "uncertain"):
+        if name in own:
+            raise file.error(name, f"must be absent with [{PLANT}], whose file has all that is on board")
+    return {PLANT: {FILE: str(folder / table[FILE])}}
+
+
+def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sensitivity: float) -> System:
+    """The system of a file with the ports of an assembled telescope.
+
+    Parameters
+    ----------
+    path : str
+    disturbances : sequence of Port
+        Imbalance of the wheels and torques of the drives that the other tables of the parameter file have.
+    forces : bool
+        Whether the telescope has proof-mass actuators; without them ``pma_force`` is an input without effect.
+    los_sensitivity : float
+        Line of sight by the mirror's angle.
+
+    Raises
+    ------
+    ValueError
+        A file that is no continuous system of real parameters, or one that lacks a port or has it in another size or
+        unit.
+    """
+    try:
+        content = read_bytes(path)
+    except OSError as error:
+        raise ValueError(f"cannot read the plant {path}: {error.strerror or error}") from None
+    return _completed(path, content, tuple(disturbances), forces, los_sensitivity)
+
+
+@lru_cache(maxsize=4)
+def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces: bool, sensitivity: float) -> System:
+    from lftkit import append, connect, static_gain
+
+    system = _read(path)
+    system.require_real()
+    if system.dt:
+        raise ValueError(f"{path}: the plant must be continuous, got the period {system.dt:g} s")
+    mirror, force = COMMAND_PORTS
+    known = {port.name: port for port in system.outputs}
+    (truth,) = TRUTH_PORTS
+    line = truth if truth.name in known else LOS
+    measured = (Port(one.source, one.port.size, one.port.unit) for one in MEASURED_SENSORS)
+    outputs = dict.fromkeys([*(port for port in measured if port.name != truth.name), line])
+    needed = {"input": (*disturbances, mirror, *((force,) if forces else ())), "output": tuple(outputs)}
+    named = {
+        kind: _with_units(path, kind, ports, system.inputs if kind == "input" else system.outputs)
+        for kind, ports in needed.items()
+    }
+    system = replace(system, inputs=named["input"], outputs=named["output"])
+    if force.name not in {port.name for port in system.inputs}:
+        idle = static_gain(np.zeros((0, force.size)), [force], [])
+        system = append(system, idle)
+    if line is LOS:
+        gauge = system.output_port(GAUGE_PORT)
+        steering = static_gain(sensitivity * np.eye(LOS.size), [gauge], [LOS])
+        every: dict[str, str | tuple[str, ...]] = {name: f"plant.{name}" for name in known}
+        system = connect(
+            {"plant": system, "steering": steering},
+            [*((p.name, f"plant.{p.name}") for p in system.inputs), (f"plant.{gauge.name}", f"steering.{gauge.name}")],
+            inputs=system.inputs,
+            outputs={**every, truth.name: (f"plant.{LOS.name}", f"steering.{LOS.name}")},
+        )
+    _check_speeds(path, system, disturbances[0].size // IMBALANCE_CHANNELS)
+    return system.sorted_channels([e.name for e in system.elements])
+
+
+def _check_speeds(path: str, system: System, wheels: int) -> None:
+    """Refuse speeds of some of the wheels, or of other ones."""
+    named = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
+    if named and named != set(speed_names(wheels)):
+        raise ValueError(f"{path}: blocks must have {', '.join(speed_names(wheels))} or none, got {', '.join(named)}")
+
+
+def _read(path: str) -> System:
+    from lftkit import read_mat, read_system
+
+    return read_system(path) if Path(path).suffix.lower() == ".json" else read_mat(path)
+
+
+def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Port]) -> tuple[Port, ...]:
+    """The ports of a side, those that are needed with their units.
+
+    Raises
+    ------
+    ValueError
+        One of them is not there, or has another size or unit.
+    """
+    known = {port.name: port for port in given}
+    for port in ports:
+        own = known.get(port.name)
+        if own is None:
+            raise ValueError(f"{path}: the plant must have the {kind} {port.name}, got {', '.join(known)}")
+        if own.size != port.size:
+            raise ValueError(f"{path}: {kind} {port.name} must have {port.size} signals, got {own.size}")
+        if own.unit not in UNKNOWN and own.units != port.units:
+            raise ValueError(f"{path}: {kind} {port.name} must be in {port.unit}, got {own.unit}")
+        known[port.name] = port
+    return tuple(known.values())
+
+
+def plant_parameters(system: System) -> Mapping[str, RealParameter]:
+    """Uncertain parameters of the system by name, in the order of Delta."""
+    return {e.name: e for e in system.parameters}
