@@ -19,7 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit
-from pointing_analysis.read.tables.times import column_stamps, time_column
+from pointing_analysis.read.tables.times import column_stamps, refuse_text_times, time_column
 from pointing_analysis.read.time_grid import NANO, time_grid
 from titop_plant.disturbances.units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
 from titop_plant.interface import DT
@@ -55,6 +55,10 @@ class RunConditions:
         """Speed of the wheel at a place [rad/s]; None where there is no wheel."""
         places = {f"wheel_{i}": speed for i, speed in enumerate(self.speeds, start=1)}
         return {**places, **dict(zip(self.names, self.speeds))}.get(place)
+
+
+FREQUENCIES = ("frequency", "freq", "f")
+"""Names of columns of frequencies."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,10 @@ def _axes(entry: DisturbanceTable, table: Table, n: int, units: WrenchUnits = FO
     bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
     whole = [f"wrench.{i + 1}" for i in range(6)]
     found = 0
+    spelled = {base for names in AXES for base in names}
+    for name in table.texts:
+        if split_unit(name)[0].lower() in spelled:
+            table.refuse_text(name)
     for axis, names in enumerate(AXES):
         for base in (*names, whole[axis]):
             column = next((bases[key] for key in bases if key == base or key.endswith(f".{base}")), None)
@@ -160,6 +168,9 @@ def _column(entry: DisturbanceTable, table: Table, *names: str, units: Units | N
             if units is not None:
                 return _scaled(entry, table, name, units, table.unit(name))
             return np.asarray(entry.column(table, name), dtype=float)
+    for name in table.texts:
+        if split_unit(name)[0].lower() in names:
+            table.refuse_text(name)
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
 
@@ -199,6 +210,9 @@ def _rate(entry: DisturbanceTable, table: Table, n: int) -> float:
     when = time_column(table.of_length(n), [])
     own = _rate_by_times(entry, table, when, given) if when is not None else table.rate(list(table.of_length(n)))
     if own is None:
+        if given is None:
+            refuse_text_times(table)
+            raise entry.error(f"{table.path} must have a column time, or rate must be given, got {table.listed()}")
         return entry.number("rate", None, 0.0)
     if given is not None and abs(given - own) > SAME_RATE * own:
         source = f"column {when}" if when is not None else "file"
@@ -297,7 +311,7 @@ def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
     scale = {"rpm": 1 / 60, "rad/s": 1 / (2 * np.pi), "Hz": 1.0, "hz": 1.0}.get(table.unit(name))
     if scale is None:
         raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
-    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, "frequency", units=FREQUENCY)
+    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, *FREQUENCIES, units=FREQUENCY)
     speeds, bins = np.unique(at), np.unique(frequency)
     values = _axes(entry, table, at.size)
     if speeds.size < 2 or speeds.size * bins.size != at.size or not np.isfinite([at, frequency]).all():
@@ -328,7 +342,7 @@ def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.disturbances.signals import NOISE_SECONDS, PASSES, noise_of_density
 
     table = entry.file()
-    frequency = _column(entry, table, "frequency", "f", units=FREQUENCY)
+    frequency = _column(entry, table, *FREQUENCIES, units=FREQUENCY)
     density = _axes(entry, table, frequency.size, units=DENSITY)
     if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
         raise entry.error(

@@ -11,6 +11,9 @@ import numpy as np
 
 from pointing_analysis.read.tables.table import Column, Gathered, Table, TableError, check_unpacked
 
+READ_FROM_PARQUET = ("timestamp", "duration", "integer", "floating", "decimal")
+"""Types of columns with numbers or times."""
+
 
 def read_parquet(path: Path) -> Table:
     """Columns of numbers and times of a Parquet file.
@@ -27,7 +30,7 @@ def read_parquet(path: Path) -> Table:
         raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
 
     def numbers(kind: pyarrow.DataType) -> bool:
-        return any(getattr(pyarrow.types, f"is_{name}")(kind) for name in ("timestamp", "integer", "floating"))
+        return any(getattr(pyarrow.types, f"is_{name}")(kind) for name in READ_FROM_PARQUET)
 
     try:
         file = parquet.ParquetFile(path)
@@ -35,6 +38,7 @@ def read_parquet(path: Path) -> Table:
         names = [name for name, kind in zip(schema.names, schema.types) if numbers(kind)]
         check_unpacked(path, 8 * len(names) * file.metadata.num_rows)
         table = file.read(columns=names)
+        others = {name: f"{kind}" for name, kind in zip(schema.names, schema.types) if not numbers(kind)}
     except (pyarrow.ArrowException, OSError) as error:
         raise TableError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
     if len(set(table.column_names)) < len(table.column_names):
@@ -43,11 +47,19 @@ def read_parquet(path: Path) -> Table:
     units: dict[str, list[str]] = {}
     for name in table.column_names:
         column = table.column(name)
-        time = pyarrow.types.is_timestamp(column.type)
-        found[name] = (column.cast(pyarrow.timestamp("ns")) if time else column).to_numpy()
+        time, since = (getattr(pyarrow.types, f"is_{kind}")(column.type) for kind in ("timestamp", "duration"))
+        if time:
+            column = column.cast(pyarrow.timestamp("ns"))
+        elif since:
+            column = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+        elif pyarrow.types.is_decimal(column.type):
+            column = column.cast(pyarrow.float64())
+        found[name] = column.to_numpy()
         about = table.schema.field(name).metadata or {}
         units[name] = [about[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in about]
-    return Table(path, "Parquet", found, units, names=tuple(schema.names))
+        units[name] += ["ns"] if since else []
+    texts = {name: (1, kind) for name, kind in others.items()}
+    return Table(path, "Parquet", found, units, names=tuple(schema.names), texts=texts)
 
 
 def _check_shapes(archive: zipfile.ZipFile) -> None:

@@ -24,7 +24,12 @@ BAGS = (
     b"\x28\xb5\x2f\xfd",  # zstd, lz4: an MCAP file that is compressed as a whole
     b"\x04\x22\x4d\x18",
 )
-TEXT_ENCODINGS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+TEXT_ENCODINGS = (
+    (b"\xff\xfe\0\0", "utf-32"),
+    (b"\0\0\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
 
 
 class Format(Enum):
@@ -43,6 +48,27 @@ FORMATS = (
     "NumPy .npy or .npz"
 )
 """The formats that are read, in words."""
+CONVERSIONS = {
+    "a TDMS file": 'pip install npTDMS pandas; python -c "from nptdms import TdmsFile; '
+    "TdmsFile.read('FILE').as_dataframe(time_index=True).to_csv('NEW.csv', index_label='time')\"",
+    "a FITS file": 'pip install astropy; python -c "from astropy.table import Table; '
+    "Table.read('FILE').write('NEW.csv')\"",
+    "a LabVIEW measurement": "python -c \"t = open('FILE').read().split('***End_of_Header***')[-1]; "
+    "open('NEW.txt', 'w').write(t.split(chr(10), 1)[1])\"",
+    "a universal file": 'pip install pyuff; python -c "import numpy as n, pyuff; u = [d for d in '
+    "pyuff.UFF('FILE').read_sets() if d['type'] == 58]; "
+    "n.savetxt('NEW.csv', n.c_[u[0]['x'], u[0]['data'], u[1]['data']], delimiter=',')\"",
+    "a netCDF file": "nccopy -k nc4 FILE NEW.nc",
+    "a WAV": "python -c \"from scipy.io import savemat, wavfile; fs, x = wavfile.read('FILE'); "
+    "savemat('NEW.mat', {'fs': float(fs), 'los': x})\"",
+    "an MDF": 'pip install asammdf; python -c "from asammdf import MDF; '
+    "MDF('FILE').export('csv', filename='NEW.csv')\"",
+    "an Arrow": 'python -c "from pyarrow import feather, parquet; '
+    "parquet.write_table(feather.read_table('FILE'), 'NEW.parquet')\"",
+    "a ULog": "pip install pyulog; ulog2csv FILE",
+    "a Python pickle": "python -c \"import pandas; pandas.read_pickle('FILE').to_csv('NEW.csv')\"",
+}
+"""How to convert files of other kinds, by the beginning of the name of their kind."""
 OF_SUFFIX = {".mcap": Format.BAG, ".csv": Format.CSV, ".txt": Format.CSV, ".mat": Format.MATLAB}
 """Formats that have no mark of their own, or whose mark may be damaged, by the end of the name."""
 
@@ -82,7 +108,9 @@ def format_of(path: Path) -> Format:
             kind = "a text without numbers"
     if found is None or kind is not None:
         kind = kind or f"a file that begins with {head[:8]!r}"
-        raise TableError(f"{path}: file must be one of {FORMATS}; got {kind}")
+        how = next((how for name, how in CONVERSIONS.items() if kind.startswith(name)), "")
+        advice = f"; to convert it: {how}" if how else ""
+        raise TableError(f"{path}: file must be one of {FORMATS}; got {kind}{advice}")
     return found
 
 
@@ -127,14 +155,26 @@ def _holds_arrays(path: Path) -> bool:
 
 
 def text_encoding(head: bytes) -> str:
-    """Encoding of a text by its first bytes: UTF-16 where it is marked so, else UTF-8."""
-    return next((name for mark, name in TEXT_ENCODINGS if head.startswith(mark)), "utf-8-sig")
+    """Encoding of a text by its first bytes: UTF-16 and UTF-32 where they are marked or have every other byte zero.
+
+    Examples
+    --------
+    >>> text_encoding("t,x".encode("utf-16-be")), text_encoding("t,x".encode("utf-32")), text_encoding(b"t,x")
+    ('utf-16-be', 'utf-32', 'utf-8-sig')
+    """
+    marked = next((name for mark, name in TEXT_ENCODINGS if head.startswith(mark)), None)
+    if marked is None and len(head) >= 4:
+        for first, name in ((0, "utf-16-be"), (1, "utf-16-le")):
+            if not any(head[first:4:2]) and all(head[1 - first : 4 : 2]):
+                return name
+    return marked or "utf-8-sig"
 
 
 def _is_text(head: bytes) -> bool:
+    encoding = text_encoding(head)
     try:
-        head.decode(text_encoding(head), errors="strict")
+        head.decode(encoding, errors="strict")
     except UnicodeDecodeError as error:
         if error.start < len(head) - 4:  # a character may be cut at the end
             return False
-    return text_encoding(head) == "utf-16" or b"\0" not in head
+    return encoding != "utf-8-sig" or b"\0" not in head

@@ -15,15 +15,23 @@ import numpy as np
 
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.series import Provenance, Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
+from pointing_analysis.read.tables.dates import DATES
 from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
 from pointing_analysis.read.tables.table import Column, Table, TableError, same_rate, split_unit, unit_name
 from pointing_analysis.read.tables.text import read_text
-from pointing_analysis.read.tables.times import FEWEST, column_stamps, time_column
+from pointing_analysis.read.tables.times import (
+    FEWEST,
+    column_stamps,
+    refuse_text_times,
+    since_first_week,
+    time_column,
+)
 from pointing_analysis.read.tables.times import UNITS as TIME_UNITS
+from pointing_analysis.read.topic import NANO
 from pointing_analysis.units import ANGLES, NAMES
 
 READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
@@ -60,6 +68,7 @@ def read_table(path: Path) -> Table:
         raise TableError(f"cannot read {path}: {error.strerror}") from None
     table = READERS[found](path)
     if not table.columns:
+        table.refuse_text(next(iter(table.texts), ""))
         raise TableError(f"{path}: table must have numeric columns, got none")
     return table
 
@@ -104,17 +113,39 @@ def read_los_table(
     stated = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
     try:
         if when is None:
+            if rate is None:
+                refuse_text_times(table)
             stamps = stamps_of(None, len(xy), rate)
         else:
-            stamps = column_stamps(when, columns[when], rate, unit_of_time if stated in ("", *ANGLES) else stated)
+            unit_of_time = unit_of_time if stated in ("", *ANGLES) else stated
+            times = since_first_week(when, columns, unit_of_time)
+            stamps = column_stamps(when, times, rate, unit_of_time)
     except ValueError as error:
         raise TableError(f"{path}: {error}{unused}") from None
+    _check_rows(table, stamps, xy)
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
     provenance = Provenance(path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
     found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
     return found if stated_rate is None else _with_rate_note(found, stated_rate)
+
+
+def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
+    """Refuse fewer than two samples, and two samples of one time that differ: of two records in one file."""
+    count = int(np.isfinite(xy).all(axis=1).sum())
+    if count < 2:
+        raise TableError(f"{table.path}: line of sight must have two or more rows with both values, got {count}")
+    order = np.argsort(stamps, kind="stable")
+    same = np.diff(stamps[order]) == 0
+    differ = same & ~(np.diff(xy[order], axis=0) == 0).all(axis=1)
+    if differ.any():
+        first = int(order[1:][differ].min())
+        since = (int(stamps[first]) - int(stamps.min())) / NANO
+        raise TableError(
+            f"{table.path}: times must differ from row to row, got {int(differ.sum())} with the time of another row, "
+            f"the first in sample {first + 1}, {since:g} s after the earliest one (two records in one file?)"
+        )
 
 
 def _with_rate_note(found: Series, stated: float) -> Series:
@@ -179,6 +210,9 @@ def _asked_time(table: Table, time: str) -> tuple[str, str]:
         if (stated := table.unit(asked)) not in ("", *ANGLES, unit):
             raise TableError(f"{table.path}: time must be in {stated}, stated in the file for {asked}, got {time!r}")
         return asked, unit
+    if asked is None and time.isdecimal() and 0 < int(time) <= len(every := table.names or tuple(table.columns)):
+        asked = every[int(time) - 1]
+    table.refuse_text(time if asked is None else asked, f"a number or {DATES}")
     if asked is None:
         raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
     return asked, ""
@@ -189,16 +223,28 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
     if los is not None:
         x, y = _named(table, los)
         columns = table.of_length(len(table.columns[x]))
-        return x, y, asked or time_column(columns, [x, y])
+        return _time_first(columns, x, y, asked or time_column(columns, [x, y]))
     lengths = dict.fromkeys(len(column) for column in table.columns.values())
     found = [chosen for n in lengths if (chosen := _by_names(table.of_length(n), asked)) is not None]
+    if len(found) != 1 or not set(found[0]) & set(_known_pair(list(table.columns)) or ()):
+        for name in _texts_of_angles(table):
+            table.refuse_text(name)
     if len(found) != 1:
         raise TableError(f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none")
     return found[0]
 
 
+def _texts_of_angles(table: Table) -> list[str]:
+    """Columns that would be of the line of sight, by unit or name, but were left out because of their cells."""
+    usual = {name for pair in X_NAMES for name in pair}
+    names = {name: split_unit(name) for name in table.texts}
+    return [name for name, (base, unit) in names.items() if unit in ANGLES or base.lower() in usual]
+
+
 def _named(table: Table, los: str) -> tuple[str, str]:
     parts = [part.strip() for part in los.split(",")]
+    for part in parts:
+        table.refuse_text(part)
     if len(parts) == 1:
         parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
     names, every = [table.find(part) for part in parts], table.names or tuple(table.columns)
@@ -221,7 +267,17 @@ def _by_names(columns: Mapping[str, Column], asked: str | None) -> tuple[str, st
     when = asked if asked in columns else time_column(columns, list(pair or ()))
     rest = [name for name in columns if name != when and columns[name].dtype.kind != "M"]
     pair = _known_pair(rest) or ((rest[0], rest[1]) if len(rest) == 2 else None)
-    return None if pair is None else (*pair, when)
+    return None if pair is None else _time_first(columns, *pair, when)
+
+
+def _time_first(columns: Mapping[str, Column], x: str, y: str, when: str | None) -> tuple[str, str, str | None]:
+    """Columns of an array of three whose first one is the time: it grows from row to row, and no other has times."""
+    z = f"{x.rpartition('.')[0]}.z"
+    if when in (None, z) and x.endswith(".x") and y == f"{z[:-1]}y" and z in columns and columns[x].dtype.kind in "fiu":
+        steps = np.diff(columns[x].astype(float))
+        if steps.size > 1 and (steps > 0).all() and np.ptp(steps) < steps.mean():
+            return y, z, x
+    return x, y, when
 
 
 def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:

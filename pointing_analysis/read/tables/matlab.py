@@ -82,9 +82,10 @@ def read_hdf5(path: Path) -> Table:
     try:
         with h5py.File(path, "r") as file:
             matlab = path.suffix.lower() == ".mat"
-            datasets = _datasets(file, h5py, notes)
+            datasets, groups = _datasets(file, h5py, notes)
             check_unpacked(path, sum(d.size * d.dtype.itemsize for _, d in datasets))
-            _add_attributes(found, "", file.attrs)
+            for name, group in groups:
+                _add_attributes(found, name, group.attrs)
             for name, dataset in datasets:
                 _add_dataset(found, name, dataset)
     except MemoryError:
@@ -98,8 +99,8 @@ def read_hdf5(path: Path) -> Table:
     return _made(found, path, "MATLAB 7.3" if matlab else "HDF5", list(notes))
 
 
-def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> list[tuple[str, Any]]:
-    """Datasets by name, without links to other files."""
+def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> tuple[list[tuple[str, Any]], list[tuple[str, Any]]]:
+    """Datasets by name, without links to other files, and the groups that they are in, the file as the first."""
     found: list[tuple[str, Any]] = []
     waiting: list[tuple[str, Any]] = [("", file)]
     seen: set[Any] = set()
@@ -127,7 +128,8 @@ def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> list[tuple[str, A
                     notes[f"{name}: its values are in another file, which is not read"] = None
                 elif depth <= DEEPEST:
                     found.append((name.replace("/", "."), item))
-    return sorted(found, key=lambda pair: pair[0].split("."))
+    groups = [(prefix.rstrip("/").replace("/", "."), group) for prefix, group in waiting]
+    return sorted(found, key=lambda pair: pair[0].split(".")), groups
 
 
 def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:

@@ -39,6 +39,12 @@ _SPELLINGS = {
     "radians": "rad",
     "arcseconds": "arcsec",
     "arcsecond": "arcsec",
+    "arcsecs": "arcsec",
+    "arc sec": "arcsec",
+    "arcs": "arcsec",
+    "as": "arcsec",
+    '"': "arcsec",
+    "\N{DOUBLE PRIME}": "arcsec",
     "asec": "arcsec",
     "milliarcsec": "mas",
     "milliarcsecond": "mas",
@@ -46,6 +52,9 @@ _SPELLINGS = {
     "marcsec": "mas",
     "arcminute": "arcmin",
     "arcminutes": "arcmin",
+    "arc min": "arcmin",
+    "'": "arcmin",
+    "\N{PRIME}": "arcmin",
     "degree": "deg",
     "degrees": "deg",
     "\N{DEGREE SIGN}": "deg",
@@ -58,7 +67,29 @@ _SPELLINGS = {
     "µs": "us",
     "μs": "us",
     "sec": "s",
+    "second": "s",
     "seconds": "s",
+    "msec": "ms",
+    "millisec": "ms",
+    "millisecond": "ms",
+    "milliseconds": "ms",
+    "usec": "us",
+    "microsec": "us",
+    "microsecond": "us",
+    "microseconds": "us",
+    "nsec": "ns",
+    "nanosec": "ns",
+    "nanosecond": "ns",
+    "nanoseconds": "ns",
+    "mins": "min",
+    "minute": "min",
+    "minutes": "min",
+    "hr": "h",
+    "hrs": "h",
+    "hour": "h",
+    "hours": "h",
+    "day": "d",
+    "days": "d",
     "n": "N",
     "newton": "N",
     "nm": "Nm",
@@ -69,11 +100,17 @@ _SPELLINGS = {
     "mnm": "mNm",
     "mn": "mN",
 }
-_IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
-_ANGLES_AT_THE_END = "mas|arcsec|arcmin|deg|degrees?|nrad|urad|mrad|rad"
+_IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*((?:[^\[\]()]|\([^()]*\))+?)\s*[\])]$")
+_ANGLES_AT_THE_END = "mas|arcsec|arcmin|deg|degrees?|nrad|[uµμ]rad|mrad|rad"
 _OTHERS_AT_THE_END = "rad[_/]s|deg[_/]s|dps|px|pix|pixels?|mm|um"  # never taken for an angle
-_AT_THE_END = re.compile(rf"^(.+?)_((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END}|s|ms|us|ns)|mNm|mN|Nm|N)$")
-_TIME_AT_THE_END = re.compile(r"^((?:.*\.)?(?:t|time|timestamp|stamp))_(min|h|d)$", re.IGNORECASE)
+_TIMES_AT_THE_END = "s|ms|us|ns|sec|msec|usec|nsec"
+_AT_THE_END = re.compile(rf"^(.+?)_((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END}|{_TIMES_AT_THE_END})|mNm|mN|Nm|N)$")
+_BEHIND_A_MARK = re.compile(rf"^(.+?)(?: in |, ?| ?/ ?| )((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END})|mNm|mN|Nm|N)$")
+"""``x, mas``, ``x/mas`` (ISO 80000-1), ``x in mas``."""
+_TIME_AT_THE_END = re.compile(
+    rf"^((?:.*\.)?(?:t|time|timestamp|stamp|zeit))(?:_(min|h|d)|(?: in |, ?| ?/ ?| )({_TIMES_AT_THE_END}|µs|min|h|d))$",
+    re.IGNORECASE,
+)
 
 
 def same_rate(one: float, other: float) -> bool:
@@ -93,8 +130,8 @@ def unit_name(text: str) -> str:
     >>> unit_name("µrad"), unit_name(" MAS "), unit_name("N.m")
     ('urad', 'mas', 'Nm')
     """
-    text = " ".join(text.split())
-    if text in ("N", "Nm", "mN", "mNm") or text.startswith("MN"):  # mega is not milli
+    text = " ".join(text.split()).partition(" since ")[0]  # of times by the conventions of netCDF
+    if text in ("N", "Nm", "mN", "mNm", "Mrad") or text.startswith("MN"):  # mega is not milli
         return text
     return _SPELLINGS.get(text.lower(), text.lower())
 
@@ -108,9 +145,15 @@ def split_unit(name: str) -> tuple[str, str]:
     (('LOS_X', 'urad'), ('los_x', 'mas'), ('time', 'ms'), ('roll_rate', ''))
     >>> split_unit("x_deg"), split_unit("x_rad_s"), split_unit("x_min"), split_unit("time_min")
     (('x', 'deg'), ('x', 'rad/s'), ('x_min', ''), ('time', 'min'))
+    >>> split_unit("x/mas"), split_unit("y, urad"), split_unit("t/ms"), split_unit("flow/s")
+    (('x', 'mas'), ('y', 'urad'), ('t', 'ms'), ('flow/s', ''))
     """
-    found = next((m for kind in (_IN_BRACKETS, _AT_THE_END, _TIME_AT_THE_END) if (m := kind.match(name.strip()))), None)
-    return (found[1], unit_name(found[2])) if found else (name.strip(), "")
+    kinds = (_IN_BRACKETS, _AT_THE_END, _BEHIND_A_MARK, _TIME_AT_THE_END)
+    found = next((m for kind in kinds if (m := kind.match(name.strip()))), None)
+    if found is None:
+        return name.strip(), ""
+    base, *units = found.groups()
+    return base, unit_name(next(unit for unit in units if unit))
 
 
 def units_in(name: str) -> list[str]:
@@ -138,6 +181,7 @@ class Table:
     rates : sampling rates [Hz] of columns, as stated in the file
     left_out : what of the file is not used, one sentence each
     names : of all columns in the order of the file, those that are left out too; empty: `columns` are all
+    texts : row in the file and first cell that is no number, of columns that are left out for it
     """
 
     path: Path
@@ -147,6 +191,13 @@ class Table:
     rates: Mapping[str, Sequence[float]] = field(default_factory=lambda: MappingProxyType({}))
     left_out: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
+    texts: Mapping[str, tuple[int, str]] = field(default_factory=lambda: MappingProxyType({}))
+
+    def refuse_text(self, name: str, expected: str = "a number") -> None:
+        """Refuse a column that was left out because of a cell; no effect on any other name."""
+        if name in self.texts:
+            row, cell = self.texts[name]
+            raise TableError(f"{self.path}: row {row}, column {name} must be {expected}, got {cell!r}")
 
     def find(self, name: str) -> str | None:
         """Full name of a column that is named with or without its unit; None where there is none, or several."""
@@ -216,6 +267,8 @@ class Gathered:
             for part in array.dtype.names:
                 self.add(f"{name}.{part}", array[part], unit)
             return
+        if array.dtype.kind == "m":
+            array, unit = array.astype("timedelta64[ns]").astype(np.int64), "ns"
         if array.dtype.kind not in "fiuM" or array.ndim > 2:
             return
         if array.size == 1:

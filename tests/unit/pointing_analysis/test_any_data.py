@@ -286,7 +286,7 @@ def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
         ("x,y\n1,2\n3\n", "every row must have 2 cells, got 1 in row 3"),
         ("x,x\n1,2\n", "different names"),
         ("x,y\nred,blue\n", "got a text without numbers"),
-        ("x,y\nred,blue2\n", "must have numeric columns"),
+        ("x,y\nred,blue2\n", "row 2, column x must be a number, got 'red'"),
     ):
         (tmp_path / "a.csv").write_text(content)
         with pytest.raises(ValueError, match=message):

@@ -34,7 +34,7 @@ from los_testbed.config.run_config import RunConfig
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
-from titop_plant.disturbances.source_kinds import KINDS, DisturbanceTable, RunConditions
+from titop_plant.disturbances.source_kinds import FREQUENCIES, KINDS, DisturbanceTable, RunConditions
 from titop_plant.telescope.load import FOLDER
 
 if TYPE_CHECKING:
@@ -90,10 +90,10 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _kind_of(table: Table) -> str:
-    names = {split_unit(name)[0].lower() for name in table.columns}
+    names = {split_unit(name)[0].lower() for name in (*table.columns, *table.texts)}
     if names & {"order", "harmonic"}:
         return "harmonics"
-    if "frequency" in names:
+    if names & set(FREQUENCIES) and "time" not in names:
         return "waterfall" if "speed" in names else "psd"
     return "series"
 

@@ -1,0 +1,284 @@
+"""Wrong inputs as users bring them: each is refused in one line that names file, row, column, unit or option.
+
+A row of the tables has the text (or bytes) of a file, the options of the command, and what the message must name, parts
+with a bar between them. Nothing is written, and messages about a table do not speak of topics.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.command_line import call_command
+
+HEAD = "time,x_mas,y_mas\n"
+ROWS = [f"{0.01 * k:.2f},{k % 7 - 3}.25,{k % 5}.5\n" for k in range(12)]
+PLAIN = HEAD + "".join(ROWS)
+
+
+def cell(text: str) -> str:
+    """The table with this cell in the column x_mas of row 5."""
+    return HEAD + "".join([*ROWS[:3], f"0.03,{text},1.5\n", *ROWS[4:]])
+
+
+def line(text: str, row: int = 5) -> str:
+    """The table with this line in a row."""
+    return HEAD + "".join([*ROWS[: row - 2], f"{text}\n", *ROWS[row - 2 :]])
+
+
+def times(*cells: str, head: str = "time") -> str:
+    """The table with these times; three give twelve by their first part and step."""
+    return f"{head},x_mas,y_mas\n" + "".join(f"{t},1.5,{k % 5}.25\n" for k, t in enumerate(cells))
+
+
+def counted(step: float, head: str, digits: int = 0, start: float = 0.0) -> str:
+    return times(*(f"{start + step * k:.{digits}f}" for k in range(12)), head=head)
+
+
+def headed(x: str, y: str = "", time: str = "time") -> str:
+    """The table with other names of columns."""
+    return f"{time},{x},{y or x.replace('x', 'y')}\n" + "".join(ROWS)
+
+
+def semicolons(text: str) -> str:
+    return text.replace(",", ";")
+
+
+BAD_CELLS = [
+    "#N/A",
+    "#DIV/0!",
+    "#VALUE!",
+    "#REF!",
+    "#NUM!",
+    "#NAME?",
+    "#NV",
+    "NA",
+    "n/a",
+    "-",
+    "--",
+    "null",
+    "None",
+    "?",
+]
+BAD_CELLS += ["*", "1.0.0", "0x1F", "1_000", "3 mas", "<0.1", "1e", "overrange", "1/2", "True", "12:00:00"]
+LAST_ROWS = [
+    "total,1,2",
+    "average,1,2",
+    "Mean,,",
+    "sum;1;2",
+    "END,,",
+    "max,3,4",
+    "std,1,1",
+    "Summe,1,2",
+    "[EOF]",
+    "#N/A,1,2",
+]
+
+Row = tuple[str | bytes, str, str]
+ANALYSE: dict[str, Row] = {
+    **{f"cell {text}": (cell(text), "", f"row 5|column x_mas|{text}") for text in BAD_CELLS},
+    **{f"last {text}": (PLAIN + text + "\n", "", "row 14") for text in LAST_ROWS},
+    "error of a spreadsheet as the time": (line("#DIV/0!,1,2"), "", "row 5|column time|#DIV/0!"),
+    "most of a column": (
+        "time,x_mas,y_mas,z_mas\n" + "".join(f"{k}e-2,{'#N/A' if k % 3 else k},1,{k}\n" for k in range(12)),
+        "",
+        "column x_mas|#N/A",
+    ),
+    "column of words": ("time,x_mas,y_mas,z_mas\n0,a,1,2\n0.01,b,2,3\n0.02,c,4,4\n", "", "row 2|column x_mas|'a'"),
+    "words as the named column": ("time,a,b,c\n0,u,1,2\n1,v,2,3\n", "--los a,b --unit mas", "row 2|column a|'u'"),
+    "one cell less": (line("0.03,1"), "", "3 cells|got 2|row 5"),
+    "one cell more": (line("0.03,1,2,3"), "", "3 cells|got 4|row 5"),
+    "cut in the last row": (PLAIN + "0.12,", "", "3 cells|got 2|row 14"),
+    "decimal commas between commas": (line("0,03,1,5,2,5"), "", "3 cells|row 5"),
+    "thousands and decimals": (
+        semicolons(HEAD) + "0.00;1,234;2,345\n0.01;1,235;2,346\n",
+        "",
+        "decimal mark|1,234|row 2",
+    ),
+    "quoted thousands": (HEAD + '0.00,"1,234.5",1\n0.01,"1,235.5",2\n', "", "row 2|x_mas|1,234.5"),
+    "points for thousands": (semicolons(HEAD) + "0,00;1.234;2.345\n0,01;1.235;2.346\n", "", "decimal mark|1.234|row 2"),
+    "apostrophes for thousands": (semicolons(HEAD) + "0.00;1'234;2\n0.01;1'235;2\n", "", "row 2|x_mas|1'234"),
+    "blanks for thousands": (semicolons(HEAD) + "0.00;1 234;2\n0.01;1 235;2\n", "", "row 2|x_mas|1 234"),
+    "thousands in some rows": (
+        semicolons(HEAD) + "0;999;1\n1;1,000;2\n2;1,001;3\n3;998;1\n",
+        "",
+        "row 3|marks of thousands|1,000",
+    ),
+    "quoted by apostrophes": (HEAD + "'0.00','1','2'\n'0.01','1','3'\n", "", "row 2|0.00"),
+    "no rows": (HEAD, "", "without numbers"),
+    "one row": (HEAD + "0,1,2\n", "", "two or more rows|got 1"),
+    "no values at all": (HEAD + "0.00,,\n0.01,,\n0.02,,\n", "", "two or more rows|got 0"),
+    "names twice": ("time,x_mas,x_mas\n0,1,2\n", "", "different names|x_mas"),
+    "times of milliseconds": (counted(10, "time"), "", "unit of the times|time_ms"),
+    "times of nanoseconds": (counted(1e7, "stamp"), "", "unit of the times|stamp"),
+    "Julian days": (counted(0.01 / 86_400, "JD", 9, 2_460_000.5), "", "days|JD (d)"),
+    "unknown unit of time": (counted(1, "time (fortnights)"), "", "unit of the time|fortnights"),
+    "cut seconds": (times(*["1.7e9"] * 12), "", "too few digits|--rate"),
+    "cut dates": (times(*[f"2026-11-20T12:00:0{k // 8}Z" for k in range(12)]), "", "too few digits"),
+    "dates of the USA": (times(*[f"11/20/2026 12:00:0{k}" for k in range(9)]), "", "row 2|column time|11/20/2026"),
+    "dates of two readings": (times(*[f"11/10/2026 12:00:0{k}" for k in range(9)]), "", "row 2|column time|11/10/2026"),
+    "half of the day": (times(*[f"2026-11-20 1:00:0{k} PM" for k in range(9)]), "", "row 2|column time|PM"),
+    "month by name": (times(*[f"20-Nov-2026 12:00:0{k}" for k in range(9)]), "", "row 2|column time|20-Nov-2026"),
+    "a month 13": (times(*[f"2026-13-20T12:00:0{k}" for k in range(9)]), "", "row 2|column time|2026-13-20"),
+    "a day 366": (times(*[f"2026-366T12:00:0{k}" for k in range(9)]), "", "row 2|column time|2026-366"),
+    "an hour 25": (times(*[f"25:00:0{k}" for k in range(9)]), "", "row 2|column time|25:00:00"),
+    "a date among numbers": (line("2026-11-20T12:00:00,1,2"), "", "column time"),
+    "a missing time": (line(",1,2"), "", "time must be given|1 missing|sample 4"),
+    "an infinite time": (line("inf,1,2"), "", "time must be given|sample 4"),
+    "two records": (PLAIN + "".join(row.replace(".25", ".75") for row in ROWS), "", "two records|sample 13|12 with"),
+    "two records with headers": (PLAIN + PLAIN.replace(".25", ".75"), "", "two records|sample 13"),
+    "sample numbers": (counted(1, "sample"), "", "sample numbers|--rate|sample"),
+    "no times": ("x_mas,y_mas\n1,2\n3,4\n", "", "rate must be given"),
+    "rate of other times": (PLAIN, "--rate 500", "rate must match|100 Hz|500 Hz"),
+    "rate of zero": (PLAIN, "--rate 0", "rate"),
+    "rate in words": (PLAIN, "--rate fast", "--rate|number"),
+    "time none without rate": (PLAIN, "--time none", "rate must be given"),
+    "an unknown time": (PLAIN, "--time clock", "time must be one of|time, x_mas, y_mas|clock"),
+    "a time by number": (PLAIN, "--time 4", "time must be one of|'4'"),
+    "another unit of time": (counted(10, "time_ms"), "--time time_s", "time must be in ms"),
+    "a text as the time": ("when,x_mas,y_mas\nmon,1,2\ntue,2,3\n", "--time when", "row 2|column when|mon"),
+    "an unknown axis": (PLAIN, "--los x_mas,z_mas", "los must be two of|z_mas"),
+    "axes by number": (PLAIN, "--los 2,4", "los must be two of|2,4"),
+    "one axis": (PLAIN, "--los x_mas", "los must be two of|x_mas"),
+    "one axis twice": (PLAIN, "--los x_mas,x_mas", "two different columns"),
+    "three axes": (PLAIN, "--los time,x_mas,y_mas", "los must be two of"),
+    "one column": ("time,x_mas\n0,1\n1,2\n", "", "los must name two|x_mas"),
+    "many columns": ("time,a,b,c\n0,1,2,3\n1,2,3,4\n", "--unit mas", "los must name two|a, b, c"),
+    "no unit": (headed("x"), "", "unit must be given|--unit|x"),
+    "no unit of one axis": (headed("x_mas", "y"), "", "unit must be given|y"),
+    "another unit": (PLAIN, "--unit urad", "unit must be mas|x_mas|urad"),
+    "an unknown unit": (headed("x"), "--unit furlong", "unit must be one of|furlong"),
+    "pixels": (headed("x [px]"), "", "angle|x [px]|px"),
+    "rates": (headed("x_rad_s"), "", "angle|x_rad_s|rad/s"),
+    "seconds": (headed("x [sec]"), "", "angle|x [sec]|'s'"),
+    "megaradians": (headed("x [Mrad]"), "", "angle|Mrad"),
+    "micrometres": (headed("x (um)"), "", "angle|um"),
+    "percent": (headed("x (%)"), "", "angle|%"),
+    "volts in a row": (HEAD.replace("_mas", "") + "s,V,V\n" + "".join(ROWS), "", "angle|'v'"),
+    "unknown units in a row": (HEAD.replace("_mas", "") + "s,furlong,furlong\n" + "".join(ROWS), "", "angle|furlong"),
+    "units that differ": (HEAD + "s,urad,urad\n" + "".join(ROWS), "", "unit of x_mas must be one|urad"),
+    "units of a comment that differ": ("# unit: urad\n" + PLAIN, "", "unit of x_mas must be one|urad"),
+    "two units of a name": (headed("x_urad (mas)"), "", "unit of x_urad (mas) must be one"),
+    "a wrap": ("time,x_deg,y_deg\n0,359.9,1\n0.01,0.1,1\n0.02,0.2,1\n", "", "full turn|sample 1"),
+    "titles without a header": ("Bench 5, run 7\nOperator, N. N.\n" + "".join(ROWS), "", "2 cells|row 3"),
+    "zero bytes": (PLAIN + "\0\0\0\0", "", "row 14|zero bytes"),
+    "another encoding": (PLAIN.encode() + b"\x81\x8d\n", "", "UTF-8"),
+    "LabVIEW": ("LabVIEW Measurement\t\nSeparator\tTab\n", "", "LabVIEW measurement file|to convert it"),
+    "TDMS": (b"TDSm\x0e\0\0\0\x69\x12\0\0", "", "TDMS|npTDMS"),
+    "FITS": (b"SIMPLE  =                    T".ljust(2880), "", "FITS|astropy"),
+    "universal file": ("    -1\n    58\n1.0 2.0 3.0\n    -1\n", "", "UNV|pyuff"),
+    "netCDF": (b"CDF\x01" + bytes(80), "", "netCDF|nccopy"),
+    "WAV": (b"RIFF\x24\x08\0\0WAVEfmt " + bytes(80), "", "WAV|wavfile"),
+    "MDF": (b"MDF     4.10    " + bytes(80), "", "MDF|asammdf"),
+    "Feather": (b"ARROW1\0\0" + bytes(80), "", "Arrow|feather"),
+    "pickle": (b"\x80\x04\x95\x10" + bytes(80), "", "pickle|read_pickle"),
+    "ROOT": (b"root\0\0\xf6\x18" + bytes(80), "", "ROOT"),
+    "ULog": (b"ULog\x01\x12\x35\x01" + bytes(80), "", "ULog|pyulog"),
+    "an old workbook": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(80), "", ".xls"),
+    "JSON": ('{"t": [0, 1], "x": [1, 2]}', "", "JSON"),
+    "XML": ("<?xml version='1.0'?><table><tr>1</tr></table>", "", "XML"),
+}
+
+SIX = "Fx (N),Fy (N),Fz (N),Mx (Nm),My (Nm),Mz (Nm)"
+FORCES = [f"{0.001 * k:.3f},{k % 3}e-3,2e-3,{k % 5}e-3,0,1e-3,0\n" for k in range(2500)]
+
+
+def forces(head: str = f"time (s),{SIX}", rows: list[str] = FORCES) -> str:
+    return head + "\n" + "".join(rows)
+
+
+def units(force: str, torque: str) -> str:
+    return forces(f"time (s),Fx ({force}),Fy ({force}),Fz ({force}),Mx ({torque}),My ({torque}),Mz ({torque})")
+
+
+def few(first: str, *starts: str) -> str:
+    """A short table of another kind with one row for each start."""
+    return f"{first},Fx,Fy,Fz,Tx,Ty,Tz\n" + "".join(f"{start},1e-7,1e-7,1e-7,0,0,0\n" for start in starts)
+
+
+DISTURBANCE: dict[str, Row] = {
+    "kilonewtons": (units("kN", "Nm"), "", "unit of Fx (kN)|N or mN"),
+    "pounds": (units("lbf", "Nm"), "", "unit of Fx (lbf)|N or mN"),
+    "micronewtons": (units("uN", "Nm"), "", "unit of Fx (uN)|N or mN"),
+    "millimetres": (units("N", "Nmm"), "", "unit of Mx (Nmm)|Nm or mNm"),
+    "a torque as a force": (units("Nm", "Nm"), "", "unit of Fx (Nm)|N or mN"),
+    "meganewtons": (units("MN", "Nm"), "", "unit of Fx (MN)|N or mN"),
+    "mass": (units("g", "Nm"), "", "unit of Fx (g)|N or mN"),
+    "a row of kilonewtons": (forces("time,Fx,Fy,Fz,Mx,My,Mz\ns,kN,kN,kN,kNm,kNm,kNm"), "", "unit of Fx|kn"),
+    "other names": (forces("time,F1,F2,F3,M1,M2,M3"), "", "must have columns of Fx, Fy|F1, F2"),
+    "no header": ("".join(FORCES), "", "must have columns of Fx, Fy|column_1"),
+    "words of an axis": (
+        forces(rows=[r.replace(",2e-3,", ",bad,", 1) for r in FORCES[:1] * 9]),
+        "",
+        "row 2|column Fy (N)|bad",
+    ),
+    "errors of an axis": (forces(rows=[r.replace("1e-3,2", "#N/A,2") for r in FORCES]), "", "row 3|column Fx (N)|#N/A"),
+    "a row of totals": (forces() + "total,1,1,1,1,1,1\n", "", "row 2502|column time (s)|total"),
+    "an empty cell": (
+        forces(rows=[*FORCES[:9], "0.009,,0,0,0,0,0\n", *FORCES[10:]]),
+        "",
+        "finite values|1 that are",
+    ),
+    "a gap": (forces(rows=FORCES[:900] + FORCES[905:]), "", "without gaps|0.006 s"),
+    "a time twice": (forces(rows=FORCES[:900] + FORCES[899:]), "", "uniform|0 to 0.001"),
+    "times backwards": (forces(rows=FORCES[::-1]), "", "uniform"),
+    "a short record": (forces(rows=FORCES[:500]), "", "as long as the run|0.5 s|repeat"),
+    "milliseconds": (forces(f"time,{SIX}", [f"{k}{row[5:]}" for k, row in enumerate(FORCES)]), "", "unit of the times"),
+    "no time": (forces(SIX, [row.partition(",")[2] for row in FORCES]), "", "column time|rate"),
+    "dates of the USA": (
+        forces(f"time,{SIX}", [f"11/20/2026 12:00:00,{row.partition(',')[2]}" for row in FORCES]),
+        "",
+        "row 2|column time|11/20/2026",
+    ),
+    "a density in newtons": (few("frequency (Hz)", "1", "2").replace("Fx", "Fx (N)"), "", "unit of Fx (N)|N^2/Hz"),
+    "an amplitude density": (
+        few("frequency (Hz)", "1", "2").replace("Fx", "Fx (N/sqrt(Hz))"),
+        "",
+        "unit of Fx (N/sqrt(Hz))|N^2/Hz",
+    ),
+    "decibels": (few("frequency (Hz)", "1", "2").replace("Fy", "Fy (dB)"), "", "unit of Fy (dB)|N^2/Hz"),
+    "falling frequencies": (few("frequency (Hz)", "2", "1"), "", "ascending frequencies"),
+    "a negative density": (few("frequency (Hz)", "1", "2").replace("1e-7", "-1e-7"), "", "negative"),
+    "frequency per minute": (few("frequency (rpm)", "1", "2"), "", "unit of frequency (rpm)|Hz"),
+    "harmonics in newtons": (few("order", "1", "2").replace("Fx", "Fx (N)"), "", "unit of Fx (N)|squared = false"),
+    "orders in words": (few("order", "first", "second"), "", "row 2|column order|first"),
+    "an order of zero": (few("order", "0", "1"), "", "order of a harmonic|0"),
+    "a waterfall of one speed": (few("speed (rpm),frequency", "100,1", "100,2"), "", "two or more speeds|1 speeds"),
+    "a waterfall without a row": (few("speed (rpm),frequency", "1,1", "1,2", "2,1"), "", "a row for each|3 rows"),
+    "speeds in another unit": (
+        few("speed (km/h),frequency", "1,1", "1,2", "2,1", "2,2"),
+        "",
+        "speed (km/h)|rpm",
+    ),
+    "TDMS": (b"TDSm\x0e\0\0\0\x69\x12\0\0", "", "TDMS|npTDMS"),
+}
+RUN = ["run", "--mode=inprocess", "--duration=2", "--loop=isolator", "--output=out", "--disturbance"]
+
+
+def refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, row: Row, run: bool
+) -> None:
+    content, options, words = row
+    monkeypatch.chdir(folder)
+    Path("data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    command = [*RUN, "data.csv@wheel_1"] if run else ["analyse", "data.csv"]
+    code, out, err = call_command(capsys, *command, *options.split())
+    messages = [text for text in err.splitlines() if text.startswith(("los-testbed: ", "los-testbed analyse: error: "))]
+    assert code == 2 and out == "" and len(messages) == 1, (code, out, err)
+    missing = [word for word in words.split("|") if word not in messages[0]]
+    assert not missing, (missing, messages[0])
+    assert "topic" not in messages[0] and sorted(path.name for path in folder.iterdir()) == ["data.csv"]
+
+
+@pytest.mark.parametrize("name", ANALYSE)
+def test_a_wrong_line_of_sight_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    refused(capsys, monkeypatch, tmp_path, ANALYSE[name], run=False)
+
+
+@pytest.mark.parametrize("name", DISTURBANCE)
+def test_a_wrong_disturbance_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    refused(capsys, monkeypatch, tmp_path, DISTURBANCE[name], run=True)
