@@ -72,7 +72,7 @@ WATERFALL = ";".join(f"{rpm},{f},{9 if f == 5 else 1},3" for rpm in (1, 9000) fo
     [
         ("t,fx,Force Z [N],temperature", "0,1,2,3;0.0005,-1,2,3", ("columns not used: Force Z [N], temperature",)),
         ("t,fx,fz,wheel.fz", "0,1,2,3;0.0005,-1,2,3", ("columns not used: wheel.fz",)),
-        ("t,fx,fz", "0,1,n/a;0.0005,-1,2", ("text columns ignored: fz",)),
+        ("t,fx,note", "0,1,n/a;0.0005,-1,2", ("text columns ignored: note",)),
         ("frequency,fx,phase", "1,2,3;100,2,3", ("columns not used: phase",)),
         ("order,fx,ty,comment", "1,2,3,a;2,1,1,b", ("text columns ignored: comment",)),
         ("speed [rpm],frequency,fx,count", WATERFALL, ("columns not used: count",)),
