@@ -1,7 +1,8 @@
 """Guaranteed bounds of uncertain systems, and the check of their proofs.
 
-Start at :func:`worst_case_gain`, :func:`robust_stability` and :func:`robust_performance`; :func:`check_proof` verifies
-what they prove, and the proofs of sampled loops. ``docs/certificates.md`` says what is guaranteed and what is not.
+Start at :func:`worst_case_gain`, :func:`robust_stability` and :func:`robust_performance`, for the norms that
+controllers can reach at :func:`lftkit.synthesis.lower_bound_proof`; :func:`check_proof` verifies what they prove, and
+the proofs of sampled loops. ``docs/certificates.md`` says what is guaranteed and what is not.
 """
 
 from typing import TYPE_CHECKING
@@ -17,11 +18,13 @@ if TYPE_CHECKING:
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
     from lftkit.proofs.state_space.bounds import ProvenBounds
     from lftkit.proofs.structured.bounds import MuBounds, mu
+    from lftkit.proofs.trusted.lower_bound import CheckedLowerBound
     from lftkit.proofs.trusted.proof import CheckedProof, ProofError
     from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu
 
 __all__ = [
     "BoundOptions",
+    "CheckedLowerBound",
     "CheckedProof",
     "DiskMarginBounds",
     "DiskMargins",
@@ -57,6 +60,7 @@ __getattr__ = names_on_demand(
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("ProvenBounds",),
+        "trusted.lower_bound": ("CheckedLowerBound",),
         "trusted.proof": ("CheckedProof", "ProofError"),
         "trusted.structured": ("MuCertificate", "UncertaintyBlock", "check_mu"),
     },

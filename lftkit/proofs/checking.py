@@ -9,17 +9,20 @@ from typing import Any, NamedTuple
 from lftkit.proofs.axis.proof import KIND as AXIS
 from lftkit.proofs.axis.proof import AxisProof, axis_proof
 from lftkit.proofs.earlier_files import present_header
+from lftkit.proofs.lower_bound import KIND as LOWER_BOUND
+from lftkit.proofs.lower_bound import LowerBoundProof, lower_bound_proof_of
 from lftkit.proofs.proof_files import Content, read_content
 from lftkit.proofs.sampled_loop.files import LOOP, NOISE, loop_proof, noise_proof
 from lftkit.proofs.trusted.axis import check_axis_proof
 from lftkit.proofs.trusted.cells import KIND as CELLS
 from lftkit.proofs.trusted.cells import check_cells
 from lftkit.proofs.trusted.entries import FORMAT
+from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bound
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofError, require
 from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 
-Checked = CheckedProof | CheckedLoop | CheckedNoise
+Checked = CheckedProof | CheckedLoop | CheckedNoise | CheckedLowerBound
 
 
 class ProofKind(NamedTuple):
@@ -41,6 +44,7 @@ KINDS = {
     AXIS: ProofKind(axis_proof, AxisProof, check_axis_proof),
     LOOP: ProofKind(loop_proof, LoopProof, check_loop_proof),
     NOISE: ProofKind(noise_proof, NoiseProof, check_noise_proof),
+    LOWER_BOUND: ProofKind(lower_bound_proof_of, LowerBoundProof, lambda proof, each: check_lower_bound(proof)),
 }
 
 
@@ -49,15 +53,15 @@ def check_proof(proof: Any, each: Each = map) -> Checked:
 
     Parameters
     ----------
-    proof : Path, str, dict, Proof, AxisProof, LoopProof or NoiseProof
+    proof : Path, str, dict, Proof, AxisProof, LoopProof, NoiseProof or LowerBoundProof
         A file, the content of one, or the `proof` of bounds.
     each : callable
         Maps a function over the strips of a proof, which may be checked in several processes.
 
     Returns
     -------
-    CheckedProof, CheckedLoop or CheckedNoise
-        What it guarantees; the latter two for a proof of a sampled loop, or of noise in one.
+    CheckedProof, CheckedLoop, CheckedNoise or CheckedLowerBound
+        What it guarantees: of an uncertain system, a sampled loop, noise in one, or of all controllers of a plant.
 
     Raises
     ------

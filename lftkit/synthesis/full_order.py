@@ -17,6 +17,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.norms import h2_norm, hinf_norm
+from lftkit.proofs.lower_bound import LowerBoundProof
+from lftkit.synthesis.lower_bound import lower_bound_proof
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
@@ -58,9 +60,11 @@ class FullOrderDesign:
         Norm of `closed`.
     lower : float
         What no controller of any order can do better, numerically; minus infinity where a weight had to be added so
-        that the equations have a solution.
+        that the equations have a solution. With ``certify=True`` it is proven, or minus infinity.
     regularised : float
         Weight of commands and noise of measurements that was added, 0 for none.
+    proof : LowerBoundProof or None
+        Of `lower`, for :func:`~lftkit.proofs.check_proof`.
     """
 
     controller: System
@@ -68,6 +72,7 @@ class FullOrderDesign:
     value: float
     lower: float
     regularised: float = 0.0
+    proof: LowerBoundProof | None = None
 
     @property
     def gap(self) -> float:
@@ -75,7 +80,9 @@ class FullOrderDesign:
         return (self.value - self.lower) / self.value if self.value > 0.0 and self.lower > -np.inf else np.inf
 
 
-def hinfsyn(plant: System, measured: Names, commanded: Names, level: float | None = None) -> FullOrderDesign:
+def hinfsyn(
+    plant: System, measured: Names, commanded: Names, level: float | None = None, *, certify: bool = False
+) -> FullOrderDesign:
     """Controller with the least H-infinity norm from the other inputs to the other outputs of a plant.
 
     Parameters
@@ -86,6 +93,8 @@ def hinfsyn(plant: System, measured: Names, commanded: Names, level: float | Non
         Its outputs that the controller sees, and its inputs that it drives.
     level : float, optional
         A larger norm is enough: the central controller at this level, with slower poles than that of the least one.
+    certify : bool
+        `lower` is proven (:func:`lower_bound_proof`), with its proof.
 
     Returns
     -------
@@ -110,15 +119,22 @@ def hinfsyn(plant: System, measured: Names, commanded: Names, level: float | Non
     given = standard_plant(plant, measured, commanded)
     mapped = continuous(given.system)
     generalised = replace(given, system=mapped).extended
-    if level is not None:
-        return _at_level(given, generalised, level)
+    design = _least(given, generalised) if level is None else _at_level(given, generalised, level)
+    if not certify:
+        return design
+    proven = lower_bound_proof(plant, measured, commanded)
+    return replace(design, lower=proven.level, proof=proven.proof)
+
+
+def _least(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
+    """The controller with the least norm, with small weights where the equations have no solution without them."""
     best = _best(given, generalised) if of_full_rank(generalised) else None
     if best is not None:
         return best
     candidates = [found for weight in REGULARISED if (found := _best(given, generalised, weight)) is not None]
     if not candidates:
         raise ValueError(
-            f"{plant.name}: the Riccati equations have no solution at any level, with a weight of up to "
+            f"{given.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
             f"{REGULARISED[-1]:g} on commands and measurements too"
         )
     return min(candidates, key=lambda found: found.value)
@@ -210,10 +226,12 @@ def mixsyn(
     error: System | float | None = None,
     effort: System | float | None = None,
     output: System | float | None = None,
+    *,
+    certify: bool = False,
 ) -> FullOrderDesign:
     """Controller of the least H-infinity norm of the weighted S, K S and T: :func:`hinfsyn` of :func:`augw`.
 
-    The loop is that of negative feedback, ``u = K (w - y)``.
+    The loop is that of negative feedback, ``u = K (w - y)``. With ``certify=True`` its lower bound is proven.
 
     Examples
     --------
@@ -225,7 +243,7 @@ def mixsyn(
     >>> round(mixsyn(G, W1, 1.0).value, 2)
     1.37
     """
-    return hinfsyn(augw(plant, error, effort, output), "y", "u")
+    return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
 def _weighted(plant: ExtendedPlant, weight: float) -> ExtendedPlant:

@@ -36,6 +36,7 @@ from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
 from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
+from lftkit.synthesis import hinfsyn, lower_bound_proof
 
 DT = 0.1
 NYQUIST = math.pi / DT
@@ -87,12 +88,19 @@ def example() -> System:
     return System([[0.0, 1.0], [-1.0, -0.2]], B, C, np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
 
 
+def generalised() -> System:
+    """An unstable plant with disturbance, noise, weighted state and command: no controller has a norm below 4.78."""
+    ports = [Port("w", 2), Port("u", 1)], [Port("z", 2), Port("y", 1)]
+    C, D = [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
+    return System([[0.0, 1.0], [1.0, -0.2]], [[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]], C, D, *ports)
+
+
 def originals(folder: Path) -> list[Path]:
     """One small proof of each format."""
     system = example()
     model, box, names = loop_model(system, dt=DT), box_of(system), tuple(p.name for p in system.parameters)
     strips = tuple(prove_level(model, box, (0.0, NYQUIST), level=ONE).strips)
-    files = [folder / name for name in ("loop.npz", "noise.npz", "axis.npz", "cells.json", "stable.json")]
+    files = [folder / name for name in ("loop.npz", "noise.npz", "axis.npz", "cells.json", "stable.json", "bound.npz")]
     write_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), ONE, strips, {}), files[0])
     two = replace(model, C=np.vstack([model.C, model.C[-1:]]), D=np.vstack([model.D, model.D[-1:]]), rows=(0, 1))
     both = tuple(prove_level(two, box, (0.0, NYQUIST), level=TWO).strips)
@@ -102,6 +110,8 @@ def originals(folder: Path) -> list[Path]:
         proof.to_file(file)
     proven: Any = robust_stability(system, largest=1.0, options=BoundOptions(method="cells")).proof
     proven.to_file(files[4])
+    bound: Any = lower_bound_proof(generalised(), "y", "u").proof
+    bound.to_file(files[5])
     for file in files:
         check_proof(file)
     return files
@@ -168,12 +178,24 @@ def system_exceeds(path: Path, checked: Any) -> bool:
     return False
 
 
+def bound_exceeds(path: Path, checked: Any) -> bool:
+    """Whether the loop of a controller, which is made for the plant of the file, has a norm below the bound."""
+    _, arrays = read(path)
+    (rows, columns), y, u = arrays["D"].shape, checked.measured, checked.commanded
+    z, w = ([k for k in range(size) if k not in own] for size, own in ((rows, y), (columns, u)))
+    outputs, inputs = [*z, *y], [*w, *u]
+    ports = [Port("w", len(w)), Port("u", len(u))], [Port("z", len(z)), Port("y", len(y))]
+    B, C, D = arrays["B"][:, inputs], arrays["C"][outputs], arrays["D"][np.ix_(outputs, inputs)]
+    return hinfsyn(System(arrays["A"], B, C, D, *ports, dt=checked.dt), "y", "u").value < checked.level
+
+
 FALSE: dict[str, Callable[[Path, Any], bool]] = {
     "loop": loop_exceeds,
     "noise": noise_exceeds,
     "axis": system_exceeds,
     "cells": system_exceeds,
     "stable": system_exceeds,
+    "bound": bound_exceeds,
 }
 
 
@@ -191,9 +213,12 @@ def changed(value: Any, path: tuple[Any, ...], change: Callable[[Any], Any]) -> 
 
 
 def claim(content: Content, chance: random.Random) -> None:
-    """Claim less than a member has: 5 at least, 7.07 of two rows."""
+    """Claim less than a member has (5 at least, 7.07 of two rows); more than the bound of all controllers."""
     header, part = content[0], chance.choice(LESS)
     own = header["claim"]
+    if "unseen" in content[1]:
+        own["level"] /= part
+        return
     if own.get("level") is not None:
         own["level"] = 4.99 * part
     for entry in own.get("parts", ()):
@@ -209,10 +234,14 @@ def scaling(content: Content, chance: random.Random) -> None:
     factor = chance.choice((1.0, 1.0, -1.0)) * (10.0 ** max(exponent, -323.0))
     if arrays:
         names = [
-            n for n in arrays if (n.split("_")[-1][0] in "DG" and n.split("_")[-1][1:].isdecimal()) or "factors" in n
+            n
+            for n in arrays
+            if n in ("unseen", "unmoved", "left", "right")
+            or (n.split("_")[-1][0] in "DG" and n.split("_")[-1][1:].isdecimal())
+            or "factors" in n
         ]
         for name in names if chance.random() < 0.6 else [chance.choice(names)]:
-            values = arrays[name].astype(complex if "factors" not in name else float)
+            values = arrays[name].astype(np.result_type(arrays[name], np.float64))
             size = float(np.abs(values).max()) if chance.random() < 0.5 else 1.0
             arrays[name] = values / (size or 1.0) * factor
         return

@@ -6,7 +6,9 @@ import ast
 import importlib.util
 from pathlib import Path
 
-CHECKERS = tuple(f"lftkit.proofs.trusted.{name}" for name in ("axis", "cells", "noise", "sampled_loop", "structured"))
+CHECKERS = tuple(
+    f"lftkit.proofs.trusted.{name}" for name in ("axis", "cells", "lower_bound", "noise", "sampled_loop", "structured")
+)
 """The checks of all kinds."""
 
 

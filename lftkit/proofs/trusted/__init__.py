@@ -18,6 +18,7 @@ Read in this order:
 ``loop``           responses of a sampled loop: hold, delay and frames are exact
 ``stability``      of the members of such a loop: of the nominal one, and that no pole crosses the axis
 ``sampled_loop``   gain of such a loop, with its premises
+``lower_bound``    norm of the loop that no controller of a plant undercuts
 ``noise``          root mean square that white noise makes in it, by the gains in parts of the band
 =================  ====================================================================================================
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lftkit.support.workers import Workers
     from los_design.verification.bundle import CheckedBundle
 
-CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
+CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain, of robust stability, or of a bound for all controllers.
 
 The inequalities are verified by `lftkit/proofs/trusted`, which imports nothing else and optimises nothing. Exit code
 1 if the proof is rejected, 2 if its texts have control characters or line breaks, which could look like lines of this
@@ -128,14 +128,17 @@ def _interval(low: float, high: float) -> str:
 
 
 def _check_system(file: Path, json_: bool) -> None:
-    """Check a proof of a gain or of the stability of an uncertain system."""
-    from lftkit.proofs import CheckedProof, ProofError
+    """Check a proof of a gain or of the stability of an uncertain system, or of what no controller can do better."""
+    from lftkit.proofs import CheckedLowerBound, CheckedProof, ProofError
     from lftkit.proofs import check_proof as check
     from lftkit.support.threads import one_thread
     from los_design.verification.check_proof_texts import require_plain
 
     with one_thread():
         checked = check(file)
+    if isinstance(checked, CheckedLowerBound):
+        print_json(checked._asdict()) if json_ else sys.stdout.write(f"{checked}\n")
+        return
     if not isinstance(checked, CheckedProof):
         raise ProofError(f"the file must be a proof of a system, got one of {type(checked).__name__}")
     require_plain((checked.box, checked.disks), "names of a proof")

@@ -1,0 +1,315 @@
+"""Proven lower bounds of the H-infinity norm that controllers of any order can reach.
+
+The least level at which the inequalities of :mod:`lftkit.proofs.trusted.lower_bound` have a solution is found by
+semidefinite programming, ::
+
+    minimise g^2 with  g^2 W' W - Q' X P - P' X Q - Z' Z >= 0,  [X, I; I, Y] >= 0,
+    [q' q - r' Y p - p' Y r, v'; v, g^2 I] >= 0,
+
+where P, Q, W and Z are x, its rate, w and z of vectors that are not measured, and p, r, q and v those of the adjoint.
+The dual matrices of the first and third are sums of vectors that contradict each lower level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.eigenvectors import balanced
+from lftkit.arrays import FloatArray
+from lftkit.proofs.lower_bound import LowerBoundProof
+from lftkit.proofs.trusted.lower_bound import check_lower_bound
+from lftkit.proofs.trusted.proof import ProofError
+from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
+from lftkit.synthesis.standard_plant import Names, standard_plant
+from lftkit.systems.exchange import as_system
+from lftkit.systems.sampled.bilinear import to_continuous
+from lftkit.systems.system import System
+
+MAX_ORDER = 20
+"""States up to which a proof is looked for."""
+BELOW = 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2
+"""Relative distances from the highest level of vectors at which one is claimed, until the check has a margin."""
+CLOSE = 5e-4
+"""Relative distance of a proven level from the optimum of the program below which one attempt is enough."""
+Sides = tuple[bool, bool]
+"""Whether vectors of the plant, and of its adjoint, are looked for."""
+ATTEMPTS = (
+    ((True, True), 0.7), ((True, False), 0.7), ((False, True), 0.7), ((True, True), 0.4), ((True, True), 0.9),
+)  # fmt: skip
+"""Sides and centring (:func:`~lftkit.synthesis.semidefinite.iterates`) of attempts, until one is close. One side alone
+is what is left where the other says nothing, as all that it has are stable modes without a disturbance."""
+
+
+@dataclass(frozen=True)
+class ProvenLowerBound:
+    """What no controller of any order can do better, proven.
+
+    Attributes
+    ----------
+    level : float
+        No stabilising controller has a norm below it; minus infinity where nothing is proven.
+    proof : LowerBoundProof or None
+        For :func:`~lftkit.proofs.check_proof`.
+    reason : str
+        Why there is no proof; empty with one.
+    """
+
+    level: float
+    proof: LowerBoundProof | None
+    reason: str = ""
+
+
+def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> ProvenLowerBound:
+    """Proven lower bound of the H-infinity norm that any controller can reach, from and to the other ports.
+
+    Parameters
+    ----------
+    plant : System
+        Certain, continuous or sampled.
+    measured, commanded : str or sequence of str
+        Its outputs that a controller sees, and its inputs that it drives.
+
+    Returns
+    -------
+    ProvenLowerBound
+
+    Raises
+    ------
+    ValueError
+        An uncertain plant, a port that it does not have, a mode that no controller can stabilise.
+
+    Examples
+    --------
+    An integrator with noise and disturbance, for which the least norm is the root of two:
+
+    >>> from lftkit import System
+    >>> from lftkit.proofs import check_proof
+    >>> ports = [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]
+    >>> P = System([[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], *ports)
+    >>> found = lower_bound_proof(P, "y", "u")
+    >>> round(found.level, 3), check_proof(found.proof).level == found.level
+    (1.414, True)
+    """
+    system = as_system(plant)
+    ports = standard_plant(system, measured, commanded)
+    n = system.order
+    if n > MAX_ORDER:
+        return ProvenLowerBound(-np.inf, None, f"the plant has {n} states, more than {MAX_ORDER}")
+    rows, columns = (
+        tuple(map(int, places([p.name for p in group])))
+        for places, group in ((system.output_indices, ports.measured), (system.input_indices, ports.commanded))
+    )
+    empty = np.zeros((0, 0))
+    problem = LowerBoundProof(
+        0.0, *system.matrices, rows, columns, float(system.dt), empty, empty, *np.zeros((2, n, n))
+    )
+    try:
+        working = _Working.of(problem)
+    except ValueError as error:
+        return ProvenLowerBound(-np.inf, None, str(error))
+    best: LowerBoundProof | None = None
+    for sides, centred in ATTEMPTS:
+        proof, optimum = _best(problem, working, sides, centred)
+        if proof is not None and (best is None or proof.level > best.level):
+            best, working = proof, _Working.of(problem, proof.level)
+        if proof is not None and all(sides) and proof.level > (1.0 - CLOSE) * optimum:
+            break
+    if best is None:
+        return ProvenLowerBound(-np.inf, None, "no vectors were found that contradict a level beyond rounding")
+    return ProvenLowerBound(best.level, best)
+
+
+@dataclass(frozen=True)
+class _Half:
+    """What a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    seen: FloatArray
+
+    @property
+    def kernel(self) -> FloatArray:
+        """Orthonormal (x, w) as columns."""
+        return np.asarray(linalg.null_space(self.seen))
+
+    def signals(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """x, its rate, w and z."""
+        x, w = vectors[: len(self.A)], vectors[len(self.A) :]
+        return x, self.A @ x + self.B @ w, w, self.C @ x + self.D @ w
+
+
+def _halves(plant: LowerBoundProof) -> tuple[_Half, _Half]:
+    """The plant without its controller, and its adjoint."""
+    y, u = list(plant.measured), list(plant.commanded)
+    z, w = ([k for k in range(size) if k not in own] for size, own in zip(plant.D.shape, (y, u)))
+    A, B, C, D = plant.A, plant.B[:, w], plant.C[z], plant.D[np.ix_(z, w)]
+    seen = np.hstack([plant.C[y], plant.D[np.ix_(y, w)]])
+    moved = np.hstack([plant.B[:, u].T, plant.D[np.ix_(z, u)].T])
+    return _Half(A, B, C, D, seen), _Half(A.T, C.T, B.T, D.T, moved)
+
+
+@dataclass(frozen=True)
+class _Working:
+    """The plant in continuous time, in balanced units of its states, its errors over a level.
+
+    Vectors of a sampled plant are ``x = (A + I)^-1 (2 xi - B w)`` where xi are those of its bilinear image, whose S is
+    the same up to a factor.
+    """
+
+    plant: LowerBoundProof
+    units: FloatArray
+    level: float
+
+    @classmethod
+    def of(cls, given: LowerBoundProof, level: float = 1.0) -> _Working:
+        """Raises a ValueError for a sampled plant with a pole at -1, which has no image."""
+        A, B, C, D = given.A, given.B, given.C, given.D
+        if given.dt:
+            A, B, C, D = to_continuous(A, B, C, D, given.dt)
+        one = np.eye(len(A))
+        units = np.diag(balanced(A, one, one)[2]) if len(A) else np.zeros(0)
+        scale = np.array([1.0 if k in given.measured else 1.0 / level for k in range(len(D))])[:, None]
+        A, B, C = balanced(A, B, C)
+        return cls(replace(given, A=A, B=B, C=scale * C, D=scale * D, dt=0.0), units, level)
+
+    def vectors(self, given: LowerBoundProof, unseen: FloatArray, unmoved: FloatArray) -> LowerBoundProof:
+        """The proof with vectors that belong to those of this plant."""
+        n = len(self.units)
+        (x, w), (p, q) = ((v[:n], v[n:] / self.level) for v in (unseen, unmoved))
+        x, p = self.units[:, None] * x / self.level, p / self.units[:, None]
+        if given.dt:
+            one, (own, adjoint) = np.eye(n), _halves(given)
+            x = linalg.solve(given.A + one, 2.0 * x - own.B @ w)
+            p = linalg.solve(given.A.T + one, 2.0 / given.dt * p - adjoint.B @ q)
+        return replace(given, unseen=np.vstack([x, w]), unmoved=np.vstack([p, q]))
+
+
+def _best(
+    given: LowerBoundProof, working: _Working, sides: Sides, centred: float
+) -> tuple[LowerBoundProof | None, float]:
+    """The proof with the highest level that the check accepts, and the optimum of the program."""
+    known, optimum = [], np.inf
+    for value, unseen, unmoved in _dual_vectors(working.plant, sides, centred):
+        optimum = working.level * value
+        proof = _claimed(working.vectors(given, unseen, unmoved), 0.0)
+        if proof is not None:
+            known.append(proof)
+    best = max((proof.level for proof in known), default=0.0)
+    for below in BELOW:
+        # the first of those that are good enough: the earlier, the farther are its sums from singular
+        claimed = next((_claimed(proof, below) for proof in known if proof.level >= (1.0 - below) * best), None)
+        try:
+            if claimed is not None:
+                check_lower_bound(claimed)
+                return claimed, optimum
+        except ProofError:
+            continue
+    return None, optimum
+
+
+def _dual_vectors(
+    plant: LowerBoundProof, sides: Sides, centred: float
+) -> Iterator[tuple[float, FloatArray, FloatArray]]:
+    """Square root of the objective, and both groups of vectors, for the iterates of the program."""
+    own, adjoint = _halves(plant)
+    kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip((own, adjoint), sides)]
+    c, inequalities = _program((own, adjoint), kernels, sides)
+    n, second = len(own.A), kernels[1].shape[1]
+    for one in iterates(c, inequalities, centred):
+        if one.v[-1] > 0.0:
+            W = one.dual[2]
+            first = _met(own, kernels[0] @ _root(one.dual[0]), W[:n, :n])
+            other = _met(adjoint, kernels[1] @ _root(one.dual[1][:second, :second]), W[-n:, -n:])
+            yield float(np.sqrt(one.v[-1])), first, other / np.sqrt(one.v[-1])
+
+
+def _met(half: _Half, V: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Combinations of vectors, near to the given ones, whose sum S is the one that is wanted but for rounding.
+
+    In the iterates it is so up to the error of a system of equations that is nearly singular at the optimum. Here it is
+    met by the least change of the unit matrix in ``V I V'``.
+    """
+    k, n = V.shape[1], len(wanted)
+    if not k:
+        return V
+    x, rate, *_ = half.signals(V)
+    basis, rows = _symmetric_basis(k), _symmetric_basis(n).reshape(-1, n * n)
+    product = rate @ basis @ x.T
+    equations = rows @ (product + product.transpose(0, 2, 1)).reshape(len(basis), -1).T
+    missing = rows @ (wanted - rate @ x.T - x @ rate.T).ravel()
+    change = np.asarray(linalg.lstsq(equations, missing)[0])
+    return np.asarray(V @ _root(np.eye(k) + np.tensordot(change, basis, 1)))
+
+
+def _program(
+    halves: tuple[_Half, _Half], kernels: list[FloatArray], sides: Sides
+) -> tuple[FloatArray, list[MatrixInequality]]:
+    """Objective and inequalities in X, Y (of the sides that are used) and g^2."""
+    n = len(halves[0].A)
+    basis = _symmetric_basis(n)
+    sizes = [len(basis) if used else 0 for used in sides]
+    m = sum(sizes) + 1
+    (P, Q, W, Z), (p, r, q, v) = (half.signals(kernel) for half, kernel in zip(halves, kernels))
+    first, second, nw = P.shape[1], p.shape[1], len(v)
+    forms = [np.zeros((m, size, size)) for size in (first, second + nw, n * sum(sides))]
+    constants = [-Z.T @ Z, np.block([[q.T @ q, v.T], [v, np.zeros((nw, nw))]]), np.zeros((n * sum(sides),) * 2)]
+    forms[0][-1] = W.T @ W
+    forms[1][-1, second:, second:] = np.eye(nw)
+    if sides[0]:
+        product = Q.T @ basis @ P
+        forms[0][: sizes[0]] = -product - product.transpose(0, 2, 1)
+        forms[2][: sizes[0], :n, :n] = basis
+    if sides[1]:
+        product = r.T @ basis @ p
+        forms[1][sizes[0] : -1, :second, :second] = -product - product.transpose(0, 2, 1)
+        forms[2][sizes[0] : -1, -n:, -n:] = basis
+    if all(sides):
+        constants[2] = np.block([[np.zeros((n, n)), np.eye(n)], [np.eye(n), np.zeros((n, n))]])
+    return np.eye(m)[-1], [MatrixInequality(C, F) for C, F in zip(constants, forms)]
+
+
+def _symmetric_basis(n: int) -> FloatArray:
+    """Orthonormal symmetric matrices (n (n + 1) / 2, n, n)."""
+    found = np.zeros((n * (n + 1) // 2, n, n))
+    for k, (i, j) in enumerate(zip(*np.tril_indices(n))):
+        found[k, i, j] = found[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return found
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """V with ``V V'`` equal to a positive semidefinite matrix."""
+    values, vectors = linalg.eigh(matrix) if len(matrix) else (np.zeros(0), np.zeros((0, 0)))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _claimed(proof: LowerBoundProof, below: float) -> LowerBoundProof | None:
+    """The proof with the best coupling and level of its vectors, less a part of both; None where there is none.
+
+    ``[S, T; T', R] >= 0`` holds for ``T = -L K M'`` with ``S = L L', R = M M'`` and any K of norm one; the orthogonal
+    polar factor of ``L' M`` makes ``-trace(T)`` the sum of its singular values, which is the most.
+    """
+    sums, squares = [], np.zeros(2)
+    for half, vectors in zip(_halves(proof), (proof.unseen, proof.unmoved)):
+        x, rate, w, z = half.signals(vectors)
+        product = rate @ x.T
+        sums.append(rate @ rate.T - x @ x.T if proof.dt else product + product.T)
+        squares += float(np.sum(z**2)), float(np.sum(w**2))
+    P = Q = np.zeros_like(proof.A)
+    if proof.unseen.shape[1] and proof.unmoved.shape[1]:
+        try:
+            L, Q = (lower_factor(S) for S in sums)
+        except linalg.LinAlgError:
+            return None
+        U, _, V = linalg.svd(L.T @ Q)
+        P = -(1.0 - below) * L @ (U @ V)
+    trace, (gained, spent) = float(np.sum(P * Q)), squares
+    root = trace**2 + spent * gained
+    if not (spent > 0.0 and root > 0.0):
+        return None
+    return replace(proof, left=P, right=Q, level=float((1.0 - below) * (np.sqrt(root) - trace) / spent))

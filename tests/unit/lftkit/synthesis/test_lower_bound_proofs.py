@@ -1,0 +1,250 @@
+"""Proven lower bounds for all controllers: against existence conditions, in exact arithmetic, and forged."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.full_order_bound import full_order_bound
+from scipy import linalg
+
+from lftkit import Port, System, close_loop, hinf_norm, s
+from lftkit.proofs import CheckedLowerBound, ProofError, check_proof
+from lftkit.proofs.lower_bound import LowerBoundProof
+from lftkit.synthesis import augw, hinfsyn, lower_bound_proof
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.symbolic.expressions import Expression
+
+
+def random_plant(seed: int, n: int, through: bool = False) -> System:
+    """Weights on all commands, noise on all measurements; half of the modes unstable."""
+    rng, (nw, nu, nz, ny) = np.random.default_rng([seed, n]), (3, 2, 3, 2)
+    A, B, C = (rng.standard_normal(shape) for shape in ((n, n), (n, nw + nu), (nz + ny, n)))
+    D = np.zeros((nz + ny, nw + nu))
+    D[:nz, nw:], D[nz:, :nw] = rng.standard_normal((nz, nu)), rng.standard_normal((ny, nw))
+    if through:
+        D[:nz, :nw] = rng.standard_normal((nz, nw))
+    return System(A, B, C, D, (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny)), "P")
+
+
+def mixed_sensitivity(plant: Expression, weight: Expression, effort: float) -> System:
+    return augw(plant.system("u", "y"), weight.system("e", "z"), effort)
+
+
+@pytest.fixture(scope="module")
+def proof() -> LowerBoundProof:
+    found = lower_bound_proof(random_plant(1, 3), "y", "u").proof
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("through", [False, True])
+@pytest.mark.parametrize(("seed", "n"), [(0, 2), (1, 2), (0, 3), (1, 4), (2, 5), (0, 6), (1, 8), (2, 10)])
+def test_the_bound_is_within_a_thousandth_of_existence_conditions(seed: int, n: int, through: bool) -> None:
+    """Two Riccati equations of which neither the search nor the check knows anything."""
+    plant = random_plant(seed, n, through)
+    found, least = lower_bound_proof(plant, "y", "u"), full_order_bound(plant)
+    assert (1.0 - 1e-3) * least <= found.level <= (1.0 + 2e-6) * least, found.reason
+    assert check_proof(found.proof) == check_proof(found.proof)
+    assert isinstance(checked := check_proof(found.proof), CheckedLowerBound) and checked.level == found.level
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sampled_plant_has_the_bound_of_its_continuous_image(seed: int) -> None:
+    """The check is that of the discrete inequality: it knows no bilinear map."""
+    plant, dt = random_plant(seed, 2 + seed), 0.1
+    image = System(*to_discrete(*plant.matrices, dt), plant.inputs, plant.outputs, "P", dt)
+    found = lower_bound_proof(image, "y", "u")
+    least = full_order_bound(plant)
+    assert (1.0 - 1e-3) * least <= found.level <= (1.0 + 2e-6) * least
+    assert f"sampled every {dt} s" in str(check_proof(found.proof))
+
+
+def test_mixed_sensitivity_of_a_textbook() -> None:
+    """Skogestad and Postlethwaite (2005), section 2.8.2: the norm 1.37 is printed, and no controller reaches 1.365.
+
+    Nothing excites the plant's states where the measurement is zero, so that one side of the proof is empty.
+    """
+    plant = mixed_sensitivity(200 / ((10 * s + 1) * (0.05 * s + 1) ** 2), (s / 1.5 + 10) / (s + 1e-3), 1.0)
+    found = lower_bound_proof(plant, "y", "u")
+    assert found.proof is not None and found.proof.unseen.shape[1] == 0
+    assert found.level > 1.3655 and hinfsyn(plant, "y", "u").value < 1.0005 * found.level
+
+
+@pytest.mark.parametrize("slow", [1e-2, 1e-4, 1e-6])
+def test_slow_weights_have_a_bound(slow: float) -> None:
+    plant = mixed_sensitivity(1 / (s + 1), (0.5 * s + 1) / (s + slow), 0.1)
+    assert 0.0 <= 1.0 - lower_bound_proof(plant, "y", "u").level / hinfsyn(plant, "y", "u").value < 1e-3
+
+
+@pytest.mark.parametrize("level", [None, 60.0])
+def test_a_certified_design_has_its_proof(level: float | None) -> None:
+    plant = random_plant(2, 3)
+    design = hinfsyn(plant, "y", "u", level, certify=True)
+    checked = check_proof(design.proof)
+    assert isinstance(checked, CheckedLowerBound) and checked.level == design.lower <= design.value
+    assert hinfsyn(plant, "y", "u", level).proof is None
+
+
+def test_without_a_weight_on_commands_a_certified_design_says_what_is_proven() -> None:
+    """Where the equations need a small weight there is no numerical bound; a proof needs no weight."""
+    plant = random_plant(4, 3)
+    D = plant.D.copy()
+    D[:3, 3:] = 0.0
+    D[0, 3] = 1.0
+    design = hinfsyn(System(*plant.matrices[:3], D, plant.inputs, plant.outputs), "y", "u", certify=True)
+    assert design.regularised > 0.0 and 0.0 < design.lower <= design.value and design.gap < 0.5
+
+
+def test_no_random_controller_undercuts_a_bound() -> None:
+    """Controllers about the best one, of its order, whose loops are stable."""
+    plant = random_plant(1, 3)
+    level, best, rng = lower_bound_proof(plant, "y", "u").level, hinfsyn(plant, "y", "u"), np.random.default_rng(0)
+    reached = []
+    for size in np.repeat([1e-3, 1e-2, 1e-1], 30):
+        K = best.controller
+        other = System(*(M + size * rng.standard_normal(M.shape) for M in K.matrices), K.inputs, K.outputs)
+        closed = close_loop(plant, other, ["w"], ["z"])
+        if linalg.eigvals(closed.A).real.max() < 0.0:
+            reached.append(hinf_norm(*closed.matrices).value)
+    assert len(reached) > 30 and min(reached) >= level
+
+
+Exact = list[list[Fraction]]
+
+
+def exact(matrix: Any) -> Exact:
+    return [[Fraction(float(x)) for x in row] for row in matrix]
+
+
+def times(a: Exact, b: Exact) -> Exact:
+    columns = list(zip(*b))
+    return [[sum((x * y for x, y in zip(row, column)), Fraction(0)) for column in columns] for row in a]
+
+
+def plus(a: Exact, b: Exact, factor: int = 1) -> Exact:
+    return [[x + factor * y for x, y in zip(row, other)] for row, other in zip(a, b)]
+
+
+def adjoint(a: Exact) -> Exact:
+    return [list(row) for row in zip(*a)]
+
+
+def reduced(a: Exact, b: Exact) -> tuple[list[Fraction], Exact]:
+    """Pivots of Gaussian elimination without exchanges, and the solution of ``a x = b``."""
+    rows, n, pivots = [list(x) + list(y) for x, y in zip(a, b)], len(a), []
+    for k in range(n):
+        pivots.append(rows[k][k])
+        scaled = [x / rows[k][k] for x in rows[k]]
+        rows = [
+            scaled if i == k else [x - row[k] * y for x, y in zip(row, scaled)] if i > k else row
+            for i, row in enumerate(rows)
+        ]
+    for k in reversed(range(n)):
+        rows = [[x - row[k] * y for x, y in zip(row, rows[k])] if i < k else row for i, row in enumerate(rows)]
+    return pivots, [row[n:] for row in rows]
+
+
+def exact_half(A: Exact, B: Exact, C: Exact, D: Exact, seen: Exact, given: Any) -> tuple[Exact, Fraction, Fraction]:
+    """S and the sums of squares of outputs and inputs, of the projections of vectors on the kernel."""
+    V = exact(given)
+    _, multipliers = reduced(times(seen, adjoint(seen)), times(seen, V))
+    V = plus(V, times(adjoint(seen), multipliers), -1)
+    assert not any(any(row) for row in times(seen, V))
+    x, w = V[: len(A)], V[len(A) :]
+    rate, z = plus(times(A, x), times(B, w)), plus(times(C, x), times(D, w))
+    product = times(rate, adjoint(x))
+    outputs, inputs = (sum((x * x for row in part for x in row), Fraction(0)) for part in (z, w))
+    return plus(product, adjoint(product)), outputs, inputs
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_contradiction_holds_in_exact_arithmetic(n: int) -> None:
+    """Rational numbers throughout: vectors projected on the kernel, pivots of the matrix, the sum of inequalities."""
+    found = lower_bound_proof(random_plant(3, n), "y", "u").proof
+    assert found is not None
+    A, B1, B2 = (exact(M) for M in (found.A, found.B[:, :3], found.B[:, 3:]))
+    C1, C2, D11 = exact(found.C[:3]), exact(found.C[3:]), exact(found.D[:3, :3])
+    D12, D21 = exact(found.D[:3, 3:]), exact(found.D[3:, :3])
+    seen = [a + b for a, b in zip(C2, D21)]
+    moved = [a + b for a, b in zip(adjoint(B2), adjoint(D12))]
+    S, gained, spent = exact_half(A, B1, C1, D11, seen, found.unseen)
+    R, gained_too, spent_too = exact_half(*map(adjoint, (A, C1, B1, D11)), moved, found.unmoved)
+    T = times(exact(found.left), adjoint(exact(found.right)))
+    W = [a + b for a, b in zip(S, T)] + [a + b for a, b in zip(adjoint(T), R)]
+    pivots, _ = reduced(W, [[Fraction(0)]] * len(W))
+    assert min(pivots) > 0
+    g, trace = Fraction(found.level), sum((T[k][k] for k in range(n)), Fraction(0))
+    assert gained + gained_too - g * g * (spent + spent_too) - 2 * g * trace > 0
+
+
+def changed(name: str, change: Callable[[Any], Any]) -> Callable[[LowerBoundProof], LowerBoundProof]:
+    return lambda proof: dataclasses.replace(proof, **{name: change(getattr(proof, name))})  # type: ignore[arg-type]
+
+
+def with_entry(value: float) -> Callable[[Any], Any]:
+    def change(array: Any) -> Any:
+        found = array.copy()
+        found[0, 0] = value
+        return found
+
+    return change
+
+
+FORGED = {
+    "level 1 % above": changed("level", lambda g: 1.01 * g),
+    "infinite level": changed("level", lambda g: np.inf),
+    "level that is no number": changed("level", lambda g: np.nan),
+    "vectors of one side doubled": changed("unseen", lambda V: 2.0 * V),
+    "a vector left out": changed("unmoved", lambda V: V[:, 1:]),
+    "vectors that are measured": changed("unseen", lambda V: np.roll(V, 1, axis=0)),
+    "not a number": changed("unseen", with_entry(np.nan)),
+    "infinite": changed("unmoved", with_entry(np.inf)),
+    "near overflow": changed("unseen", with_entry(1e200)),
+    "one side without vectors": changed("unseen", lambda V: V[:, :0]),
+    "coupling too large": changed("left", lambda T: 1.01 * T),
+    "coupling of the other sign": changed("left", lambda T: -T),
+    "single precision": changed("unseen", lambda V: V.astype(np.float32)),
+    "sides exchanged": lambda p: dataclasses.replace(p, unseen=p.unmoved, unmoved=p.unseen),
+    "other measurements": changed("measured", lambda _: (0, 1)),
+    "a measurement twice": changed("measured", lambda _: (3, 3)),
+    "a truth value": changed("commanded", lambda _: (True, 4)),
+    "everything measured": changed("measured", lambda _: tuple(range(5))),
+    "another plant": changed("A", lambda A: A - 0.05 * np.eye(len(A))),
+    "a plant with smaller errors": changed("C", lambda C: np.vstack([0.95 * C[:3], C[3:]])),
+    "a sampled plant": changed("dt", lambda _: 0.1),
+    "a period that is negative": changed("dt", lambda _: -0.1),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_proof_is_refused(proof: LowerBoundProof, name: str) -> None:
+    with pytest.raises(ProofError):
+        check_proof(FORGED[name](proof))
+
+
+def test_a_file_says_in_one_sentence_what_is_proven(proof: LowerBoundProof, tmp_path: Path) -> None:
+    file = tmp_path / "bound.npz"
+    proof.to_file(file)
+    checked = check_proof(file)
+    assert checked == check_proof(proof)
+    said, printed = str(checked).rsplit(" ", 1)
+    assert said == (
+        "proven: for this plant with 3 states, in continuous time, no stabilising controller of any order from "
+        "outputs 4, 5 to inputs 4, 5 has a loop with an H-infinity norm below"
+    )
+    assert proof.level * (1.0 - 2e-8) < float(printed) <= proof.level
+
+
+def test_what_is_not_known_has_a_reason() -> None:
+    large = lower_bound_proof(random_plant(0, 21), "y", "u")
+    assert (large.level, large.proof) == (-np.inf, None) and "21 states, more than 20" in large.reason
+    n = 2
+    plant = random_plant(0, n)
+    shifted = System(-np.eye(n), *plant.matrices[1:], plant.inputs, plant.outputs, "P", 0.1)
+    assert "no pole at z = -1" in lower_bound_proof(shifted, "y", "u").reason
