@@ -98,6 +98,27 @@ class JointSignal:
 
 
 @dataclass(frozen=True)
+class SumSignal:
+    """Sum of signals at one place.
+
+    Parameters
+    ----------
+    parts : tuple of Signal
+    """
+
+    parts: tuple[Signal, ...]
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies of all tones."""
+        return np.asarray(np.unique(np.concatenate([part.lines for part in self.parts])))
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick."""
+        return np.asarray(sum(part.tick(k, instants) for part in self.parts))
+
+
+@dataclass(frozen=True)
 class PulseSignal:
     """Rectangular pulses; a tick has the mean of its part of the pulse, so that the impulse is right.
 

@@ -303,8 +303,8 @@ def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, Complex
 
 
 def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import tone_signal
-    from titop_plant.disturbances.waterfall import lines_at
+    from titop_plant.disturbances.signals import SumSignal, noise_of_density, tone_signal
+    from titop_plant.disturbances.waterfall import grid_of, identify
 
     table, speed, rng = entry.file(), _speed(entry, run), _rng(entry, run)
     name = next((name for name in table.columns if split_unit(name)[0].lower() == "speed"), "speed")
@@ -312,30 +312,20 @@ def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
     if scale is None:
         raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
     at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, *FREQUENCIES, units=FREQUENCY)
-    speeds, bins = np.unique(at), np.unique(frequency)
-    values = _axes(entry, table, at.size)
-    if speeds.size < 2 or speeds.size * bins.size != at.size or not np.isfinite([at, frequency]).all():
-        raise entry.error(
-            f"{table.path} must have a row for each of its frequencies at each of two or more speeds, "
-            f"got {at.size} rows with {bins.size} frequencies and {speeds.size} speeds"
-        )
-    order = np.lexsort((frequency, at))
-    rows_of, places = (one[order].reshape(speeds.size, bins.size) for one in (at, frequency))
-    odd = np.argwhere((rows_of != speeds[:, None]) | (places != bins))
-    if odd.size:
-        doubled = order[np.flatnonzero((np.diff(at[order]) == 0) & (np.diff(frequency[order]) == 0))[0]]
-        raise entry.error(
-            f"{table.path} must have one row for each frequency at each speed, "
-            f"got two of {at[doubled] / scale:g} {table.unit(name)}, {frequency[doubled]:g} Hz"
-        )
-    grid = values[order].reshape(speeds.size, bins.size, 6)
+    turning, sense = abs(speed) / (2 * np.pi), float(np.sign(speed)) or 1.0
+    bandwidth = entry.number("bandwidth", 1.0, 0.0)
     try:
-        found, amplitude = lines_at(abs(speed) / (2 * np.pi), speeds, bins, grid)
+        model = identify(*grid_of(at, frequency, _axes(entry, table, at.size)), bandwidth)
+        found, amplitude = model.lines_at(turning)
+        density = model.density_at(turning)
     except ValueError as error:
-        raise entry.error(str(error)) from None
-    sense = float(np.sign(speed)) or 1.0
+        raise entry.error(f"{table.path}: {error}") from None
+    if not found.size and not density.any():
+        raise entry.error(f"{table.path}: waterfall must have harmonics or noise, got zeros")
     rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(found, amplitude)]
-    return _audible(tone_signal, rows)
+    noise = noise_of_density(model.frequency, density, run.duration, DT, rng)
+    tones, remarks = _audible(tone_signal, rows) if rows else (None, ())
+    return SumSignal(tuple(part for part in (tones, noise) if part)), (*model.remarks, *remarks)
 
 
 def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
@@ -393,7 +383,7 @@ KINDS: Mapping[str, tuple[Callable[[DisturbanceTable, RunConditions], Made], set
     {
         "series": (_series, {"file", "rate", "repeat", "keep_mean"}),
         "harmonics": (_wheel, {"file", "harmonics", "squared", "speed"}),
-        "waterfall": (_waterfall, {"file", "speed"}),
+        "waterfall": (_waterfall, {"file", "speed", "bandwidth"}),
         "psd": (_psd, {"file"}),
         "cooler": (_cooler, {"frequency", "harmonics", "linewidth", "file"}),
         "pulses": (_pulses, {"force", "torque", "period", "width", "first", "last"}),

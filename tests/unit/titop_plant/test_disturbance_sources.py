@@ -22,7 +22,6 @@ from titop_plant.disturbances.signals import (
     repeated,
 )
 from titop_plant.disturbances.sources import INSTANTS, PlacedSource, Sources
-from titop_plant.disturbances.waterfall import lines_at
 from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.driven_plant import DisturbanceInput
@@ -223,20 +222,6 @@ def test_a_record_that_is_repeated_has_no_step() -> None:
     whole = repeated((t + np.sin(9 * t))[:, None] * np.ones(6), 1000.0)
     assert len(whole) == 3500
     assert abs(whole[0, 0] - whole[-1, 0]) < 0.05 and abs(t[-1] - t[0]) > 3.9
-
-
-def test_a_waterfall_is_interpolated_along_its_orders() -> None:
-    """Amplitude proportional to the square of the speed, order 2 and 3.3: half way the mean, at the right frequency."""
-    frequency, speeds = np.arange(0.0, 300.0, 0.25), np.array([30.0, 34.0])
-    table = np.zeros((2, frequency.size, 6))
-    for i, speed in enumerate(speeds):
-        for order, size in ((2.0, 1.0), (3.3, 0.5)):
-            table[i, np.argmin(np.abs(frequency - order * speed)), 0] = size * speed**2
-    found, amplitude = lines_at(32.0, speeds, frequency, table)
-    assert np.allclose(found, [64.0, 105.6], atol=0.15)
-    assert amplitude[:, 0] == pytest.approx([0.5 * (30.0**2 + 34.0**2), 0.25 * (30.0**2 + 34.0**2)])
-    with pytest.raises(ValueError, match="speed must be between 30 and 34 Hz"):
-        lines_at(50.0, speeds, frequency, table)
 
 
 def test_the_same_bits_after_a_reset_and_in_any_order(family: simulation.PlantFamily) -> None:

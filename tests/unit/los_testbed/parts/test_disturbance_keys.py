@@ -81,9 +81,12 @@ def folder(tmp_path: Path) -> Path:
         ),
         (
             'kind = "waterfall"\nfile = "w.csv"\nspeed = 150.0',
-            "w.csv must have one row for each frequency at each speed, got two of 1000 rpm, 59 Hz",
+            "w.csv: waterfall must have one row for each frequency at each speed, got two of 1000 rpm, 59 Hz",
         ),
-        ('kind = "waterfall"\nfile = "nan.csv"\nspeed = 150.0', "nan.csv must have a row for each of its frequencies"),
+        (
+            'kind = "waterfall"\nfile = "nan.csv"\nspeed = 150.0',
+            "nan.csv: waterfall must have a row for each",
+        ),
     ],
 )
 def test_what_would_be_ignored_is_one_line(folder: Path, text: str, message: str) -> None:

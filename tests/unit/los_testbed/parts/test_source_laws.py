@@ -14,7 +14,7 @@ from los_testbed.parts.disturbance_files import entries_of, make_sources
 
 from lftkit.arrays import FloatArray
 from titop_plant.disturbances.mechanisms import mechanism_sources
-from titop_plant.disturbances.signals import JointSignal, SampledSignal, Signal
+from titop_plant.disturbances.signals import JointSignal, SampledSignal, Signal, SumSignal
 from titop_plant.disturbances.source_kinds import KINDS, RunConditions
 from titop_plant.interface import DT
 from titop_plant.telescope.load import load_telescope
@@ -148,8 +148,8 @@ def record(signal: Signal, ticks: int) -> FloatArray:
 
 def with_tick(signal: Signal, dt: float) -> Signal:
     """The same source asked at another sampling rate."""
-    if isinstance(signal, JointSignal):
-        return JointSignal(tuple(with_tick(part, dt) for part in signal.parts))
+    if isinstance(signal, JointSignal | SumSignal):
+        return type(signal)(tuple(with_tick(part, dt) for part in signal.parts))
     own: dict[str, Any] = {"_weights": {}} if isinstance(signal, SampledSignal) else {}
     return replace(signal, dt=dt, **own)  # type: ignore[type-var]
 

@@ -9,7 +9,7 @@ kind            keys beside name, kind, place, frame, offset, scale
 ==============  =====================================================================================================
 ``series``      ``file``; ``rate`` [Hz], ``repeat``, ``keep_mean``
 ``harmonics``   ``file``, or ``harmonics`` with ``order``, ``force``, ``torque``; ``squared``, ``speed`` [rad/s]
-``waterfall``   ``file``; ``speed`` [rad/s]
+``waterfall``   ``file``; ``speed`` [rad/s], ``bandwidth`` [bins]
 ``psd``         ``file``
 ``cooler``      ``frequency`` [Hz], ``harmonics``, ``linewidth`` [Hz]
 ``pulses``      ``force``, ``torque``, ``period``, ``width``, ``first``, ``last`` [s]
