@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.support.regular_solve import regular_solve
 
 RESIDUAL = 1e-6  # of a Riccati equation, relative to its largest term
 
@@ -24,10 +25,10 @@ def riccati(
     if not Q.any() and (S is None or not S.any()) and bool(np.all(free.real < 0.0)):
         return np.zeros_like(A)  # the solver's is rounding, which solves nothing to a part of its own size
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # of an equation without a solution
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # judged below by the residual
         try:
             X = np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S), dtype=float)
-            F = -linalg.solve(R, B.T @ X + (0.0 if S is None else S.T))
+            F = -regular_solve(R, B.T @ X + (0.0 if S is None else S.T))
         except (linalg.LinAlgError, ValueError):
             return None
     terms = A.T @ X, Q, F.T @ R @ F

@@ -8,7 +8,6 @@ section 8.12. **Sign: u = + K y.**
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -346,9 +345,7 @@ def _between(system: System, fits: tuple[System, ...], structure: tuple[Uncertai
 
 
 def _synthesised(plant: System, measured: Names, commanded: Names) -> System:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # near the least level a coupling is nearly singular
-        return hinfsyn(plant, measured, commanded).controller
+    return hinfsyn(plant, measured, commanded).controller
 
 
 def _sizes(element: Element) -> tuple[int, int]:

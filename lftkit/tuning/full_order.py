@@ -21,6 +21,7 @@ from scipy import linalg
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.reduction.balancing import truncated
+from lftkit.support.regular_solve import regular_solve
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
@@ -150,8 +151,11 @@ def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
     Y = riccati(plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, plant.B1 @ plant.D21.T)
     if X is None or Y is None:
         return None
-    F = -linalg.solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
-    L = -linalg.solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
+    try:
+        F = -regular_solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
+        L = -regular_solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
+    except linalg.LinAlgError:
+        return None
     D = np.zeros((len(F), L.shape[1]))
     return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)
 
@@ -187,6 +191,13 @@ def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
 
 def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     """Central controller at a level; None where the equations have no solution that is one."""
+    try:
+        return _central(plant, level)
+    except linalg.LinAlgError:  # at the least level the coupling of both solutions is singular
+        return None
+
+
+def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     K = _parrott(plant, level)
     shifted = None if K is None else _without_direct_path(_with_static_gain(plant, K), level)
     if K is None or shifted is None:
@@ -204,9 +215,9 @@ def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     least = min(float(linalg.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
     if least < -1e-7 or float(np.abs(linalg.eigvals(product)).max()) >= 1.0:
         return None
-    F = -linalg.solve(R, B.T @ X + D1.T @ C1)
-    L = -linalg.solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
-    ZL = linalg.solve(np.eye(len(X)) - product.T, L)
+    F = -regular_solve(R, B.T @ X + D1.T @ C1)
+    L = -regular_solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
+    ZL = regular_solve(np.eye(len(X)) - product.T, L)
     seen = C2 + shifted.D21 @ F[:nw]
     into = B2 + ZL @ shifted.D22
     return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
@@ -222,9 +233,13 @@ def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
     a, b, c, d = D[:z, :w], D[:z, w:], D[z:, :w], D[z:, w:]
     if max(_gain(D[:z]), _gain(D[:, :w])) >= level:
         return None
-    inner = -c @ linalg.solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
+    inner = -c @ regular_solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
     gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
-    return np.asarray(gain @ linalg.inv(np.eye(len(plant.D22)) + plant.D22 @ gain))  # of what the commands add to y
+    return np.asarray(gain @ _inverse(np.eye(len(plant.D22)) + plant.D22 @ gain))  # of what the commands add to y
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return regular_solve(matrix, np.eye(len(matrix)))
 
 
 def _inverse_root(matrix: FloatArray) -> FloatArray:
@@ -240,7 +255,7 @@ def _gain(matrix: FloatArray) -> float:
 def _with_static_gain(plant: ExtendedPlant, K: FloatArray) -> ExtendedPlant:
     """The plant behind ``u = K y + v``, with v as command."""
     closed = plant.closed(K)
-    inner = linalg.inv(np.eye(len(K)) - K @ plant.D22)
+    inner = _inverse(np.eye(len(K)) - K @ plant.D22)
     return ExtendedPlant(
         closed.A,
         closed.B,
@@ -260,7 +275,7 @@ def _without_direct_path(plant: ExtendedPlant, level: float) -> ExtendedPlant | 
     if _gain(D) >= 1.0:
         return None
     left, right = np.eye(len(D)) - D @ D.T, np.eye(D.shape[1]) - D.T @ D
-    through = D.T @ linalg.inv(left) / level
+    through = D.T @ _inverse(left) / level
     root_left, root_right = (_inverse_root(M) for M in (left, right))
     return ExtendedPlant(
         plant.A + plant.B1 @ through @ plant.C1,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.support.regular_solve import lu_factors
 
 RCOND = 1e-13
 """Reciprocal condition number below which a system counts as one with a pole that has no image."""
@@ -161,23 +162,7 @@ def discrete_gradient(A: FloatArray, B: FloatArray, C: FloatArray, gradient: Mat
 
 def _factors(M: FloatArray, pole: str, rcond: float) -> tuple[FloatArray, NDArray[np.int32]]:
     """LU factors of a matrix that is singular where the system has the named pole."""
-    lu, pivots, info = linalg.lapack.dgetrf(M)
-    if info > 0 or _singular(M, lu, rcond):
+    factors = lu_factors(M, rcond)
+    if factors is None:
         raise ValueError(f"system must have no pole at {pole}, got one")
-    return lu, pivots
-
-
-def _singular(M: FloatArray, lu: FloatArray, rcond: float) -> bool:
-    """Whether the condition is beyond the limit, and that of the matrix with equal rows and columns, too.
-
-    So the units of the states do not matter.
-    """
-    if not rcond or _reciprocal_condition(M, lu) >= rcond:
-        return False
-    scaled = M / np.abs(M).max(axis=1, keepdims=True)
-    scaled = scaled / np.abs(scaled).max(axis=0)
-    return _reciprocal_condition(scaled, linalg.lapack.dgetrf(scaled)[0]) < rcond
-
-
-def _reciprocal_condition(M: FloatArray, lu: FloatArray) -> float:
-    return float(linalg.lapack.dgecon(lu, np.abs(M).sum(axis=0).max())[0])
+    return factors

@@ -11,8 +11,10 @@ from scipy import linalg
 
 from lftkit import Port, System, hinf_norm, s
 from lftkit.synthesis import augw, h2syn, hinfsyn, mixsyn, ncfsyn
+from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
+from lftkit.tuning.full_order import central, lowest_level
 
 
 def system(expression: Any) -> System:
@@ -186,3 +188,30 @@ def test_units_of_states_make_no_plant_unstabilisable(seed: int) -> None:
     A[0], B[0, 2] = np.eye(n)[0], 0.0
     with pytest.raises(ValueError, match="the mode at 1 is not stable and must be reached from u"):
         hinfsyn(System(A * units[:, None] / units, B * units[:, None], C / units, D, *ports), "y", "u")
+
+
+def _least_to_the_last_bit(plant: System) -> None:
+    """Controllers at levels that approach the least one until two doubles are neighbours."""
+    given = standard_plant(plant, "y", "u").extended
+    found = lowest_level(given)
+    assert found is not None
+    low, high = found
+    for _ in range(55):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if central(given, middle) is not None else (middle, high)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seed", range(30))
+def test_no_warning_reaches_the_user(seed: int) -> None:
+    """Next to the least level the coupling of the two solutions is singular: such a level is refused, in silence."""
+    plant = random_plant(seed, 2 + seed % 7, bool(seed % 2))
+    hinfsyn(plant, "y", "u")
+    _least_to_the_last_bit(plant)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("slow", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("effort", [0.1, None])
+def test_slow_weights_warn_of_nothing(slow: float, effort: float | None) -> None:
+    mixsyn(system(1 / (s + 1)), system((0.5 * s + 1) / (s + slow)), effort)
