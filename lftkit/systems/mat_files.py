@@ -23,7 +23,7 @@ from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import UNPACKED
 from lftkit.support.mat_structure import check_mat
 from lftkit.systems.ports import Port
-from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels
+from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels, zero_based
 from lftkit.systems.system import System
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -140,8 +140,8 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
             units = _texts(lower.get(f"{kind}unit"))
             if not any(labels):
                 labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
-            ports, order = ports_of_labels([_zero_based(x) for x in labels], None, kind)
-            unit = _unit_of_ports([_zero_based(x).partition("[")[0] for x in labels], units)
+            ports, order = ports_of_labels([zero_based(x) for x in labels], None, kind)
+            unit = _unit_of_ports([zero_based(x).partition("[")[0] for x in labels], units)
             sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
         (inputs, columns), (outputs, rows) = sides
         dt = float(np.asarray(lower.get("ts", 0.0)).flat[0])
@@ -244,7 +244,3 @@ def _cells(texts: Sequence[str]) -> Any:
 
 def _one_based(label: str) -> str:
     return re.sub(r"\[(\d+)\]$", lambda m: f"({int(m[1]) + 1})", label)
-
-
-def _zero_based(label: str) -> str:
-    return re.sub(r"\((\d+)\)$", lambda m: f"[{int(m[1]) - 1}]", label)

@@ -119,3 +119,14 @@ def labels_of_ports(ports: Sequence[Port], kind: str = "signal") -> list[str]:
         if _NUMBERED.fullmatch(port.name):
             raise ValueError(f"{kind} port must have a name without an index to become labels, got {port.name!r}")
     return [signal for port in ports for signal in port.signals]
+
+
+def zero_based(label: str) -> str:
+    """Label of a signal from its name in MATLAB, which counts from 1; any other as it is.
+
+    Examples
+    --------
+    >>> zero_based("w(1)"), zero_based("w[0]"), zero_based("w")
+    ('w[0]', 'w[0]', 'w')
+    """
+    return re.sub(r"\((\d+)\)$", lambda m: f"[{int(m[1]) - 1}]", label)

@@ -79,6 +79,7 @@ OTHER = {
     "disturbance_files": "measured.csv@wheel_2;cooler.toml",
     "k_fsm": "k.json",
     "k_pma": "p.json",
+    "ports_in_order": True,
     "hold_ticks": 5,
     "fade_ticks": 7,
     "old_frames": "drop",

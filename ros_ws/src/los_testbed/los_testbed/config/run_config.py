@@ -114,6 +114,10 @@ class RunConfig(PhysicalSettings):
     k_pma: str | None = grouped(
         CONTROL, setting(None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design")
     )
+    ports_in_order: bool = grouped(
+        CONTROL,
+        setting(False, "inputs and outputs without names are those of the loop in order"),
+    )
     hold_ticks: int = grouped(
         CONTROL, setting(20, "ticks without a valid command before the command fades out", "ms", 1, 1000)
     )

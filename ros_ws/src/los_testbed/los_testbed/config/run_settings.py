@@ -26,7 +26,7 @@ TELESCOPE_FILE = "telescope.toml"
 """Parameter file of the telescope that a folder of designs was made for."""
 
 SIMULATED = (
-    *("duration", "loop", "scenario", "worst_of", "k_fsm", "k_pma", "parameters"),
+    *("duration", "loop", "scenario", "worst_of", "k_fsm", "k_pma", "ports_in_order", "parameters"),
     *("start", "fsm_authority", "pma_authority", "hold_ticks", "fade_ticks", "nonlinear"),
     *("noise", "disturbance", "camera_rate", "camera_dropout", "camera_latency", "old_frames", "lost_samples"),
 )

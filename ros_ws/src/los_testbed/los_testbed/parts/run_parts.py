@@ -147,7 +147,7 @@ class RunParts:
         if name in self.code:
             return make_law(self.config, name, self.ports)
         known = self.recorded
-        law = read_law(self.files[name]) if known is None else known[name]
+        law = read_law(name, self.files[name], self.config.ports_in_order) if known is None else known[name]
         return with_further_ports(name, str(self.files[name]), law, self.ports)
 
     @property

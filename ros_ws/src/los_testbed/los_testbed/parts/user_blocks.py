@@ -38,6 +38,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config.plugins import RAISED, in_one_line, load, make
 from los_testbed.config.run_config import RunConfig, is_library
 from los_testbed.parts.law_models import difference, element, told_model
+from los_testbed.parts.port_order import with_named_ports
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
@@ -286,7 +287,7 @@ def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS
         from los_testbed.parts.flight_library import LibraryLaw
 
         block, used = LibraryLaw(Path(text), setting), REFERENCE_PORTS
-    elif law := linear_law(setting, text):
+    elif law := linear_law(setting, text, config.ports_in_order):
         used = ports.among(law.inputs, law.outputs)
         block = _checked(setting, text, with_further_ports(setting, text, law, ports), used)
     else:
@@ -299,14 +300,18 @@ def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS
     return made
 
 
-def read_law(path: Path) -> SampledSystem:
-    """Controller of a file; ValueError: the file holds none."""
+def read_law(setting: str, path: Path, in_order: bool = False) -> SampledSystem:
+    """Controller of a file; ValueError: the file holds none, or one without names of ports, see `with_named_ports`."""
     check_controller_file(path)
     if path.suffix == ".json":  # as all stored ones are; nothing else is loaded for them
         return SampledSystem.from_file(path)
     from lftkit.systems.exchange import read_sampled
 
-    return read_sampled(path)
+    law = read_sampled(path)
+    try:
+        return with_named_ports(law, *LAWS[setting], in_order)
+    except ValueError as error:
+        raise ContractError(f"{setting} {path}: {error}") from None
 
 
 def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> SampledSystem:
@@ -331,13 +336,13 @@ def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopP
     return law
 
 
-def linear_law(setting: str, text: str) -> SampledSystem | None:
-    """A system of python-control or of lftkit by its name; None for anything else.
+def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem | None:
+    """A system of python-control or of lftkit by its name, see `with_named_ports`; None for anything else.
 
     Raises
     ------
     ValueError
-        A system that is not sampled.
+        A system that is not sampled, or has no names of ports.
     """
     found = load(text, setting)
     if isinstance(found, SampledSystem):
@@ -347,7 +352,7 @@ def linear_law(setting: str, text: str) -> SampledSystem | None:
     from lftkit.systems.exchange import as_sampled, as_system
 
     try:
-        return as_sampled(as_system(found))
+        return with_named_ports(as_sampled(as_system(found)), *LAWS[setting], in_order)
     except ValueError as error:
         raise ContractError(f"{setting} {text}: {error}") from None
 

@@ -173,7 +173,7 @@ def _law_of(run: Run, name: str, asked: str | Path | None) -> tuple[Law, bytes]:
         block = make_law(RunConfig.from_mapping({name: given}), name)
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
-    law = read_law(Path(given))
+    law = read_law(name, Path(given))
     if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
         law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
     return law, read_bytes(given) if given.endswith(".json") else law.to_json().encode()

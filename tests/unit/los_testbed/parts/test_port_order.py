@@ -1,0 +1,99 @@
+"""A controller of MATLAB or python-control is the same law with names in either style, and in order without names."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.port_order import with_named_ports
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.user_blocks import LAWS, make_law, read_law
+from scipy import io
+
+import los_estimator
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.sampled_system import SampledSystem
+
+STORED = SampledSystem.from_file(Path(los_estimator.__file__).parent / "designs/k_fsm.json")
+NAMES = [[signal for port in side for signal in port.signals] for side in (STORED.inputs, STORED.outputs)]
+SHUFFLED = np.random.default_rng(2).permutation(len(NAMES[0]))
+
+
+def one_based(names: list[str]) -> list[str]:
+    return [name.replace(f"[{(n := int(name[-2]))}]", f"({n + 1})") for name in names]
+
+
+def texts(names: list[str]) -> Any:
+    return np.array(names, dtype=object)[:, None]
+
+
+def answers(law: SampledSystem) -> FloatArray:
+    """Outputs of 30 ticks with a random input, in the order of the loop."""
+    assert law.inputs == LAWS["k_fsm"][0]
+    out, found, rng = np.zeros(2), [], np.random.default_rng(1)
+    law.reset()
+    for _ in range(30):
+        law.step(rng.standard_normal(22), out)
+        found.append(out.copy())
+    return np.array(found)
+
+
+@pytest.mark.parametrize("style", ["zero", "one", "none"])
+@pytest.mark.parametrize("kind", ["mat", "struct", "control"])
+def test_the_law_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, style: str) -> None:
+    """Named signals may have any order; without names it is that of the loop."""
+    order = np.arange(22) if style == "none" else SHUFFLED
+    matrices = {"A": STORED.A, "B": STORED.B[:, order], "C": STORED.C, "D": STORED.D[:, order]}
+    inputs, outputs = [NAMES[0][i] for i in order], NAMES[1]
+    if style == "one":
+        inputs, outputs = one_based(inputs), one_based(outputs)
+    names = {} if style == "none" else {"InputName": texts(inputs), "OutputName": texts(outputs)}
+    if kind == "control":
+        signals = {} if style == "none" else {"inputs": inputs, "outputs": outputs}
+        module = f"laws_{os.path.basename(tmp_path)}".replace("-", "_")
+        made = control.ss(*matrices.values(), 1e-3, **signals)
+        monkeypatch.setitem(sys.modules, module, type(sys)(module))
+        sys.modules[module].law = made  # type: ignore[attr-defined]
+        text = f"{module}:law"
+        config = RunConfig.from_mapping({"k_fsm": text, "ports_in_order": style == "none"})
+        law = make_law(config, "k_fsm").linear
+        assert law is not None
+    else:
+        content = {**matrices, "Ts": 1e-3, **names}
+        io.savemat(tmp_path / "law.mat", {"K": content} if kind == "struct" else content)
+        law = read_law("k_fsm", tmp_path / "law.mat", in_order=style == "none")
+    np.testing.assert_allclose(answers(law), answers(STORED), rtol=1e-9)
+
+
+def test_without_names_the_message_says_both_ways(tmp_path: Path) -> None:
+    content = {"A": STORED.A, "B": STORED.B, "C": STORED.C, "D": STORED.D, "Ts": 1e-3}
+    io.savemat(tmp_path / "law.mat", content)
+    config = RunConfig.from_mapping({"k_fsm": str(tmp_path / "law.mat")})
+    with pytest.raises(ValueError, match="inputs must have names") as caught:
+        _ = RunParts(config).k_fsm
+    message = str(caught.value)
+    for part in (
+        "law.mat",
+        "'accel_Ip(1)' in InputName",
+        "'accel_Ip[0]' in inputs",
+        "--ports-in-order",
+        "camera_los[2]",
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+def test_another_number_of_signals_is_refused_also_in_order() -> None:
+    matrices = np.zeros((0, 0)), np.zeros((0, 21)), np.zeros((2, 0)), np.zeros((2, 21))
+    few = SampledSystem(*matrices, (Port("u", 21),), (Port("y", 2),), 1e-3)
+    with pytest.raises(ValueError, match=r"inputs must be 22, in the order accel_Ip\[6\], .* got 21 without names"):
+        with_named_ports(few, *LAWS["k_fsm"], True)
+    named = SampledSystem(*matrices, (Port("mine", 21),), (Port("y", 2),), 1e-3)
+    assert with_named_ports(named, *LAWS["k_fsm"], True).inputs == (Port("mine", 21),), "names are never changed"
