@@ -24,7 +24,7 @@ from lftkit.systems.system import System
 
 METHODS = ("truncate", "matchdc")
 ROUNDING = 1e-6
-"""Part by which a computed norm may be above the bound of theory and still be it."""
+"""Relative rounding of a sum of Hankel singular values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class ReducedSystem:
         factors for :func:`lftkit.reduction.ncfmr`.
     error_bound : float
         Upper bound of the H-infinity norm of the error, weighted where there are weights: the upper end of the norm of
-        the difference, and at most `tail_bound`, to rounding. For coprime factors that of their error.
+        the difference, at most `tail_bound` to 1e-6 of it. For coprime factors that of their error.
     tail_bound : float
         Twice the sum of the Hankel singular values left out; infinite with weights, where it bounds nothing.
     """
@@ -145,14 +145,12 @@ def balred(
 
 
 def error_bound(error: System, tail: float) -> float:
-    """Upper end of the norm of an error, or `tail`, its bound of theory, where that is less but for rounding."""
+    """Upper end of the norm of an error; where it cannot be told, `tail`, its bound of theory, with its rounding."""
     try:
         norm = hinf_norm(*error.matrices, dt=error.dt or None)
     except ArithmeticError:
-        return tail
-    if norm.certificate == "none" or tail <= norm.upper <= (1.0 + ROUNDING) * tail:
-        return tail
-    return norm.upper
+        return (1.0 + ROUNDING) * tail
+    return (1.0 + ROUNDING) * tail if norm.certificate == "none" else norm.upper
 
 
 @dataclass(frozen=True, eq=False)

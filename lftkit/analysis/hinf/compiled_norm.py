@@ -15,10 +15,10 @@ from lftkit.analysis.hinf.level_iteration import AGREEMENT, MAX_LEVELS
 from lftkit.analysis.hinf.peak_search import FALL, MAX_STEPS
 from lftkit.analysis.hinf.small_norm import (
     AT_CIRCLE,
+    CANCELLED,
     CLIMB,
     DIRECT,
     DIRECT_OF_MAP,
-    HIDDEN,
     LARGE,
     SEPARATION,
     SMALL_GAP,
@@ -227,7 +227,10 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
         for i in range(D.shape[0]):
             residues[k, i] = left[i, k] * right[k]
     rounding = EPS * (max(lost, 1.0) * np.abs(poles).max() + lost) * condition
-    terms = n * np.abs(residues).max() / decay
+    terms = 0.0
+    for k in range(n):
+        terms += np.abs(residues[k]).max() / -poles[k].real
+    least = max((CANCELLED * EPS / rtol) ** 0.5 * terms, 1.0 / LARGE)
     if rounding > SEPARATION * rtol**0.5 * decay or not terms + np.abs(D).max() < LARGE:
         return REFUSED
     omega, gain = _best(poles, residues, D, _seeds(poles))
@@ -243,7 +246,7 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
         else:
             point = -sign + 0.0j if omega == np.inf else sign * (1.0 + 1j * omega) / (1.0 - 1j * omega)
             value = _direct(given[0], given[1], given[2], given[3], point)
-        if abs(value - gain) > AGREEMENT * rtol * value or value <= max(HIDDEN * terms, 1.0 / LARGE):
+        if abs(value - gain) > AGREEMENT * rtol * value or value <= least:
             return REFUSED
         upper = value * (1.0 + rtol)
         gap = 1.0 - (direct / upper) ** 2

@@ -26,13 +26,21 @@ from lftkit.arrays import ComplexArray, FloatArray, Matrices
 MAX_STATES = 40
 COMPILED_STATES = 12  # up to which compiled code is used where numba is installed
 SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
-HIDDEN = 1e-12  # smallest norm over the bound of the sum of the modal terms
+CANCELLED = 100.0  # roundings in the square of a level, relative to the square of the sum of the modal terms
 SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
 AT_CIRCLE = 16.0 * EPS  # 1 - |z|^2 of a pole over the number of states, below which another way says what is stable
 LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
 CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
 DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
 DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
+
+
+def hidden(rtol: float) -> float:
+    """Smallest norm over the sum of the modal terms whose level the Hamiltonian matrix tells within `rtol`.
+
+    Its eigenvalues say the square of the level: where terms cancel, rounding of theirs can hide a peak.
+    """
+    return float((CANCELLED * EPS / rtol) ** 0.5)
 
 
 class Origin(NamedTuple):
@@ -125,7 +133,7 @@ class SmallModel(NamedTuple):
         residues = _residues((C @ vectors).T, right, heights)
         values = list(map(complex, parts, heights))
         rounding = _rounding(max(map(abs, values)), origin) / reciprocal
-        terms = n * float(abs(residues).max()) / decay
+        terms = float((abs(residues).max(axis=1) / -real).sum())
         if rounding > SEPARATION * rtol**0.5 * decay:
             raise UndecidedError("the damping is near rounding")
         if origin is not None and _nearest_to_circle(values) < AT_CIRCLE * n:
@@ -144,7 +152,7 @@ class SmallModel(NamedTuple):
         value = self._direct_gain(peak.omega)
         if abs(value - peak.gain) > AGREEMENT * self.rtol * value:
             raise UndecidedError("the modal form differs from a direct solution")
-        if value <= max(HIDDEN * self.terms, 1.0 / LARGE):
+        if value <= max(hidden(self.rtol) * self.terms, 1.0 / LARGE):
             raise UndecidedError("the modal terms cancel")
         return value, value * (1.0 + self.rtol)
 
