@@ -27,6 +27,7 @@ MADE = {
     "my_damper.py",
     "start.json",
     "twice.toml",
+    "day.toml",
     "mine.json",
     "mine.toml",
     "my_body.toml",

@@ -65,14 +65,14 @@ def test_commands_without_controllers(command: CommandLine, name: str) -> None:
     (command.here / "mine.toml").write_text(TELESCOPES[name](command.here))
     for line in (
         "plant check mine.toml",
-        "plant export whole.json --parameters mine.toml" if "file" not in name else "plant --parameters mine.toml",
+        "plant export --output whole.json --parameters mine.toml",
         "run --mode inprocess --duration 6 --loop isolator --parameters mine.toml --output bag",
         "analyse bag",
         "replay bag",
         "campaign --samples 2 --duration 6 --loop isolator --parameters mine.toml --output rows",
         "campaign --samples 2 --depth model --loop isolator --parameters mine.toml --output gains",
         "stages --mode inprocess --duration 6 --scenario imbalance --parameters mine.toml --output stages",
-        "image trade --magnitudes 8 --rates 50 --duration 6 --loop isolator --parameters mine.toml --output trade",
+        "image trade --keep-controllers --magnitudes 8 --rates 50 --duration 6 --loop isolator --parameters mine.toml",
     ):
         code, _, err = command(*line.split())
         assert code == 0, f"{line}: {err}"

@@ -1,14 +1,17 @@
-"""The three paths of the tutorial run as printed, with the files that the page makes; the design is a slow test."""
+"""The day and the paths of the tutorial run as printed, with the files that the page makes; designs are slow tests."""
 
 from __future__ import annotations
 
 import json
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
+from scipy import io
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -24,7 +27,7 @@ def blocks(section: str, language: str) -> list[str]:
 
 
 def commands(section: str) -> list[list[str]]:
-    return [shlex.split(line)[1:] for block in blocks(section, "sh") for line in block.splitlines()]
+    return [shlex.split(line, comments=True)[1:] for block in blocks(section, "sh") for line in block.splitlines()]
 
 
 @pytest.fixture(autouse=True)
@@ -80,3 +83,25 @@ def test_a_spacecraft_to_its_controllers(folder: Path, capsys: pytest.CaptureFix
         assert main([*words, "--no-report"] if words[0] == "run" else words) == 0, line
     shown = capsys.readouterr().out
     assert "within limit" in shown and (folder / "my_designs" / "verification.json").exists()
+
+
+@pytest.mark.slow
+def test_an_engineers_day(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Deck, wheel, requirements, design, verification, campaign, proof, report, export: every step of the page.
+
+    Four minutes of processor time.
+    """
+    root = Path(__file__).parents[2]
+    (line,) = re.findall(r"^    python TESTBED/(.*)$", PAGE.read_text("utf-8"), flags=re.M)
+    words = shlex.split(line)
+    subprocess.run([sys.executable, str(root / words[0]), *words[1:]], check=True, capture_output=True)
+    exec(blocks("An engineer's day", "python")[0], {})
+    exec(blocks("Your wheel", "python")[0], {})
+    (folder / "day.toml").write_text(blocks("An engineer's day", "toml")[0])
+    for words in commands("An engineer's day"):
+        assert main(words) == 0, words
+    assert (folder / "day.pdf").read_bytes().startswith(b"%PDF")
+    exported = io.loadmat(folder / "day.mat")
+    assert any("truth" in name for name in exported)
+    assert json.loads((folder / "designs" / "verification.json").read_text("utf-8"))["not_met"] == []
+    assert "proven" in capsys.readouterr().out

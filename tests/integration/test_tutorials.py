@@ -27,10 +27,13 @@ from titop_plant.telescope.assembly import assembled_telescope
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 
 
-def sections() -> dict[str, str]:
-    """Text of each section by its number."""
-    parts = re.split(r"^## (\d)", PAGE.read_text("utf-8"), flags=re.MULTILINE)
-    return dict(zip(parts[1::2], parts[2::2]))
+BLOCKS = PAGE.parent / "extend" / "a_spacecraft_from_blocks.md"
+
+
+def section(title: str) -> str:
+    """Text of a section of the tutorial."""
+    text = PAGE.read_text("utf-8")
+    return next(part for part in re.split(r"^## ", text, flags=re.MULTILINE) if part.startswith(title))
 
 
 def code(section: str) -> list[str]:
@@ -42,18 +45,18 @@ def spacecraft() -> dict[str, Any]:
     names: dict[str, Any] = {}
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        exec("\n".join(code(sections()["1"])), names)
+        exec("\n".join(code(BLOCKS.read_text("utf-8"))), names)
     names["printed"] = printed.getvalue()
     return names
 
 
 def test_the_spacecraft_has_fewer_than_forty_lines() -> None:
-    building = code(sections()["1"])[:-1]
+    building = code(BLOCKS.read_text("utf-8"))[:-1]
     assert sum(bool(line.strip()) for block in building for line in block.splitlines()) < 40
 
 
 def test_the_output_is_the_one_on_the_page(spacecraft: dict[str, Any]) -> None:
-    shown = re.findall(r"```text\n(.*?)```", sections()["1"], flags=re.DOTALL)[0]
+    shown = re.findall(r"```text\n(.*?)```", BLOCKS.read_text("utf-8"), flags=re.DOTALL)[0]
     assert spacecraft["printed"] == shown
 
 
@@ -111,11 +114,11 @@ def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.Monkey
     """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    module, run, _ = code(sections()["3"])
+    module, run, _ = code(section("Your own plant"))
     (tmp_path / "my_module.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_module", raising=False)
-    exec("\n".join([*code(sections()["2"]), run]), names)
+    exec("\n".join([*code(section("Your own controller")), run]), names)
     uncontrolled = names["SlowMotion"]()
     uncontrolled.reset()
     config = names["RunConfig"](duration=20.0, loop="isolator", mode="inprocess")
@@ -133,7 +136,7 @@ def test_own_plant_as_a_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     pytest.importorskip("rclpy", reason="extra ros")
     from los_testbed.nodes import plant
 
-    module, _, node = code(sections()["3"])
+    module, _, node = code(section("Your own plant"))
     (tmp_path / "my_module.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_module", raising=False)

@@ -63,9 +63,9 @@ A parameter file with a table `[plant]` and `file = "FILE"` uses it, or one of y
 
 **Examples**
 
-    los-testbed plant export telescope.mat
+    los-testbed plant export --output telescope.mat
 
-    los-testbed plant export mine.json --parameters my_telescope.toml --loads
+    los-testbed plant export --output mine.json --parameters my_telescope.toml --loads
 """
 
 plant_app = typer.Typer(rich_markup_mode="markdown")
@@ -156,7 +156,7 @@ def check(
 
 @plant_app.command(help=EXPORT_EXAMPLES)
 def export(
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="New file, .mat or .json.")],
+    output: Annotated[Path, typer.Option(metavar="FILE", help="New file, .mat or .json.")],
     parameters: TelescopeFile = None,
     loads: Annotated[
         bool, typer.Option("--loads", help="With an input load_NODE at each node where a source can act.")
@@ -170,8 +170,8 @@ def export(
     from titop_plant.telescope.load import load_telescope
 
     if output.suffix not in (".mat", ".json"):
-        raise ValueError(f"FILE must end with .mat or .json, got {output}")
-    check_output(output, "FILE", new=True)
+        raise ValueError(f"--output must end with .mat or .json, got {output}")
+    check_output(output, "--output", new=True)
     telescope = load_telescope(parameters)
     with one_thread():
         system = build_telescope(telescope, loads=telescope.loaded_nodes if loads else ()).system

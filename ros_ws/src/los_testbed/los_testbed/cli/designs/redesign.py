@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +21,7 @@ from los_testbed.cli.designs.mission import (
     verify_mission,
 )
 from los_testbed.cli.designs.proofs import leave_if_unproven, loops_of, prove_figures, show_bounds
+from los_testbed.cli.designs.verification_tables import verification_tables
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
@@ -29,8 +29,7 @@ from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_settings import TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
-from los_testbed.run.summary.screen import Screen, met, on_screen
-from pointing_analysis.formatting.tables import TextTable, numbers, texts
+from los_testbed.run.summary.screen import Screen, on_screen
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers
@@ -62,7 +61,6 @@ figure is not proven.
 EFFORTS = ("full", "short")
 ROUNDS_OF_ALL = 0.4
 """Part of the wall limit that the rounds may take where proofs follow."""
-FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
 
 def given_output(output: Path | None, what: str) -> Path:
@@ -228,18 +226,10 @@ def show_implemented(
         shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}
         print_json({"folder": str(folder), **shown, **proofs})
     else:
-        title = f"{folder}: gammas as implemented (1 is the limit)"
-        rows = [
-            (stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
-            for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES))
-            for name, gamma in zip(names, implemented.get(stage, ()))
-        ]
-        Screen().print(
-            on_screen(TextTable.of((*texts("stage", "requirement"), *numbers("gamma"), *texts("")), rows, title))
-        )
-        for key in ("margins", "noise", "worst_point"):
-            if key in implemented:
-                Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
+        for table in verification_tables(f"{folder}: gammas as implemented (1 is the limit)", implemented):
+            Screen().print(on_screen(table))
+        for text in implemented.get("margins", {}).get("unstable_changes", ()):
+            Screen().print(f"unstable with {text}", soft_wrap=True, highlight=False)
     if bounds and not json_:
         show_bounds(bounds)
     show_mission(mission)
