@@ -49,7 +49,7 @@ JUDGED = frozenset(
         *MOTION,
         *("fsm_authority", "pma_authority"),
         *("disturbance_source", "disturbance_files"),
-        *("k_fsm", "k_pma"),
+        *("k_fsm", "k_pma", "ports_in_order"),  # the controllers as they are read
     }
 )
 """Settings that a proof admits with some values, see :func:`reasons_against`; any other must have its default."""
