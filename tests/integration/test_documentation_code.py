@@ -141,10 +141,13 @@ def test_toml_blocks_are_read(path: Path) -> None:
 
 
 def test_every_block_has_a_language_that_is_tested() -> None:
-    """Shell blocks are checked by tests/architecture/test_documentation_paths.py; text and mathematics do not run."""
+    """Shell blocks are checked by tests/architecture/test_documentation_paths.py.
+
+    Text, mathematics and MATLAB do not run.
+    """
     found = {
         language
         for path in PAGES
         for language in re.findall(r"^```(\w+)\n.*?^```", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
     }
-    assert found <= {"python", "toml", "sh", "text", "math"}
+    assert found <= {"python", "toml", "sh", "text", "math", "matlab"}
