@@ -12,10 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.analysis.margins import sensitivity
-from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.arrays import Matrices
 from lftkit.systems import lft
 from lftkit.systems.exchange import as_system
@@ -94,17 +93,12 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
 
 def margin_of_shifted(shifted: Matrices, dt: float, skew: float) -> DiskMargin:
     """Disk margin of the loop with one signal whose ``S + (skew - 1) / 2`` is given."""
-    if not _stable(shifted, dt):
+    if not is_stable(shifted[0], dt):
         return NONE
     worst = hinf_norm(*shifted, dt=dt or None)
     size = 1.0 / worst.value if worst.value > 0.0 else math.inf
     low, high = _gains(size, skew)
     return DiskMargin(size, (low, high), _phase(low, high), worst.omega, _edge(shifted, worst.omega, dt, skew))
-
-
-def _stable(closed: Matrices, dt: float) -> bool:
-    poles = np.asarray(linalg.eigvals(closed[0]) if len(closed[0]) else [], dtype=complex)
-    return bool(np.all(np.abs(poles) < 1.0) if dt else np.all(poles.real < 0.0))
 
 
 def _gains(size: float, skew: float) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from scipy import linalg, optimize
 
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.frequency_grid import pole_range
-from lftkit.analysis.norms import HInfNorm, hinf_norm
+from lftkit.analysis.norms import HInfNorm, hinf_norm, is_stable
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
@@ -173,11 +173,9 @@ def sensitivity(loop: System) -> Matrices:
 
 def _closed_stable(L: System) -> bool:
     try:
-        A = sensitivity(L)[0]
+        return is_stable(sensitivity(L)[0], L.dt)
     except ValueError:
         return False
-    poles = np.asarray(linalg.eigvals(A) if len(A) else [], dtype=complex)
-    return bool(np.all(np.abs(poles) < 1.0) if L.dt else np.all(poles.real < 0.0))
 
 
 @dataclass(frozen=True)

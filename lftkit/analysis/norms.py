@@ -335,6 +335,14 @@ def spectral_abscissa(A: ArrayLike) -> float:
     return float(linalg.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
 
 
+def is_stable(A: ArrayLike, dt: float = 0.0) -> bool:
+    """Whether every pole is in the open left half-plane, or with a period `dt` in the open unit circle."""
+    a = np.asarray(A, dtype=float)
+    if not dt:
+        return spectral_abscissa(a) < 0.0
+    return not a.size or bool(np.abs(linalg.eigvals(a)).max() < 1.0)
+
+
 @cache
 def compiled() -> ModuleType | None:
     """The compiled steps, :mod:`lftkit.analysis.hinf.compiled_norm`; None without numba (extra ``fast``)."""

@@ -16,7 +16,8 @@ from lftkit.reduction.balancing import balancing
 from lftkit.support.scalars import as_integer
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 
@@ -58,7 +59,7 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     number = as_integer(order, "order")
     if number < 0:
         raise ValueError(f"order must be at least 0, got {number}")
-    A, B, C, D = given.matrices if not given.dt else to_continuous(*given.matrices, given.dt)
+    A, B, C, D = continuous(given).matrices
     factors = right_coprime_factors((A, B, C, D), given.name)
     found = balancing(*factors[:3])
     kept = min(number, found.order)

@@ -16,15 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.norms import h2_norm, hinf_norm
+from lftkit.analysis.norms import h2_norm, hinf_norm, is_stable
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.synthesis.lower_bound import lower_bound_proof
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
-    continuous,
     has_rank,
-    is_stable,
     of_full_rank,
     only_port,
     standard_plant,
@@ -34,6 +32,7 @@ from lftkit.systems.connection.interconnection import connect
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.tuning.gains.loop import ExtendedPlant
@@ -283,7 +282,7 @@ def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrd
         closed = given.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
-    if not is_stable(closed):
+    if not is_stable(closed.A, closed.dt):
         return None
     return FullOrderDesign(controller, closed, hinf_norm(*closed.matrices, dt=closed.dt or None).value, -np.inf)
 

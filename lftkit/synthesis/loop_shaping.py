@@ -8,15 +8,16 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign
-from lftkit.synthesis.standard_plant import chain, is_stable, only_port, weight_of
+from lftkit.synthesis.standard_plant import chain, only_port, weight_of
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 
@@ -53,7 +54,7 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
         for name, w, n in (("W1", before, u.size), ("W2", after, y.size))
     )
     shaped = chain(W1, G, W2)
-    A, B, C, D = shaped.matrices if not shaped.dt else to_continuous(*shaped.matrices, shaped.dt)
+    A, B, C, D = continuous(shaped).matrices
     S, R = np.eye(B.shape[1]) + D.T @ D, np.eye(len(C)) + D @ D.T
     inner = A - B @ linalg.solve(S, D.T @ C)
     X = riccati(inner, B, C.T @ linalg.solve(R, C), S)
@@ -67,7 +68,7 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
-        value = hinf_norm(*closed.matrices, dt=closed.dt or None).value if is_stable(closed) else np.inf
+        value = hinf_norm(*closed.matrices, dt=closed.dt or None).value if is_stable(closed.A, closed.dt) else np.inf
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:

@@ -31,7 +31,8 @@ from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
 from lftkit.systems.connection.interconnection import close
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, total_size
-from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement, Element, width
 
@@ -263,7 +264,7 @@ class _Problem:
     @cached_property
     def image(self) -> System:
         """The plant in continuous time, its elements of size 1."""
-        return _continuous(self.plant).normalised()
+        return continuous(self.plant).normalised()
 
     @cached_property
     def standard(self) -> StandardPlant:
@@ -331,7 +332,7 @@ class _Problem:
         k = int(np.argmin(norms))
         proof = None
         if options is not None:
-            loop = _with_performance(_continuous(closed))
+            loop = _with_performance(continuous(closed))
             proof = robust_stability(loop, largest=1.0 / norms[k], options=options)
         return MuDesign(law, closed, best.lower, norms[k], peaks, status, tried[k], proof)
 
@@ -357,10 +358,6 @@ def _free(name: str, taken: set[str]) -> str:
     while name in taken:
         name += "_"
     return name
-
-
-def _continuous(system: System) -> System:
-    return system.with_lft(to_continuous(*system.lft, system.dt), dt=0.0) if system.dt else system
 
 
 def _diagonal(first: list[System], ports: tuple[Port, ...]) -> System:

@@ -14,7 +14,6 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant
 
@@ -121,13 +120,6 @@ def _has_full_row_rank(matrix: ComplexArray) -> bool:
     return bool(linalg.svdvals(matrix / sizes[:, None])[-1] > UNREACHED)
 
 
-def continuous(system: System) -> System:
-    """The system, or of a sampled one that which the bilinear map takes to it."""
-    if not system.dt:
-        return system
-    return System(*to_continuous(*system.matrices, system.dt), system.inputs, system.outputs, system.name)
-
-
 def has_rank(matrix: FloatArray, least: int) -> bool:
     """Whether a matrix has at least this rank, not zero."""
     sizes = linalg.svdvals(matrix) if min(matrix.shape) else np.zeros(0)
@@ -137,14 +129,6 @@ def has_rank(matrix: FloatArray, least: int) -> bool:
 def of_full_rank(plant: ExtendedPlant) -> bool:
     """Whether every command has a weight (D12) and every measurement noise (D21)."""
     return has_rank(plant.D12, plant.D12.shape[1]) and has_rank(plant.D21, len(plant.D21))
-
-
-def is_stable(system: System) -> bool:
-    """Whether every pole is inside the stable region, the circle for a sampled system."""
-    if not system.order:
-        return True
-    poles = linalg.eigvals(system.A)
-    return bool(np.abs(poles).max() < 1.0 if system.dt else poles.real.max() < 0.0)
 
 
 def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]:

@@ -32,6 +32,11 @@ def image_of(model: System) -> System:
     return System(A, root * B, C / root, D, model.inputs, model.outputs, model.name)
 
 
+def continuous(system: System) -> System:
+    """The system, or of a sampled one that which the bilinear map takes to it; its elements stay."""
+    return system.with_lft(to_continuous(*system.lft, system.dt), dt=0.0) if system.dt else system
+
+
 def sampled_from_image(model: System, dt: float) -> System:
     """Discrete system with period `dt` [s] whose image is `model`."""
     A, B, C, D = to_discrete(*model.matrices, dt)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import scipy.linalg
 
-from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, spectral_abscissa
+from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, is_stable
 from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
@@ -212,16 +211,9 @@ class H2Gain(Gain):
 def peak_gain(system: System, band: tuple[float, float], rtol: float, *, stable: bool = True) -> HInfNorm:
     """Largest gain of a system over a band [rad/s]; without `stable` unstable ones have one, too."""
     dt = float(system.dt) or None
-    if band == (0.0, np.inf) and (stable or is_stable(system)):
+    if band == (0.0, np.inf) and (stable or is_stable(system.A, system.dt)):
         return hinf_norm(*system.matrices, dt=dt, rtol=rtol)
     return band_gain(*system.matrices, band, dt=dt, rtol=rtol, stable=stable)
-
-
-def is_stable(system: System) -> bool:
-    """All poles in the open left half-plane, or in the open unit circle of discrete time."""
-    if system.dt:
-        return bool(np.all(np.abs(scipy.linalg.eigvals(system.A)) < 1.0)) if system.order else True
-    return spectral_abscissa(system.A) < 0.0
 
 
 def as_weight(value: Any, what: str) -> System | None:
@@ -239,6 +231,6 @@ def as_weight(value: Any, what: str) -> System | None:
         weight.require_certain()
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from None
-    if not is_stable(weight):
+    if not is_stable(weight.A, weight.dt):
         raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
     return weight
