@@ -78,8 +78,7 @@ def ucover(
     (0.25, {'delta': 1})
     """
     G0 = as_system(nominal)
-    if (len(G0.matrices[2]), G0.B.shape[1]) != (1, 1):
-        raise ValueError(f"{G0.name}: must have one input and one output, got {G0.B.shape[1]} and {len(G0.C)}")
+    G0.require_siso()
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     responses = _responses(members, w)
     centre = G0.response(w)[:, 0, 0]
@@ -101,8 +100,7 @@ def _responses(members: Sequence[Any] | ArrayLike, omega: FloatArray) -> Complex
     ):
         systems = [as_system(one) for one in members]
         for one in systems:
-            if one.matrices[3].shape != (1, 1):
-                raise ValueError(f"{one.name}: members must have one input and one output, got others")
+            one.require_siso()
         found = np.array([one.response(omega)[:, 0, 0] for one in systems])
     else:
         found = np.atleast_2d(np.asarray(members, dtype=complex))

@@ -81,9 +81,7 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     (0.46, [0.63, 1.59], 25.8)
     """
     L = as_system(loop)
-    L.require_certain()
-    if L.D.shape != (1, 1):
-        raise ValueError(f"{L.name}: must have one input and one output, got {L.D.shape[1]} and {L.D.shape[0]}")
+    L.require_siso()
     try:
         A, B, C, D = sensitivity(L)
     except ValueError:

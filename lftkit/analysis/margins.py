@@ -107,9 +107,7 @@ def loop_margins(loop: Any) -> LoopMargins:
     ([0.0, 6.0], 53.4, True)
     """
     L = as_system(loop)
-    L.require_certain()
-    if L.D.shape != (1, 1):
-        raise ValueError(f"{L.name}: must have one input and one output, got {L.D.shape[1]} and {L.D.shape[0]}")
+    L.require_siso()
     signs = _Signs.of(L)
     real = signs.crossings(lambda value: value.imag, lambda value: value.imag / abs(value))
     gain = [*((omega, signs.value(omega).real) for omega in real), *signs.ends()]

@@ -162,6 +162,14 @@ class System(Arithmetic):
             found = ", ".join(e.name for e in self.elements)
             raise ValueError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {found}")
 
+    def require_siso(self) -> None:
+        """Raise a ValueError where the system has several inputs or outputs, or elements."""
+        self.require_certain()
+        if self.D.shape != (1, 1):
+            raise ValueError(
+                f"{self.name}: must have one input and one output, got {self.D.shape[1]} and {len(self.D)}"
+            )
+
     def require_real(self) -> None:
         """Raise a ValueError where an element is complex or dynamic."""
         for e in self.elements:
