@@ -380,9 +380,10 @@ def outcome(target: Path, kind: str) -> str:
 
 def main(minutes: float, seed: int, kept: Path) -> int:
     """Forge until the time is over; the exit code."""
-    end, counts, found = time.monotonic() + 60.0 * minutes, collections.Counter[str](), list[str]()
+    counts, found = collections.Counter[str](), list[str]()
     with tempfile.TemporaryDirectory() as name:
         files, number = originals(Path(name)), 0
+        end = time.monotonic() + 60.0 * minutes
         while time.monotonic() < end:
             chance = random.Random(f"{seed} {number}")
             file = chance.choice(files)
@@ -400,9 +401,9 @@ def main(minutes: float, seed: int, kept: Path) -> int:
                 found.append(f"{copy_of}: {file.stem}, {kind}: {said}")
             number += 1
     sys.stdout.write("".join(f"{line}\n" for line in found[:50]))
-    word = "something was found" if found else "nothing found"
+    word = "something was found" if found else "nothing found" if counts else "no forgery was made"
     sys.stdout.write(f"{sum(counts.values())} forgeries, {dict(counts)}, seed {seed}: {word}\n")
-    return int(bool(found))
+    return int(bool(found) or not counts)
 
 
 if __name__ == "__main__":
