@@ -77,7 +77,19 @@ class ToneSignal:
 
 
 @dataclass(frozen=True)
-class JointSignal:
+class _Parts:
+    """Several signals at a time."""
+
+    parts: tuple[Signal, ...]
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies of all tones."""
+        return np.asarray(np.unique(np.concatenate([part.lines for part in self.parts])))
+
+
+@dataclass(frozen=True)
+class JointSignal(_Parts):
     """Signals of a source that acts at several places, side by side: six axes of each.
 
     Parameters
@@ -85,33 +97,19 @@ class JointSignal:
     parts : tuple of Signal
     """
 
-    parts: tuple[Signal, ...]
-
-    @property
-    def lines(self) -> FloatArray:
-        """Frequencies of all tones."""
-        return np.asarray(np.unique(np.concatenate([part.lines for part in self.parts])))
-
     def tick(self, k: int, instants: FloatArray) -> FloatArray:
         """Values of a tick, (q, 6 parts)."""
         return np.hstack([part.tick(k, instants) for part in self.parts])
 
 
 @dataclass(frozen=True)
-class SumSignal:
+class SumSignal(_Parts):
     """Sum of signals at one place.
 
     Parameters
     ----------
     parts : tuple of Signal
     """
-
-    parts: tuple[Signal, ...]
-
-    @property
-    def lines(self) -> FloatArray:
-        """Frequencies of all tones."""
-        return np.asarray(np.unique(np.concatenate([part.lines for part in self.parts])))
 
     def tick(self, k: int, instants: FloatArray) -> FloatArray:
         """Values of a tick."""
