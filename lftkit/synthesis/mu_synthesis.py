@@ -1,4 +1,4 @@
-"""Controllers for robust performance: D-K iteration with a proven bound at its end.
+"""Controllers for robust performance: D-K iteration, at its end with a bound over all frequencies.
 
 K: the full-order H-infinity controller of the scaled plant. D: at each frequency the scalings of the upper bound of the
 structured singular value; stable minimum-phase systems are fitted to them. Source: Balas, Doyle, Glover, Packard and
@@ -53,7 +53,7 @@ PERFORMANCE = "performance"
 
 @dataclass(frozen=True)
 class MuDesign:
-    """A controller for robust performance, and what is proven of its loop.
+    """A controller for robust performance, and bounds of its loop.
 
     Attributes
     ----------
