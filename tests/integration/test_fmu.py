@@ -135,6 +135,28 @@ def test_without_a_compiler_a_unit_has_its_sources(
         cli.main(["export", "fmu", "--output", str(tmp_path / "law.fmu")])
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_unit_for_windows_has_a_library_with_the_functions_of_fmi(tmp_path: Path) -> None:
+    pytest.importorskip("ziglang")
+    file = tmp_path / "law.fmu"
+    assert cli.main(["export", "fmu", "--windows", "--output", str(file)]) == 0
+    with zipfile.ZipFile(file) as archive:
+        assert archive.read("binaries/linux64/los_law.so")[:4] == b"\x7fELF"
+        library = archive.read("binaries/win64/los_law.dll")
+    assert library[:2] == b"MZ" and all(name in library for name in (b"fmi2Instantiate", b"fmi2DoStep", b"fmi2GetReal"))
+
+
+def test_without_a_compiler_for_windows_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["export", "fmu", "--windows", "--output", str(tmp_path / "law.fmu")])
+    assert "ziglang" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
 @with_compiler
 @pytest.mark.parametrize("name", ["law", "plant"])
 def test_the_sources_compile_without_a_warning(units: Path, tmp_path: Path, name: str) -> None:

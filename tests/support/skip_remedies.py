@@ -16,6 +16,7 @@ REMEDIES = {
     "could not import 'numba": "install the extra: pip install 'los-testbed[fast]'",
     "could not import 'openpyxl": "install the extra: pip install 'los-testbed[xlsx]'",
     "could not import 'fmpy": "install the extra: pip install 'los-testbed[fmi]'",
+    "could not import 'ziglang": "install the extra: pip install 'los-testbed[win64]'",
     "could not import 'h5py": "install the extra: pip install 'los-testbed[hdf5]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'astropy": "install the extra: pip install 'los-testbed[image]'",

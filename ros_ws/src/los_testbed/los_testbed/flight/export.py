@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -45,6 +47,7 @@ FILES = (HEADER, *(f"{unit}.c" for unit in UNITS), "self_test.c", "Makefile", "C
 SOURCES = (*(f"{unit}.c" for unit in UNITS), "self_test.c")
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 COMPILERS = ("cc", "gcc", "clang")
+MINGW = "x86_64-w64-mingw32-gcc"
 TIME_LIMIT_S = 120.0
 LONGEST_ENTRY, LONGEST_TEXT = 200, 3000
 """Characters of one entry of the provenance, and of all: C99 promises 4095 in a string."""
@@ -220,6 +223,21 @@ def compiler() -> list[str] | None:
     if given:
         return given if shutil.which(given[0]) else None
     return next(([name] for name in COMPILERS if shutil.which(name)), None)
+
+
+def windows_compiler() -> list[str]:
+    """Command of a C compiler for 64 bit Windows: MinGW-w64, else that of the package ziglang.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    if shutil.which(MINGW):
+        return [MINGW]
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu"]
+    raise ValueError(f"--windows needs {MINGW}, or the package ziglang: pip install 'los-testbed[win64]'")
 
 
 def self_test(folder: Path, build: Path) -> SelfTest:

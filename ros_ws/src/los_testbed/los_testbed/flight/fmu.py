@@ -21,7 +21,7 @@ from typing import Any
 from lftkit.support.atomic_output import atomic_file
 from lftkit.systems.ports import Port
 from los_testbed import __version__
-from los_testbed.flight.export import FLAGS, TIME_LIMIT_S, compiler, render, template
+from los_testbed.flight.export import FLAGS, compiler, render, template, windows_compiler
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash
 from titop_plant.interface import (
@@ -40,7 +40,11 @@ from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
 
 LAW, PLANT = "los_law", "los_plant"
-PLATFORM = "linux64"
+LINUX, WINDOWS = "linux64", "win64"
+LIBRARIES = {LINUX: (".so", "-fPIC", "-fvisibility=hidden", "-lm"), WINDOWS: (".dll",)}
+"""Of each platform the end of its libraries and what they need beside the flags of flight code."""
+LONGEST_S = 1800.0
+"""Time limit of a compiler [s]: that of ziglang compiles its libraries once, which takes minutes."""
 TIME = (1980, 1, 1, 0, 0, 0)
 """Of the entries of the archive: the same laws give the same sources."""
 
@@ -171,42 +175,61 @@ def _kind_of(plant: object) -> str:
     return "one with further inputs, sensors or limits" if not plant.is_plain else "one whose parameters change"
 
 
-def write_fmu(model: Model, output: Path) -> str:
-    """Write a unit: description, sources, library where there is a compiler. Which one it was, or why there is none.
+def write_fmu(model: Model, output: Path, *, windows: bool = False) -> dict[str, str]:
+    """Write a unit: description, sources, the library for Linux where there is a compiler, and that for Windows.
+
+    Returns
+    -------
+    dict
+        Of each platform the compiler, or what is missing.
 
     Raises
     ------
     ValueError
-        The compiler does not compile it.
+        A compiler does not compile it; `windows` without a compiler for it.
     """
-    sources = model.sources()
+    compilers = {LINUX: compiler() if sys.platform.startswith("linux") else None}
+    if windows:
+        compilers[WINDOWS] = windows_compiler()
+    sources, built = model.sources(), {}
     with atomic_file(output) as path, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         write = partial(_entry, archive)
         write("modelDescription.xml", model.xml().encode())
         for name, text in sorted(sources.items()):
             write(f"sources/{name}", text.encode())
-        command = compiler()
-        if command is None or not sys.platform.startswith("linux"):
-            return "not built: no C compiler for a library of this system; the unit has its sources"
-        folder = Path(f"{path}.build")
-        folder.mkdir()
-        try:
-            write(f"binaries/{PLATFORM}/{model.identifier}.so", _library(model.identifier, sources, command, folder))
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-        return f"built by {shlex.join(command)}"
+        for platform, command in compilers.items():
+            if command is None:
+                built[platform] = "not built: no C compiler for a library of this system; the unit has its sources"
+                continue
+            suffix, *flags = LIBRARIES[platform]
+            folder = Path(f"{path}.{platform}")
+            folder.mkdir()
+            try:
+                library = _library(model.identifier + suffix, sources, [*command, *flags], folder)
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            write(f"binaries/{platform}/{model.identifier}{suffix}", library)
+            built[platform] = f"built by {_named(command)}"
+    return built
 
 
 def _library(name: str, sources: dict[str, str], command: list[str], folder: Path) -> bytes:
     for file, text in sources.items():
         (folder / file).write_text(text, "utf-8")
     files = [str(folder / file) for file in sources if file.endswith(".c")]
-    library = folder / f"{name}.so"
-    line = [*command, *FLAGS, "-fPIC", "-shared", "-fvisibility=hidden", *files, "-o", str(library), "-lm"]
-    done = subprocess.run(line, capture_output=True, text=True, errors="replace", timeout=TIME_LIMIT_S)
+    line = [*command, *FLAGS, "-shared", *files, "-o", str(folder / name)]
+    try:
+        done = subprocess.run(line, capture_output=True, text=True, errors="replace", timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"{_named(command)} must compile the unit within {LONGEST_S:g} s, got no library") from None
     if done.returncode:
-        raise ValueError(f"{shlex.join(command)} must compile the unit, got {done.stderr.strip().splitlines()[:1]}")
-    return library.read_bytes()
+        raise ValueError(f"{_named(command)} must compile the unit, got {done.stderr.strip().splitlines()[:1]}")
+    return (folder / name).read_bytes()
+
+
+def _named(command: list[str]) -> str:
+    """A command without the path of this interpreter."""
+    return shlex.join(["python" if part == sys.executable else part for part in command])
 
 
 def _entry(archive: zipfile.ZipFile, name: str, data: bytes) -> None:

@@ -49,6 +49,8 @@ there is a C compiler (CC, or cc, gcc, clang).
     los-testbed export fmu                                            # los_law.fmu, the shipped pair
 
     los-testbed export fmu --telescope --output telescope.fmu             # the telescope under its worst tone
+
+    los-testbed export fmu --windows                                  # with a library for Windows, too
 """
 
 export_app = typer.Typer(help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown")
@@ -125,6 +127,7 @@ def export_fmu(
     designs: Designs = None,
     telescope: Annotated[bool, typer.Option("--telescope", help="The telescope instead of the laws.")] = False,
     parameters: TelescopeFile = None,
+    windows: Annotated[bool, typer.Option("--windows", help="Also a library for 64 bit Windows.")] = False,
     output: Annotated[Path | None, typer.Option(metavar="FILE", help="New file, NAME.fmu.")] = None,
     json_: Json = False,
 ) -> None:
@@ -149,9 +152,9 @@ def export_fmu(
         laws = laws_of(designs)
         warn(laws.warnings)
         model = law_model(laws)
-    built = write_fmu(model, path)
+    built = write_fmu(model, path, windows=windows)
     console = Screen(stderr=json_)
-    for name, text in {"unit": str(path), "model": model.description, "library": built}.items():
+    for name, text in {"unit": str(path), "model": model.description, **built}.items():
         console.print(f"{name:<10}{text}", soft_wrap=True, highlight=False, markup=False)
     if json_:
-        print_json({"output": str(path), "tables_sha256": model.sha256, "library": built})
+        print_json({"output": str(path), "tables_sha256": model.sha256, "libraries": built})
