@@ -18,9 +18,9 @@ from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import real_block
-from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock
 from lftkit.proofs.state_space.bounds import intervals_of
-from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.proofs.state_space.search import response_slopes
 from lftkit.proofs.structured.bounds import mu
 from lftkit.support.threads import one_thread
@@ -234,7 +234,7 @@ def _upper_at(M: ComplexArray, sizes: Sequence[int], lower: float, rtol: float) 
     def proves(level: float) -> bool:
         blocks = [BarrierBlock(REAL, M[a:b], unit[a:b]) for a, b in itertools.pairwise(ends)]
         blocks.append(BarrierBlock(FULL, M[q:] / level, unit[q:]))
-        return find_scalings(blocks, precision=1e-9, build=barrier_problem).margin > 0.0
+        return find_scalings(blocks, precision=1e-9).margin > 0.0
 
     if not np.any(M[q:, q:]) and lower <= 0.0 and not np.any(M[q:, :q]):
         return 0.0

@@ -10,7 +10,8 @@ import pytest
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
 from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
-from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock
+from lftkit.proofs.state_space.scaling_search import find_scalings
 
 LONG = BoundOptions(wall_limit=3600.0)
 """Wall limit [s] that no machine reaches; the number of cells ends a computation."""

@@ -1,32 +1,27 @@
 """Lower bound of the structured singular value: perturbations that make ``I - M Delta`` singular.
 
 Without real scalars the power iteration of Packard, Fan and Doyle (1988) is begun from several vectors: any Delta of
-norm 1 gives the bound ``rho(M Delta)``. With real scalars a local search over (w, delta, t) minimises the size t under
-``w = Delta z``, ``z = M w``; Newton steps of least change bring the perturbation it ends at onto the singular set.
+norm 1 gives the bound ``rho(M Delta)``. With real scalars there is a local search besides; Newton steps of least change
+bring the perturbation it ends at onto the singular set.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray
+from lftkit.proofs.blocks.local_search import TINY, SmallestPerturbation
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 
-sl_optimize: Any = optimize
 ITERATIONS = 200
 NEWTON = 40
-FAR = 1e6
-"""Largest scalar to begin with."""
 SINGULAR = 1e-11
 """Smallest singular value of ``I - M Delta`` that counts as zero."""
-TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -70,6 +65,7 @@ class _Search:
     def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock]) -> None:
         self.M, self.structure, self.parts = M, structure, list(parts(structure))
         self.real = any(block.kind == REAL for block in structure)
+        self.local = SmallestPerturbation(M, structure)
         self.singular = linalg.svd(M)[2].conj() if M.size else np.zeros((0, 0), complex)
 
     def first(self, number: int, rng: np.random.Generator) -> ComplexArray:
@@ -147,89 +143,8 @@ class _Search:
 
     def by_local_search(self, start: ComplexArray) -> Perturbation | None:
         """The smallest perturbation that a local search over w finds."""
-        width = len(start)
-        w = start / max(float(linalg.norm(start)), TINY)
-        pivot = int(np.argmax(np.abs(w)))
-        w = w / w[pivot]
-        numbers, sizes = [], [1e-6]
-        for block, z_part, w_part in self.parts:
-            value = self._quotient(w, block, z_part, w_part)
-            numbers += [] if block.kind == FULL else [value.real] if block.kind == REAL else [value.real, value.imag]
-            sizes.append(abs(value))
-        x0 = np.concatenate([w.real, w.imag, numbers, [max(sizes)]])
-        bounds: list[tuple[float | None, float | None]] = [(None, None)] * (len(x0) - 1) + [(0.0, None)]
-        bounds[pivot], bounds[width + pivot] = (1.0, 1.0), (0.0, 0.0)
-        equal = {"type": "eq", "fun": self._equalities}
-        less = {"type": "ineq", "fun": self._inequalities}
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")  # steps out of the bounds are clipped
-            result = sl_optimize.minimize(
-                lambda x: x[-1],
-                x0,
-                method="SLSQP",
-                bounds=bounds,
-                constraints=[equal, less],
-                options={"maxiter": ITERATIONS, "ftol": 1e-10},
-            )
-        if not np.all(np.isfinite(result.x)):
-            return None
-        return self._singular(self._perturbation(result.x))
-
-    def _quotient(self, w: ComplexArray, block: UncertaintyBlock, z_part: slice, w_part: slice) -> complex:
-        """Scalar delta that fits ``w = delta z`` best; the quotient of norms for a full block."""
-        z, own = self.M[z_part] @ w, w[w_part]
-        square = max(float(np.vdot(z, z).real), TINY)
-        if block.kind == FULL:
-            return complex(np.sqrt(np.vdot(own, own).real / square))
-        value = complex(np.vdot(z, own)) / square
-        value = complex(value.real) if block.kind == REAL else value
-        return value if abs(value) < FAR else FAR * value / abs(value)
-
-    def _unpacked(self, x: FloatArray) -> tuple[ComplexArray, list[complex], float]:
-        """w, the scalar of each block (zero for a full one), the size."""
-        width = self.M.shape[1]
-        rest = iter(x[2 * width : -1])
-        deltas = [
-            0j if block.kind == FULL else complex(next(rest), 0.0 if block.kind == REAL else next(rest))
-            for block, _, _ in self.parts
-        ]
-        return x[:width] + 1j * x[width : 2 * width], deltas, float(x[-1])
-
-    def _equalities(self, x: FloatArray) -> FloatArray:
-        w, deltas, _ = self._unpacked(x)
-        z = self.M @ w
-        rest = [
-            w[w_part] - delta * z[z_part]
-            for (block, z_part, w_part), delta in zip(self.parts, deltas)
-            if block.kind != FULL
-        ]
-        off = np.concatenate(rest)
-        return np.concatenate([off.real, off.imag])
-
-    def _inequalities(self, x: FloatArray) -> FloatArray:
-        w, deltas, size = self._unpacked(x)
-        z = self.M @ w
-        rest: list[Any] = []
-        for (block, z_part, w_part), delta in zip(self.parts, deltas):
-            if block.kind == FULL:
-                rest.append(size**2 * np.vdot(z[z_part], z[z_part]).real - np.vdot(w[w_part], w[w_part]).real)
-            elif block.kind == COMPLEX:
-                rest.append(size**2 - abs(delta) ** 2)
-            else:
-                rest += [size - delta.real, size + delta.real]
-        return np.array(rest)
-
-    def _perturbation(self, x: FloatArray) -> ComplexArray:
-        w, deltas, _ = self._unpacked(x)
-        z = self.M @ w
-        matrix = np.zeros(self.M.shape[::-1], complex)
-        for (block, z_part, w_part), delta in zip(self.parts, deltas):
-            if block.kind == FULL:
-                square = max(float(np.vdot(z[z_part], z[z_part]).real), TINY)
-                matrix[w_part, z_part] = np.outer(w[w_part], z[z_part].conj()) / square
-            else:
-                matrix[w_part, z_part] = delta * np.eye(block.rows)
-        return matrix
+        delta = self.local.from_vector(start)
+        return None if delta is None else self._singular(delta)
 
     def _singular(self, delta: ComplexArray) -> Perturbation | None:
         """The perturbation after Newton steps of least change to a singular ``I - M Delta``; None if they fail."""

@@ -13,8 +13,8 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
 from lftkit.proofs.sampled_loop.coordinates import middle_of
 from lftkit.proofs.sampled_loop.responses import SearchedResponses
-from lftkit.proofs.state_space.barrier import ANY_REAL, CENTRED, COMPLEX, FULL, GROWTH, REAL, BarrierBlock, newton_step
-from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.state_space.barrier import ANY_REAL, COMPLEX, FULL, REAL, BarrierBlock, newton_step
+from lftkit.proofs.state_space.scaling_search import CENTRED, GROWTH, barrier_problem
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 

@@ -8,9 +8,7 @@ complex ones the same without G, full blocks ``d (z* z - w* w)``.
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,12 +19,8 @@ from scipy import linalg, sparse
 from lftkit.arrays import ComplexArray, FloatArray
 
 REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
-GROWTH = 8.0
-"""Factor by which the weight of the objective grows from one centre to the next."""
 SMALL = 64
 """Largest product of the sizes of two blocks whose second derivatives are formed in one piece."""
-CENTRED = 0.3
-"""Newton decrement at which a point counts as centred."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +42,7 @@ class BarrierBlock:
 
 @dataclass(frozen=True)
 class Scalings:
-    """Result of :func:`find_scalings`.
+    """Result of :func:`lftkit.proofs.state_space.scaling_search.find_scalings`.
 
     Parameters
     ----------
@@ -64,50 +58,6 @@ class Scalings:
     D: tuple[ComplexArray, ...]
     G: tuple[ComplexArray, ...]
     losses: FloatArray
-
-
-def find_scalings(
-    blocks: Sequence[BarrierBlock],
-    *,
-    iterations: int = 80,
-    until: float = np.inf,
-    precision: float = 1e-7,
-    build: Callable[[Sequence[BarrierBlock]], BarrierProblem] | None = None,
-) -> Scalings:
-    """Scalings of trace one with a margin as large as it gets, or as soon as the sign of it is certain.
-
-    Parameters
-    ----------
-    blocks : sequence of BarrierBlock
-        N is the same for all; together the W have rank N.
-    iterations : int
-        Most Newton steps.
-    until : float
-        ``time.monotonic()`` after which it stops.
-    precision : float
-        Smallest distance to the optimal margin that is worth a step.
-    build : callable, optional
-        Problem of the blocks; :class:`BarrierProblem` by default.
-    """
-    problem = (build or BarrierProblem)(blocks)
-    y = problem.start()
-    weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
-    for _ in range(iterations):
-        if time.monotonic() > until:
-            break
-        slope, curvature = problem.derivatives(y, weight)
-        step = newton_step(curvature, -slope, problem.trace)
-        decrement = math.sqrt(max(float(-slope @ step), 0.0))
-        y = problem.line_search(y, step, weight, decrement)
-        gap = problem.degree / weight
-        if y[0] < 0.0 and gap < 0.5 * -y[0]:
-            break
-        if decrement > CENTRED:
-            continue
-        if y[0] - 2.0 * gap > 0.0 or gap < precision:
-            break
-        weight *= GROWTH
-    return problem.result(y)
 
 
 class BarrierProblem:
@@ -173,7 +123,7 @@ class BarrierProblem:
         for (first, second), d, g in zip(self.slices, D, G):
             for part, matrix in ((first, d), (second, g)):
                 if part is not None:
-                    y[part] = _coordinates(matrix)
+                    y[part] = coordinates(matrix)
         return np.asarray(y / float(self.trace @ y))
 
     def matrices(self, y: FloatArray, number: int) -> tuple[ComplexArray, ComplexArray]:
@@ -181,7 +131,7 @@ class BarrierProblem:
         block = self.blocks[number]
         k = 1 if block.kind == FULL else block.Z.shape[0]
         D, G = (
-            np.zeros((k, k), complex) if part is None else (_basis(k) @ y[part]).reshape(k, k)
+            np.zeros((k, k), complex) if part is None else (hermitian_basis(k) @ y[part]).reshape(k, k)
             for part in self.slices[number]
         )
         return D, G
@@ -227,8 +177,8 @@ class BarrierProblem:
         curvature = np.asarray(np.triu(curvature) + np.triu(curvature, 1).T)
         for part, D in self._positive(y):
             inverse = positive_inverse(D)
-            slope[part] -= _coordinates(inverse)
-            curvature[part, part] += _products([(inverse, inverse)])
+            slope[part] -= coordinates(inverse)
+            curvature[part, part] += products([(inverse, inverse)])
         return slope + self.penalty * y, curvature + np.diag(self.penalty)
 
     def _add_rows(self, S: ComplexArray, curvature: FloatArray) -> None:
@@ -251,10 +201,10 @@ class BarrierProblem:
                 result[first] = np.sum(S.T * self.forms[i]).real
                 continue
             if first is not None:
-                result[first] = _coordinates(inner[z, z] - inner[w, w])
+                result[first] = coordinates(inner[z, z] - inner[w, w])
             if second is not None:
                 K = inner[z, w]
-                result[second] = _coordinates(0.5j * (K.conj().T - K))
+                result[second] = coordinates(0.5j * (K.conj().T - K))
         return result
 
     def _repeated(self, inner: ComplexArray, curvature: FloatArray) -> None:
@@ -275,7 +225,7 @@ class BarrierProblem:
                     for other, others in zip(self.slices[j], _terms(*self.at[j])):
                         if part is None or other is None or other.start < part.start:
                             continue
-                        curvature[part, other] = _products(
+                        curvature[part, other] = products(
                             [(c1 * c2 * inner[R1, L2], inner[R2, L1]) for c1, L1, R1 in terms for c2, L2, R2 in others]
                         )
 
@@ -320,7 +270,7 @@ def _terms(z: slice, w: slice) -> tuple[list[tuple[complex, slice, slice]], ...]
 
 
 @lru_cache(maxsize=64)
-def _basis(k: int) -> ComplexArray:
+def hermitian_basis(k: int) -> ComplexArray:
     """Orthonormal basis of the Hermitian k x k matrices as columns (k^2, k^2), the diagonal ones first."""
     columns = [np.zeros((k, k), complex) for _ in range(k * k)]
     for a in range(k):
@@ -339,7 +289,7 @@ def _basis(k: int) -> ComplexArray:
 @lru_cache(maxsize=64)
 def _sparse_form(kind: str, k: int) -> Any:
     """Matrices ``[[D, j G / 2], [-j G / 2, -D]]`` of the variables of a block as rows (variables, 4 k^2)."""
-    basis = _basis(k).T.reshape(k * k, k, k)
+    basis = hermitian_basis(k).T.reshape(k * k, k, k)
     D, G = np.zeros((2, k * k, 2 * k, 2 * k), complex)
     D[:, :k, :k], D[:, k:, k:] = basis, -basis
     G[:, :k, k:], G[:, k:, :k] = 0.5j * basis, -0.5j * basis
@@ -349,16 +299,16 @@ def _sparse_form(kind: str, k: int) -> Any:
 
 @lru_cache(maxsize=64)
 def _sparse_basis(k: int) -> Any:
-    """Transpose of :func:`_basis` as a sparse matrix."""
-    return sparse.csr_array(_basis(k).T)
+    """Transpose of :func:`hermitian_basis` as a sparse matrix."""
+    return sparse.csr_array(hermitian_basis(k).T)
 
 
-def _coordinates(matrix: ComplexArray) -> FloatArray:
+def coordinates(matrix: ComplexArray) -> FloatArray:
     """Coefficients of ``X -> trace(matrix X)`` in the basis."""
     return np.asarray((_sparse_basis(len(matrix)) @ matrix.T.ravel()).real)
 
 
-def _products(pairs: Sequence[tuple[ComplexArray, ComplexArray]]) -> FloatArray:
+def products(pairs: Sequence[tuple[ComplexArray, ComplexArray]]) -> FloatArray:
     """Matrix of the bilinear form ``(X, Y) -> Re sum trace(X A Y B)`` in the bases, for pairs (A, B)."""
     k, m = pairs[0][0].shape
     first, second = (np.stack([pair[i].ravel() for pair in pairs]) for i in (0, 1))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,9 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
-from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, BarrierProblem, Scalings, find_scalings
+from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, Scalings
 from lftkit.proofs.state_space.disks import disks_of
+from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.systems.system import System
 
 NARROW = 1e-7
@@ -160,7 +160,7 @@ class CellTest:
         blocks = self._blocks(maps, scale, level)
         found = find_scalings(blocks, until=until)
         if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
-            found = find_scalings(blocks, until=until, build=partial(BarrierProblem, penalty=BOUND))
+            found = find_scalings(blocks, until=until, penalty=BOUND)
         axis = self._axis(found, cell)
         if found.margin <= 0.0:
             return CellResult(None, found.margin, axis)

@@ -93,9 +93,3 @@ class ScalarBarrierProblem(BarrierProblem):
         curvature[np.ix_(self.of_d, self.of_g)] = mixed[np.ix_(self.scaled, self.turned)]
         curvature[np.ix_(self.of_g, self.of_d)] = mixed[np.ix_(self.scaled, self.turned)].T
         curvature[np.ix_(self.of_g, self.of_g)] = by_g[np.ix_(self.turned, self.turned)]
-
-
-def barrier_problem(blocks: Sequence[BarrierBlock], penalty: float = 0.0) -> BarrierProblem:
-    """The barrier problem of some blocks, by the faster way where no scalar is repeated."""
-    single = all(block.kind == FULL or len(block.Z) == 1 for block in blocks)
-    return (ScalarBarrierProblem if single else BarrierProblem)(blocks, penalty)

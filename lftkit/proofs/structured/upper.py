@@ -10,8 +10,8 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.blocks.balancing import balanced_matrix
-from lftkit.proofs.state_space.barrier import BarrierBlock, find_scalings
-from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.state_space.barrier import BarrierBlock
+from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.proofs.trusted.proof import FULL, REAL, ProofError
 from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu, parts
 
@@ -79,7 +79,7 @@ class _Scaling:
         """Scalings for a level, or for less where they prove less; None if none were found."""
         unit = np.eye(self.M.shape[1], dtype=complex)
         blocks = [BarrierBlock(b.kind, self.balanced[z] / level, unit[w]) for b, z, w in self.parts]
-        found = find_scalings(blocks, iterations=200, precision=precision, build=barrier_problem)
+        found = find_scalings(blocks, iterations=200, precision=precision)
         if not found.margin > 0.0:
             return None
         D = tuple(s * s * _hermitian(d) for d, s in zip(found.D, self.scale))
