@@ -29,7 +29,6 @@ from lftkit.tuning.descent.start_runner import (
     FIRST,
     MAX_BATCHES,
     StartSearch,
-    ended,
     run_first,
     run_starts,
 )
@@ -183,24 +182,29 @@ def _search(
 ) -> StartSearch:
     """Given starts, the best controller of one order less (found likewise), batches of random starts.
 
-    Beside the one of lower order stand reduced full-order controllers. In problems of few states a first look at the
-    order that is asked for comes before the lower ones, at which there is none.
+    Beside the one of lower order stand reduced full-order controllers. Before the lower orders there is a look at the
+    order that is asked for: at few states and soft gains from random starts, else from the reduced controllers.
     """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
     first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
-    if not options.starts or ended(first.results) or not first.complete:
+    if not options.starts or first.ended or not first.complete:
         return first
-    own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
-    if ended(own.results):
-        return StartSearch(first.results + own.results, own.complete)
+    reduced, direct = reduced_starts(problem), ExactValue.suits(problem)
+    if direct:
+        own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
+    else:
+        own = run_starts(problem, given_starts(reduced, options.seed), lambda _: (), *common)
+    if own.ended or not own.complete:
+        return StartSearch(first.results + own.results, own.complete, own.ended)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
-    points = [*nested, *reduced_starts(problem)]
-    if own.results and own.best.rank[0] < 2:
+    points = [*nested, *(reduced if direct else ())]
+    if direct and own.results and own.best.rank[0] < 2:
         points = sorted([own.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
     starts = given_starts(points, options.seed)
     rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
-    return StartSearch(first.results + own.results + rest.results, own.complete and all_of_it and rest.complete)
+    complete = own.complete and all_of_it and rest.complete
+    return StartSearch(first.results + own.results + rest.results, complete, rest.ended)
 
 
 def _own_order_first(problem: Problem, options: TuningOptions, deadline: float, progress: Progress) -> StartSearch:

@@ -47,10 +47,11 @@ SAME = 1e-4  # relative difference of values after the screening up to which two
 
 @dataclass(frozen=True)
 class StartSearch:
-    """Results of the starts that were begun, and whether those were all."""
+    """Results of the starts that were begun, whether those were all, and whether no other start is worth beginning."""
 
     results: tuple[StartResult, ...]
     complete: bool
+    ended: bool = False
 
     @property
     def best(self) -> StartResult:
@@ -110,7 +111,7 @@ def run_starts(
     unfinished = direct and bool(runner.results) and runner.best.status is TuningStatus.ITERATIONS
     if unfinished and batches > 1 and runner.best.soft > VANISHING * runner.floor:
         runner.run(_full, [Start(0, runner.best.x)])
-    return StartSearch(tuple(runner.results), runner.complete)
+    return runner.found()
 
 
 def run_first(
@@ -129,7 +130,7 @@ def run_first(
     for begin in range(0, len(starts), PORTION):
         own = starts[begin : begin + PORTION]
         runner.run(direct_cycles, _carried(own, runner.run(direct_screen, own), CARRIED_OF_PORTION))
-    return StartSearch(tuple(runner.results), runner.complete)
+    return runner.found()
 
 
 def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
@@ -210,7 +211,19 @@ class _Runner:
     @property
     def going_on(self) -> bool:
         """Neither was a limit reached nor the run stopped by the user or by its target."""
-        return self.complete and not ended(self.results)
+        return self.complete and not self._ended(self.results)
+
+    def found(self) -> StartSearch:
+        """What there is so far."""
+        return StartSearch(tuple(self.results), self.complete, self._ended(self.results))
+
+    def _ended(self, results: Sequence[StartResult]) -> bool:
+        """No other start is worth beginning: also where gains grew to their limit and the value to what counts as zero.
+
+        The problem lacks a requirement then, whichever start finds the lowest value.
+        """
+        grown = any(r.status is TuningStatus.UNBOUNDED and r.rank <= (0, self.floor) for r in results)
+        return grown or ended(results)
 
     @property
     def best(self) -> StartResult:
@@ -250,7 +263,7 @@ class _Runner:
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
             self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
-            if ended(results) or time.monotonic() > self._limits.deadline:
+            if self._ended(results) or time.monotonic() > self._limits.deadline:
                 break
         return results
 
@@ -272,7 +285,7 @@ class _Runner:
         except KeyboardInterrupt:
             found = results or [_interrupted(self._problem, starts[0])]
             return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
-        ends = [k for k, r in enumerate(results) if ended([r])]
+        ends = [k for k, r in enumerate(results) if self._ended([r])]
         return results[: ends[0] + 1] if ends else results  # those that one process would have run
 
 
