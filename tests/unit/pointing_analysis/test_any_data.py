@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import struct
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ import pytest
 from los_testbed.cli.app import main
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC
-from pointing_analysis.indices.synthetic import McapStorage, write_bag
+from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
@@ -105,13 +103,6 @@ def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
     for time in ("when", None):  # the only dates are the time
         run = open_los(folder / "a.parquet", los="az,el", unit="arcsec", time=time)
         assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))
-
-
-def test_parquet_without_pyarrow_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.parquet").write_bytes(b"PAR1")
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ValueError, match=r"pip install 'los-testbed\[parquet\]'"):
-        open_los(tmp_path / "a.parquet", unit="rad")
 
 
 @pytest.mark.pictures
@@ -228,17 +219,6 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
         open_los(bag, los="/a", unit="rad", rate=100.0)
 
 
-def test_a_bag_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
-    xy = samples(20_000)
-    bag = write_bag(tmp_path / "bag", {"truth/los": xy}, dt=1 / RATE, storage=McapStorage(chunk_size=1 << 14))
-    (file,) = bag.glob("*.mcap")
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    run = open_los(bag, los="/telescope/truth/los", unit="rad", rate=RATE)
-    n = len(run["truth/los"])
-    assert 0 < n < len(xy) and run["truth/los"].values.tolist() == xy[:n].tolist()
-    assert run["truth/los"].open_end and any("truncated" in problem for problem in run.problems)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
@@ -296,17 +276,6 @@ def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
         open_los(tmp_path / "a.npy", unit="rad", rate=1.0)
 
 
-def test_an_empty_cell_is_a_missing_sample(tmp_path: Path) -> None:
-    rows = [f"{i / 100},{i}.5,1" for i in range(300)]
-    rows[200] = "2.0,,1"
-    (tmp_path / "a.csv").write_text("# measured on the bench\nt,x,y\n" + "\n".join(rows))
-    found = summarise(
-        open_los(tmp_path / "a.csv", unit="mas"),
-        requirements=[parse("prob(|RPE(20 ms)| < 1 mas) >= 0.9 at 90 % confidence")],
-    )
-    assert found.windows_skipped == 1 and found.ticks == 300
-
-
 TIMES = {
     "time_ms": lambda t: [repr(1e3 * v) for v in t],
     "Time [us]": lambda t: [repr(1e6 * v) for v in t],
@@ -335,17 +304,6 @@ def test_times_of_a_table_in_any_usual_form(tmp_path: Path, name: str, rate: flo
     assert repr(comparable(summarise(run, requirements=requirements))) == repr(comparable(ours))
 
 
-def test_dates_of_arrays_and_numpy_files(tmp_path: Path) -> None:
-    xy = samples(4000)
-    moments = np.datetime64("2026-11-20T12:00") + (np.arange(4000) * round(1e9 / RATE)).astype("timedelta64[ns]")
-    np.savez(tmp_path / "a.npz", when=moments, los=xy)
-    requirements = [parse("prob(|APE| < 0.12 arcsec) >= 0.95 at 90 % confidence")]
-    found = [
-        judge_series(t, xy, unit="arcsec", requirements=requirements) for t in (moments, np.arange(4000) / RATE)
-    ] + [summarise(open_los(tmp_path / "a.npz", unit="arcsec"), requirements=requirements)]
-    assert repr(comparable(found[0])) == repr(comparable(found[1])) == repr(comparable(found[2]))
-
-
 def test_columns_that_may_be_the_time_are_named_where_none_is_used(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / RATE},{i}.5,1,20" for i in range(3000))
     (tmp_path / "a.csv").write_text("clock,az,el,celsius\n" + rows)
@@ -369,24 +327,6 @@ def test_times_that_cannot_be_used() -> None:
             series(t, xy, unit="mas")
 
 
-def test_a_decimal_comma(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("\n".join(f"{i / 100:.2f};{i},5;1".replace(".", ",") for i in range(300)))
-    assert open_los(tmp_path / "a.csv", unit="mas")["truth/los"].values[2, 0] == pytest.approx(2.5e-3 * RAD_PER_ARCSEC)
-
-
-def test_a_message_that_lies_about_its_length_is_left_out(tmp_path: Path) -> None:
-    from pointing_analysis.read.messages import ros_definitions
-
-    types = ros_definitions.parse_definition("a/msg/B", "string s\nfloat64 x\nfloat64 y")
-    whole = b"\x00\x01\x00\x00" + struct.pack("<I", 4) + b"abc\x00" + struct.pack("<dd", 1.5, 2.5)
-    places = ros_definitions.locate("a/msg/B", types, "", whole)
-    values, fits = ros_definitions.numbers(np.frombuffer(whole, np.uint8)[None], places)
-    assert values.tolist() == [[1.5, 2.5]] and fits.all()
-    for data in (whole[:-1], whole[:4] + b"\xff\xff\xff\xff" + whole[8:], b"\x00\x07" + whole[2:], b""):
-        with pytest.raises(ValueError, match=r"truncated|plain CDR|two numbers"):
-            ros_definitions.locate("a/msg/B", types, "", data)
-
-
 @pytest.mark.parametrize("value", [np.inf, -np.inf, 1e300])
 @pytest.mark.parametrize("rate", [None, RATE])
 def test_a_sample_that_is_no_angle_counts_as_missing(value: float, rate: float | None) -> None:
@@ -399,9 +339,3 @@ def test_a_sample_that_is_no_angle_counts_as_missing(value: float, rate: float |
     found = judge_series(t, odd, unit="arcsec", rate=rate, requirements=text)
     assert found.verdicts == expected.verdicts and found.ape_max == expected.ape_max
     assert any("1 samples are infinite or above" in problem for problem in found.problems)
-
-
-def test_times_of_recording_that_were_asked_for(folder: Path) -> None:
-    """The note does not say that stamps are missing: they are there."""
-    problems = open_los(folder / "theirs", los="/my/los", unit="arcsec", time="log", rate=RATE).problems
-    assert any(problem.endswith("with its jitter") for problem in problems)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
 from scipy.spatial.transform import Rotation
 
 from pointing_analysis.read.attitude import line_of_sight, turned_about
@@ -153,55 +150,7 @@ def test_messages_without_an_attitude_are_excluded_and_counted(tmp_path: Path) -
     assert any("4 messages excluded: a quaternion must have norm 1" in problem for problem in run.problems)
 
 
-def test_a_slew_is_refused_in_one_line(tmp_path: Path) -> None:
-    turns = np.zeros((100, 3))
-    turns[:, 0] = np.linspace(0.0, 2.0, 100)
-    topics = {"/imu": ("sensor_msgs/msg/Imu", attitudes(turns))}
-    bag = external_bags.write_external(tmp_path / "bag", topics, RATE)
-    with pytest.raises(ValueError, match=r"/imu.orientation.z: line of sight must stay within 0.5 rad") as caught:
-        open_los(bag, los="/imu.orientation.z", rate=RATE)
-    assert "\n" not in str(caught.value)
-
-
 def test_a_quaternion_in_another_type_and_order() -> None:
     text = "my/Q q\n" + "=" * 20 + "\nMSG: my/Q\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
     found = vectors("my/msg/Status", parse_definition("my/msg/Status", text))
     assert [(v.name, v.components) for v in found] == [(f"q.{axis}", ("w", "x", "y", "z")) for axis in "xyz"]
-
-
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [
-        ("float64 los_x_mas\nfloat64 los_y_mas", "mas"),
-        ("float64 x_mas\nfloat64 y_urad", ""),
-        ("float64[2] error_arcsec", "arcsec"),
-        ("float64 x_mm\nfloat64 y_mm", ""),
-        ("float64 az\nfloat64 el", ""),
-    ],
-)
-def test_the_unit_is_that_of_the_names(text: str, unit: str) -> None:
-    from pointing_analysis.read.external_bag import _unit
-
-    (found,) = vectors("my/msg/Los", parse_definition("my/msg/Los", text))
-    assert _unit(found) == unit
-
-
-def test_topics_are_listed_with_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    topics: dict[str, Any] = {
-        "/imu": ("sensor_msgs/msg/Imu", attitudes(motion(600))),
-        "/los": ("geometry_msgs/msg/Vector3Stamped", np.zeros((600, 2))),
-    }
-    bag = external_bags.write_external(tmp_path / "bag", topics, RATE)
-    assert main(["bag", "topics", str(bag), "--json"]) == 0
-    shown = capsys.readouterr()
-    rows = json.loads(shown.out.splitlines()[-1])["candidates"]
-    assert {row["los"]: row["unit"] for row in rows} == {
-        "/imu.orientation.x": "rad",
-        "/imu.orientation.y": "rad",
-        "/imu.orientation.z": "rad",
-        "/los.vector": "",
-    }
-    assert "--unit" in shown.err + shown.out
-    assert main(["analyse", str(bag), "--los", "/imu.orientation.z", "--rate", "200", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert found["ape_arcsec"] is not None

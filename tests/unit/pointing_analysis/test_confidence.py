@@ -12,62 +12,6 @@ from scipy.signal import lfilter
 from pointing_analysis.indices import confidence
 
 
-@pytest.mark.parametrize(("k", "n"), [(0, 10), (3, 50), (10, 1000), (0, 998)])
-def test_clopper_pearson_is_the_binomial_tail_turned_round(k: int, n: int) -> None:
-    upper, lower = confidence.exceedance_upper(k, n, 0.95), confidence.exceedance_lower(k, n, 0.95)
-    assert stats.binom.cdf(k, n, upper) == pytest.approx(0.05, rel=1e-9)
-    if k:
-        assert stats.binom.sf(k - 1, n, lower) == pytest.approx(0.05, rel=1e-9)
-    else:
-        assert lower == 0
-    test = stats.binomtest(k, n).proportion_ci(0.90, method="exact")  # two-sided 90 %: 5 % on either side
-    assert (lower, upper) == (pytest.approx(test.low), pytest.approx(test.high))
-    assert confidence.exceedance_upper(n, n, 0.95) == 1.0
-
-
-@pytest.mark.parametrize("k", [0, 1, 5])
-@pytest.mark.parametrize(("p", "c"), [(0.997, 0.95), (0.9, 0.99)])
-def test_samples_needed_is_the_smallest_number(p: float, c: float, k: int) -> None:
-    n = confidence.samples_needed(p, c, k)
-    assert confidence.exceedance_upper(k, n, c) <= 1 - p < confidence.exceedance_upper(k, n - 1, c)
-
-
-def test_order_statistic_bounds_against_the_binomial() -> None:
-    """The bound is the smallest order statistic that lies above the quantile with the stated probability."""
-    x = np.arange(2000.0)
-    q = confidence.quantile(x, 0.99, 0.95, effective=2000)
-    rank = int(q.upper) + 1
-    assert stats.binom.cdf(rank - 1, 2000, 0.99) >= 0.95 > stats.binom.cdf(rank - 2, 2000, 0.99)
-    rank = int(q.lower) + 1
-    assert stats.binom.sf(rank - 1, 2000, 0.99) >= 0.95 > stats.binom.sf(rank, 2000, 0.99)
-
-
-def test_autocorrelation_time_leaves_out_what_is_missing() -> None:
-    x = np.random.default_rng(0).standard_normal(1000)
-    assert confidence.effective_number(np.append(x, np.nan)) == confidence.effective_number(x)
-    assert confidence.effective_number([np.nan, np.nan]) == 0
-
-
-def test_a_constant_or_a_drift_is_hardly_any_information() -> None:
-    assert confidence.effective_number(np.full(1000, 0.1)) == pytest.approx(1)
-    assert confidence.effective_number(np.linspace(0, 1, 1000)) < 5
-
-
-def test_quantile_of_nothing_and_bad_probabilities() -> None:
-    assert math.isnan(confidence.quantile([], 0.5).value)
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        confidence.quantile([1.0], 99.7)
-
-
-def test_length_of_run_that_would_decide() -> None:
-    assert confidence.samples_to_decide(0.997, 0.95, 0.0) == 998
-    good = confidence.samples_to_decide(0.997, 0.95, 0.001)
-    assert confidence.exceedance_upper(math.ceil(0.001 * good), int(good), 0.95) <= 0.003
-    bad = confidence.samples_to_decide(0.997, 0.95, 0.01)
-    assert confidence.exceedance_lower(int(0.01 * bad), int(bad), 0.95) > 0.003
-    assert confidence.samples_to_decide(0.997, 0.95, 0.003) == math.inf
-
-
 def reference_time(x: np.ndarray) -> float:
     """Sokal's window and Wolff's correction with the correlations summed lag by lag."""
     n, x = len(x), x - x.mean()
@@ -141,11 +85,6 @@ def test_samples_needed_by_trying_all_numbers(p: float, c: float, k: int) -> Non
     while stats.binom.cdf(k, n, 1 - p) > 1 - c:
         n += 1
     assert confidence.samples_needed(p, c, k) == n
-
-
-def test_samples_needed_where_the_confidence_is_reached_exactly() -> None:
-    """Of n samples none exceeds the median with the probability 2^-n, a number without rounding."""
-    assert [confidence.samples_needed(0.5, 1.0 - 0.5**n) for n in range(1, 20)] == list(range(1, 20))
 
 
 @pytest.mark.parametrize(

@@ -118,23 +118,6 @@ def test_the_content_says_format_unit_and_times(tmp_path: Path, write: Callable[
         open_los(path, unit="arcsec")
 
 
-def test_the_unit_may_be_missing(tmp_path: Path) -> None:
-    io.savemat(tmp_path / "a.mat", {"t": T, "los": LOS})
-    with pytest.raises(ValueError, match=r"unit must be given \(--unit mas, .* does not state for los.x, got none"):
-        open_los(tmp_path / "a.mat")
-    assert np.allclose(open_los(tmp_path / "a.mat", unit="mas")["truth/los"].values, LOS * RAD_PER_MAS, rtol=1e-12)
-
-
-def test_columns_by_their_names_without_units(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(
-        "t,az (mas),el (mas),celsius\n" + "\n".join(f"{i / 100},{i},1,20" for i in range(99))
-    )
-    run = open_los(tmp_path / "a.csv", los="az,el")
-    assert run["truth/los"].values[3, 0] == pytest.approx(3 * RAD_PER_MAS)
-    io.savemat(tmp_path / "b.mat", {"t": T, "los": LOS, "other": LOS, "los_unit": "mas"})
-    assert open_los(tmp_path / "b.mat", los="los")["truth/los"].values[7, 1] == pytest.approx(LOS[7, 1] * RAD_PER_MAS)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -149,22 +132,6 @@ def test_what_is_not_read_is_one_line(tmp_path: Path, name: str, content: bytes,
     with pytest.raises(ValueError, match=message) as caught:
         open_los(tmp_path / name)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_that_is_no_bag_lists_the_formats(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("1 2 3\n")
-    with pytest.raises(ValueError, match=r"recording must be one of bag .*NumPy.*; got a folder without metadata"):
-        open_los(tmp_path)
-    (tmp_path / "metadata.yaml").write_text("{}")
-    with pytest.raises(ValueError, match="a rosbag2 folder must hold"):
-        open_los(tmp_path)
-
-
-def test_hdf5_without_h5py_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))
-    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(ValueError, match=r"pip install 'los-testbed\[hdf5\]'"):
-        open_los(tmp_path / "a.h5")
 
 
 def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:

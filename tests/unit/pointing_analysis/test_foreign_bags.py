@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import struct
 import subprocess
@@ -16,7 +15,7 @@ import pytest
 import yaml
 import zstandard
 from fuzz.fuzz_profile import examples
-from fuzz.mutations import KINDS, MUTATIONS, Mutation
+from fuzz.mutations import MUTATIONS, Mutation
 from hypothesis import given
 from hypothesis import strategies as st
 from los_testbed.bags.repair import repair_bag
@@ -130,13 +129,6 @@ def test_every_plain_form_gives_the_same(tmp_path: Path, payload: Payload, compr
         assert not topic.open_end
 
 
-def test_both_orders_of_bytes_in_one_topic(tmp_path: Path) -> None:
-    mixed = write(tmp_path / "bag", lambda stamp, *xy: (big, little)[stamp // STEP % 2](stamp, *xy))
-    assert (
-        open_los(mixed, los="/los", unit="arcsec")["truth/los"].values.tolist() == (samples() * RAD_PER_ARCSEC).tolist()
-    )
-
-
 @pytest.mark.parametrize("name", ["bag_0.mcap.zstd", "bag_0.mcap.zst"])
 def test_files_compressed_as_a_whole(tmp_path: Path, name: str) -> None:
     bag = write(tmp_path / "bag", about={"relative_file_paths": [name], "compression_mode": "FILE"})
@@ -174,12 +166,6 @@ def test_what_is_not_read_is_refused_by_name(
     assert str(caught.value) in line
     with pytest.raises(BagError, match=words):
         open_los(bag, los="/los.position", unit="mas")
-
-
-def test_a_bag_of_nothing_but_another_encoding_is_named_by_the_listing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "encoded as cdr, got 'json'" in refused(capsys, "bag", "topics", write(tmp_path / "bag", encoding="json"))
 
 
 def test_some_messages_in_another_encapsulation_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -228,13 +214,6 @@ def test_a_sqlite3_bag_is_refused_with_the_command_that_converts_it(
     assert (
         open_los(tmp_path / "new", los="/los", unit="arcsec")["truth/los"].values.tolist()
         == (samples() * RAD_PER_ARCSEC).tolist()
-    )
-
-
-def test_a_bag_of_ros_1_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    assert "got a bag of ROS 1; to convert it" in refused(
-        capsys, "analyse", tmp_path / "old.bag", "--los=/a", "--unit=mas"
     )
 
 
@@ -315,23 +294,6 @@ def test_a_damaged_bag_is_judged_as_after_its_repair(
     bags: dict[str, tuple[Path, bytes]], kind: str, changes: list[Mutation]
 ) -> None:
     check_as_after_repair(damaged(bags, kind, changes))
-
-
-@pytest.mark.parametrize("mutation", sorted(KINDS))
-@pytest.mark.parametrize("place", [0.1, 0.5, 0.9])
-def test_every_kind_of_damage_is_told(bags: dict[str, tuple[Path, bytes]], mutation: str, place: float) -> None:
-    found = check_as_after_repair(damaged(bags, "zstd", [Mutation(mutation, place, 0.3, 700, b"\xff\x00other" * 20)]))
-    assert found is None or found.problems or (found.ticks == N and not found.samples_lost)
-
-
-def test_the_command_judges_a_damaged_bag(
-    bags: dict[str, tuple[Path, bytes]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = damaged(bags, "zstd", [Mutation("flip", 0.3, 0.0, 3, b"")])
-    assert main(["analyse", str(bag / "zstd_0.mcap"), "--los=/los", "--unit=arcsec", "--json"]) == 0
-    out, err = capsys.readouterr()
-    found = json.loads(out.splitlines()[-1])
-    assert found["lost_messages"]["/los"]["messages"] == found["samples_lost"] > 0 and "Traceback" not in err
 
 
 def test_a_damaged_chunk_costs_its_own_messages_and_is_counted(bags: dict[str, tuple[Path, bytes]]) -> None:

@@ -177,16 +177,6 @@ def test_missing_samples_count_against_the_verdict() -> None:
     assert "21 of 1250 samples are missing" in low.note
 
 
-def test_several_runs() -> None:
-    runs = [run_of(noise(2001, sigma, seed), name=str(seed)) for seed, sigma in enumerate((2.0, 6.0, 3.0))]
-    alone = [judged("prob(Strehl(20 ms) > 0.5) >= 0.9 at 50 % confidence", run).quantile.value for run in runs]
-    together = judged("prob(Strehl(20 ms) > 0.5) >= 0.9 at 50 % confidence", *runs)
-    assert together.quantile.value == min(alone), "the worst of the runs counts"
-    worst = judged("prob(Strehl(20 ms) > 0.5) >= 0.5 at 50 % confidence, ensemble", *runs)
-    assert worst.samples == 3 and worst.quantile.value < min(alone) + 0.05
-    assert judged("prob(Strehl(20 ms) > 0.5) >= 0.9 at 50 % confidence, mixed", *runs).samples == 300
-
-
 @pytest.mark.parametrize(
     ("run", "reason"),
     [
@@ -201,14 +191,6 @@ def test_what_cannot_be_judged_says_why(run: Any, reason: str) -> None:
     assert found.status == "not judged" and reason in found.note
     (row,) = requirement_table([RequirementRow.of(found)]).only(*BRIEF).rows
     assert row[1:] == ("–", "above 0.9", "–", f"not judged: {found.note}")
-
-
-def test_hopeless_exposures_do_not_stop_a_verdict() -> None:
-    los = noise(25_001)
-    for first in range(0, 25_000, 160):  # every eighth exposure, and the end of the one before it
-        los[first : first + 20] *= 1e4
-    found = judged(f"prob(EE80(20 ms) < 140 mas) {TAIL}", run_of(los))
-    assert found.status == "not compliant" and found.exceeding == pytest.approx(0.25, abs=0.01)
 
 
 def test_files_of_others_with_a_pupil(tmp_path: Path) -> None:

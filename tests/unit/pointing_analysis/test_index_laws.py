@@ -142,14 +142,6 @@ def test_a_period_of_whole_nanoseconds_is_that_of_its_rate(rate: int, window: fl
         assert not metrics.is_whole(window + 0.5 / rate, dt)
 
 
-@pytest.mark.parametrize(("rate", "window"), [(3000.0, 1.0), (6000.0, 0.1), (6000.0, 1.0)])
-def test_windows_of_records_at_rates_without_whole_nanoseconds_are_judged(rate: float, window: float) -> None:
-    n = round(4 * rate)
-    values = np.random.default_rng(1).standard_normal((n, 2))
-    error = performance_error(recorded(np.arange(n) / rate, values, unit="mas"), 0.0)
-    assert metrics.windows(error.values, error.dt, window).samples == window * rate
-
-
 TIMES = 25
 """Windows of 20 ms at 512 Hz have 256 samples of a record in which each sample stands 25 times."""
 
@@ -215,11 +207,6 @@ def test_times_at_such_rates_are_not_moved(rate: int) -> None:
         run = recorded(t, np.ones((t.size, 2)), unit="mas", rate=given)
         assert not run.problems and len(run.topic) == t.size and not run.topic.integrity.missing
         assert 1 / run.topic.period == pytest.approx(rate, rel=1e-12)
-
-
-def test_messages_of_windows_have_milliseconds() -> None:
-    with pytest.raises(ValueError, match=r"of samples of 2 ms, got 5 ms"):
-        metrics.window_samples(0.005, 0.002)
 
 
 def test_shapes_and_lengths_that_are_refused() -> None:

@@ -106,15 +106,6 @@ def test_replay_is_the_recording_bit_by_bit(tmp_path: Path, missed, drop) -> Non
     assert f"on {N - len(missed)} ticks" in str(comparison)
 
 
-def test_replay_starts_from_the_zero_state(tmp_path: Path) -> None:
-    run = Run.open(record(tmp_path / "bag"))
-    observer, law = Observer(), Law()
-    first = replay.replay(run, observer, law)
-    second = replay.replay(run, observer, law)
-    assert np.array_equal(first.estimate, second.estimate)
-    assert np.array_equal(first.command, second.command)
-
-
 def test_one_bit_is_noticed(tmp_path: Path) -> None:
     run = Run.open(record(tmp_path / "bag"))
     replayed = replay.replay(run, Observer(), Law())
@@ -161,17 +152,3 @@ def test_sensors_alone_are_enough_to_drive_the_cores(tmp_path: Path) -> None:
     replayed = replay.replay(run, Observer(), Law())
     assert np.array_equal(replayed.estimate, whole["los_estimate"].values[:, :2])
     assert "neither estimates nor commands" in str(replay.compare(run, replayed))
-
-
-def test_missing_sensor_topic(tmp_path: Path) -> None:
-    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}))
-    with pytest.raises(ValueError, match="for a replay the bag must hold the topic isolator/accel"):
-        replay.replay(run, Observer(), Law())
-
-
-def test_progress_is_told(tmp_path: Path) -> None:
-    run = Run.open(record(tmp_path / "bag"))
-    seen: list[tuple[int, int]] = []
-    replay.replay(run, Observer(), Law(), progress=lambda done, total: seen.append((done, total)))
-    assert seen[0] == (0, 2 * N)
-    assert seen[-1] == (2 * N, 2 * N)

@@ -85,29 +85,6 @@ def test_verdict_and_tables_are_text(pdf: tuple[str, Any], made: content.ReportC
     assert all(plain(rule["name"]) in whole and plain(rule["text"]) in whole for rule in RULES)
 
 
-def test_figures_are_vectors_with_a_text_for_those_who_cannot_see_them(
-    pdf: tuple[str, Any], made: content.ReportContent
-) -> None:
-    _, reader = pdf
-    assert [image for sheet in reader.pages for image in sheet.images] == [], "no optics, so no picture of pixels"
-    titles = [plain(picture.title) for picture in made.pictures]
-    whole = "".join(plain(sheet.extract_text()) for sheet in reader.pages)
-    assert len(titles) > 5 and all(title in whole for title in titles)
-    alternatives = [o["/Alt"] for k in range(1, reader.trailer["/Size"]) if (o := _figure(reader, k))]
-    assert sorted(alternatives) == sorted(picture.alt for picture in made.pictures)
-    assert reader.metadata.title == "Pointing report: fsm"
-
-
-def _figure(reader: Any, number: int) -> Any:
-    import pypdf
-
-    try:
-        found = reader.get_object(number)
-    except Exception:
-        return None
-    return found if isinstance(found, pypdf.generic.DictionaryObject) and "/Alt" in found else None
-
-
 def test_same_bag_same_pdf(bag: Path, tmp_path: Path) -> None:
     pytest.importorskip("typst")
     one, two = (write_report([Run.open(bag)], tmp_path / name) for name in ("a.pdf", "b.PDF"))
@@ -174,20 +151,6 @@ def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, tmp_p
         assert of_markdown(table) == of_html(table) == rows and texts[2] == f"{table.markdown()}\n"
         assert of_latex(texts[1]) == rows
         assert table.html("stack" if len(table.columns) > 3 else "") in shown
-
-
-def test_files_of_two_times_are_equal_and_others_stay(made: content.ReportContent, tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").write_text("mine")
-    first = {path: path.read_bytes() for path in write_parts(made, tmp_path)}
-    assert {path: path.read_bytes() for path in write_parts(made, tmp_path)} == first
-    assert (tmp_path / "mine.txt").read_text() == "mine" and not list(tmp_path.glob(".*"))
-
-
-def test_figures_as_pdf_have_their_letters_as_text(made: content.ReportContent, tmp_path: Path) -> None:
-    pypdf = pytest.importorskip("pypdf")
-    write_parts(made, tmp_path)
-    (sheet,) = pypdf.PdfReader(tmp_path / "psd.pdf").pages
-    assert "frequency[Hz]" in plain(sheet.extract_text()) and "14.01Hz" in plain(sheet.extract_text())
 
 
 def test_the_command_writes_the_report_and_its_parts(bag: Path, call: CommandLine) -> None:

@@ -66,14 +66,6 @@ def test_digits(value: float, text: str) -> None:
     assert digits(123456.0, 6) == "123456" and digits(12.3456, 5) == "12.346"
 
 
-@pytest.mark.parametrize(
-    ("value", "places", "text"),
-    [(999.4, 3, "999"), (999.5, 3, "1000"), (-999.6, 3, "-1000"), (1000.2, 3, "1000"), (999.6, 6, "999.6")],
-)
-def test_digits_write_no_power_of_ten_for_what_is_rounded_to_a_thousand(value: float, places: int, text: str) -> None:
-    assert digits(value, places) == text
-
-
 def test_numbers_for_json() -> None:
     assert (number(1.23456789), number(math.inf), number(math.nan), number(-math.inf)) == (1.23457, None, None, None)
 
@@ -122,19 +114,6 @@ def test_a_requirement_that_is_not_judged_has_no_number() -> None:
     assert {row.as_dict()[key] for key in ("quantile", "upper_bound", "exceeding", "seconds_needed")} == {None}
     bare = RequirementRow.of(replace(NOT_JUDGED, note=""))
     assert bare.verdict_text == "not judged"
-
-
-def test_words_of_a_verdict() -> None:
-    def words(**changes: Any) -> str:
-        return RequirementRow.of(replace(OPEN, **changes)).verdict_text
-
-    assert words() == "within limit; not yet demonstrated at 90 % confidence: needs 13 s"
-    assert words(exceeding=0.5) == "above limit; not yet demonstrated at 90 % confidence: needs 13 s"
-    assert words(seconds_needed=math.inf) == "at limit; not demonstrated by a run of any length"
-    assert words(note="cut off").endswith(": needs 13 s; cut off")
-    assert RequirementRow.of(verdict(note="2 of 9 are missing")).verdict_text == "compliant; 2 of 9 are missing"
-    no_bound = RequirementRow.of(replace(OPEN, quantile=replace(OPEN.quantile, upper=math.inf)))
-    assert no_bound.bound_text == "not demonstrated: record too short" and no_bound.as_dict()["upper_bound"] is None
 
 
 def test_the_verdict_has_a_line_for_each_index_of_each_run_with_the_worst_of_its_requirements() -> None:

@@ -12,18 +12,15 @@ import pytest
 
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read.mcap.bag_loss import Span, TopicLoss
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.summary import (
-    Figure,
     Knowledge,
     Performance,
     Summary,
     _add_ends,
     applicable,
-    scenario_of,
     summarise,
     summarise_all,
 )
@@ -52,19 +49,6 @@ def test_performance() -> None:
     assert found.rpe_windows_p997 == pytest.approx(upper_rank(windows, 0.997))
     assert (found.windows, found.windows_skipped) == (150, 0)
     assert Performance.of(NOISE[:20], DT, 0.02).windows == 1
-
-
-@pytest.mark.parametrize(("values", "dt"), [(NOISE[:19], DT), (NOISE, 1 / 64)])
-def test_without_a_window_there_is_no_relative_error(values: Any, dt: float) -> None:
-    found = Performance.of(values, dt, 0.02)
-    assert found.ape_max > 0 and (found.windows, found.windows_skipped) == (0, 0)
-    assert all(math.isnan(x) for x in (found.rpe_rms, found.rpe_p997, found.rpe_windows_p997, *found.rpe_axis))
-
-
-def test_knowledge() -> None:
-    found = Knowledge.of(NOISE, DT, 0.02)
-    assert found.ake_p997_arcsec == pytest.approx(upper_rank(np.hypot(*NOISE.T), 0.997) / RAD_PER_ARCSEC)
-    assert found.rke_rms_mas == pytest.approx(math.hypot(*metrics.rpe_rms(NOISE, DT, 0.02)) / RAD_PER_MAS)
 
 
 def bag(folder: Path, n: int = 3000, *, lost: tuple[int, ...] = (), **parameters: Any) -> Run:
@@ -181,14 +165,6 @@ def test_sentences_about_the_run(tmp_path: Path) -> None:
     assert summarise(series(None, NOISE[:20], unit="rad", rate=1000.0), transient=0.0).budget is not None
 
 
-def test_name_of_the_scenario(tmp_path: Path) -> None:
-    every = {"disturbance_source": "mine.py", "plant": "own", "scenario": "design"}
-    for k, name in enumerate(every.values()):
-        rest = dict(list(every.items())[k:])
-        assert scenario_of(bag(tmp_path / str(k), **{**dict.fromkeys(every, ""), **rest})) == name
-    assert scenario_of(bag(tmp_path / "none")) == ""
-
-
 TEXTS = {
     "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence": (),
     "prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence, mixed": ("fsm", "none"),
@@ -218,23 +194,6 @@ def test_runs_with_requirements_of_their_own(tmp_path: Path) -> None:
     runs = [bag(tmp_path / str(k), transient_s=0, requirements=r) for k, r in enumerate((own, other, own))]
     found = summarise_all(runs)
     assert [[v.samples for v in s.verdicts] for s in found] == [[6000], [3000], [6000]]
-
-
-def names(found: Summary) -> list[str]:
-    return [figure.name for figure in found.figures]
-
-
-def test_figures_that_stand_without_a_limit(tmp_path: Path) -> None:
-    found = summarise(bag(tmp_path / "a", transient_s=0))
-    values = [found.ape_max, found.ape_p997, found.rpe_rms, found.rpe_windows_p997, found.rpe_p997]
-    assert [figure.value for figure in found.figures] == values
-    assert [figure.unit for figure in found.figures] == ["arcsec"] * 2 + ["mas"] * 3
-    assert [figure.quantity for figure in found.figures if figure.quantity] == [
-        "|APE|, 99.7 %",
-        "rms RPE(20 ms), 99.7 %",
-        "|RPE(20 ms)|, 99.7 %",
-    ]
-    assert names(summarise(series(None, NOISE, unit="rad", rate=64.0))) == ["APE max", "APE 99.7 %"]
 
 
 def test_quantiles_of_many_windows_are_not_their_largest() -> None:
@@ -294,29 +253,6 @@ def test_a_bag_without_a_verdict_is_refuted_where_it_contradicts_itself() -> Non
     with pytest.raises(RefutedBagError, match=r"; the bag contradicts its own digests: m1/accel: other bytes") as told:
         summarise(Refuted(made), transient=0.0)
     assert str(told.value).startswith(str(plain.value))
-
-
-@pytest.mark.parametrize(("places", "shown"), [(1, 1), (100, 100), (101, 100), (250, 100)])
-def test_lost_messages_are_all_counted_and_at_most_a_hundred_places_are_told(places: int, shown: int) -> None:
-    found = summarise(series(None, NOISE, unit="rad", rate=1000.0), transient=0.0)
-    spans = tuple(Span(k, k + 0.5, 2) for k in range(places))
-    loss = TopicLoss("m1/accel", 3000, 2 * places, 0, 0, spans)
-    content = replace(found, losses=(loss,)).as_dict()["lost_messages"]["m1/accel"]
-    assert content == {"messages": 2 * places, "places": [str(span) for span in spans[:shown]]}
-    assert len(content["places"]) == shown
-
-
-def test_a_topic_of_one_message_says_nothing_of_its_rate(tmp_path: Path) -> None:
-    stamps = 10**9 + 10**6 * np.arange(3000)
-    signals = {"truth/los": NOISE, "m1/accel": np.zeros((1, 6))}
-    given = {"truth/los": stamps, "m1/accel": stamps[:1]}
-    found = summarise(Run.open(write_bag(tmp_path / "a", signals, stamps=given, parameters={"transient_s": 0})))
-    assert found.samples_lost == 0 and found.problems == ()
-
-
-@pytest.mark.parametrize(("value", "text"), [(139.2, "139 mas"), (math.nan, "– mas"), (math.inf, "beyond the image")])
-def test_a_radius_that_the_light_is_not_within_has_no_unit(value: float, text: str) -> None:
-    assert Figure("EE80 radius, 99.7 %", value, "mas").text == text
 
 
 PERIODS = (300, 301, 800, 1500)

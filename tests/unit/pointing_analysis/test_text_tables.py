@@ -137,14 +137,6 @@ def test_times_that_have_lost_their_digits_give_way_to_a_rate(tmp_path: Path) ->
         assert series["truth/los"].period == pytest.approx(0.005) and len(series["truth/los"]) == 300
 
 
-def test_columns_may_be_given_by_number(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.csv", "time,a,b,c\n" + "\n".join(f"{k / 100},{k},2,{3 * k}" for k in range(200)))
-    by_name, by_number = (open_los(path, los=los, unit="mas")["truth/los"].values for los in ("c,a", "4,2"))
-    np.testing.assert_array_equal(by_name, by_number)
-    with pytest.raises(TableError, match="los must be two of the columns time, a, b, c, got '4,5'"):
-        open_los(path, los="4,5", unit="mas")
-
-
 def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
     """Units may be left out of a row of units, but not all of them."""
     table = read_text(written(tmp_path / "a.csv", "time,x_mas,y_mas\n1,1,1\n2,3,4\n3,4,5\n"))
