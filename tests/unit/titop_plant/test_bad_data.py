@@ -26,8 +26,6 @@ from titop_plant.structures import (
     ModalData,
     check_residual_mass,
     from_inertia,
-    read_modal_data,
-    write_modal_data,
 )
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.load import load_telescope
@@ -160,39 +158,6 @@ def test_the_message_names_the_body_or_the_port(name: str) -> None:
     with pytest.raises(ValueError) as caught:
         make()
     one_line(caught.value, words)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("frequency = 3.0", "frequency = -3.0", ["panel", "frequenc", "-3"]),
-        (
-            "participation = [0.0, 0.0, 1.5",
-            "participation = [0.0, 1.5",
-            [", line {at}: panel: mode 1", "shape (6,)", "(5,)"],
-        ),
-        (
-            "participation = [0.0, 0.0, 1.5",
-            "participation = [0.0, 0.0, 2.4",
-            ["panel", "residual mass", "z translation"],
-        ),
-        ('parent = "P"', "parent = 3", [", line {at}: panel: parent", "name in quotes", "3"]),
-        ("damping = 0.01", "dampling = 0.01", [", line {at}: panel: mode 1", "got 'dampling'"]),
-        ("[mode.shapes]", "[mode.shape]", [", line {at}: panel: mode 1", "got 'shape'"]),
-        ("version = 1", "version = 9", [", line", "version = 1", "9"]),
-        ("mass_matrix = [", "mass_matrix = [[", ["file must be TOML", "line"]),
-    ],
-)
-def test_errors_of_a_modal_file_name_line_and_body(tmp_path: Path, old: str, new: str, words: list[str]) -> None:
-    path = tmp_path / "panel.toml"
-    write_modal_data(panel(), path)
-    text = path.read_text()
-    assert text.count(old) == 1
-    path.write_text(text.replace(old, new))
-    at = next(i for i, line in enumerate(path.read_text().splitlines(), start=1) if new in line)
-    with pytest.raises(ValueError) as caught:
-        read_modal_data(path)
-    one_line(caught.value, ["panel.toml", *(word.format(at=at) for word in words)])
 
 
 ARRAY, MODES = "[solar_array]\n", "[[solar_array.further_modes]]\n"

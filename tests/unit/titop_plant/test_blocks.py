@@ -13,7 +13,6 @@ from titop_plant.blocks.attitude_control import attitude_control
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator, actuated_platform, isolator
-from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
 from titop_plant.blocks.pyramid import pyramid_axes
 from titop_plant.blocks.reaction_wheel import (
@@ -40,13 +39,6 @@ def beam(length: float = 1.0, modes: int = 40, damping: float = 0.0, elements: i
 def response(system, s, outputs=None, inputs=None):
     part = system.select(outputs=outputs, inputs=inputs)
     return part.nominal()(s)
-
-
-def test_slow_motion_sees_the_total_mass() -> None:
-    data = beam()
-    np.testing.assert_allclose(
-        -response(flexible_body(data), 1e-3j, ["wrench_P"], ["accel_P"]).real, data.mass_matrix, atol=1e-6
-    )
 
 
 def test_reciprocity() -> None:
@@ -99,16 +91,6 @@ def test_inverting_the_base_gives_the_free_free_beam() -> None:
     np.testing.assert_allclose(found, expected, rtol=2e-3)
 
 
-def test_inverting_the_tip_gives_the_clamped_clamped_beam() -> None:
-    both = invert(flexible_body(beam(elements=16, modes=96)), {"wrench_C": "accel_C"})
-    base = np.sqrt(STEEL.E / (STEEL.density * STEEL.A))
-    found = _frequencies(both, 9)  # imposed acceleration: poles at zero, up to rounding
-    found = found[found > 1.0][:2]
-    np.testing.assert_allclose(
-        found, np.sort([4.73004074**2 * base * np.sqrt(I) for I in (STEEL.Iy, STEEL.Iz)]), rtol=2e-3
-    )
-
-
 def test_two_half_beams_in_series_are_the_beam() -> None:
     half, whole = beam(0.5, elements=8, modes=48), beam(1.0, elements=16, modes=96)
     first, second = flexible_body(half), flexible_body(half)
@@ -147,11 +129,6 @@ def test_uncertain_frequency_and_damping_equal_the_rebuilt_body() -> None:
     for s in (5j, 127j, 900j):
         expected = rebuilt.nominal()(s)
         np.testing.assert_allclose(body.at(values)(s), expected, atol=1e-9 * np.abs(expected).max())
-
-
-def test_uncertain_parameter_of_an_unknown_mode_is_an_error() -> None:
-    with pytest.raises(ValueError, match=r"beam: mode index must be in 0\.\.2, got 3"):
-        flexible_body(beam(modes=3), frequencies={3: RealParameter("w", 1.0, 0.9, 1.1)})
 
 
 @pytest.mark.parametrize("theta", [-5.0, -np.pi, -0.4, 0.0, 0.3, np.pi / 2, np.pi, 4.0])
@@ -194,14 +171,6 @@ def test_a_joint_frees_one_axis_and_no_other() -> None:
     np.testing.assert_allclose(slow, from_inertia(5.0, inertia, [0.1, 0.2, -0.1]), atol=1e-6)
     about_axis = from_inertia(5.0, inertia, [0.1, 0.2, -0.1])[4, 4]
     assert _frequencies(joint, 1)[0] == pytest.approx(np.sqrt(90.0 / about_axis), rel=1e-9)
-
-
-def test_a_joint_needs_inertia_and_stiffness() -> None:
-    point = rigid_body("b", "P", np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="must have inertia about the axis"):
-        on_revolute_joint(point, "P", [1, 0, 0], stiffness=1.0, damping=0.0)
-    with pytest.raises(ValueError, match="stiffness must not be negative"):
-        on_revolute_joint(point, "P", [1, 0, 0], stiffness=-1.0, damping=0.0)
 
 
 def test_fast_steering_mirror_equals_its_closed_form() -> None:
@@ -262,20 +231,6 @@ def test_wheel_conserves_angular_momentum() -> None:
     np.testing.assert_allclose(rates, -0.096 * -400.0 * np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]), atol=1e-12)
 
 
-@pytest.mark.parametrize("axis", [[0, 0, 1.0], [1.0, 2.0, -0.5], [0, 0, -3.0]])
-def test_spin_frame_is_a_rotation_with_z_along_the_axis(axis) -> None:
-    R = spin_frame(axis)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-    assert linalg.det(R) == pytest.approx(1.0)
-    np.testing.assert_allclose(R @ axis / np.sqrt(np.dot(axis, axis)), [0, 0, 1], atol=1e-12)
-
-
-def test_mounting_with_a_matrix_that_is_not_a_rotation_is_an_error() -> None:
-    body = rigid_body("b", "P", np.eye(6))
-    with pytest.raises(ValueError, match="mounting of P at Q: dcm must be orthonormal"):
-        mounted(body, "P", "Q", dcm=2.0 * np.eye(3))
-
-
 def test_attitude_law_is_stable_on_a_rigid_body() -> None:
     """Closed around J theta'' = u the law gives the specified poles."""
     J = np.array([9e3, 4e3, 8e3])
@@ -287,13 +242,6 @@ def test_attitude_law_is_stable_on_a_rigid_body() -> None:
     np.testing.assert_allclose(np.diag(Kd) / J, 2 * 0.7 * 0.06, rtol=1e-9)
     with pytest.raises(ValueError, match="rank 3"):
         attitude_control(J, axes[:, :2], bandwidth=0.06, damping=0.7)
-
-
-@pytest.mark.parametrize("field", ["moving_mass", "casing_mass", "stiffness"])
-def test_actuator_data_must_be_positive(field: str) -> None:
-    data = {"moving_mass": 2.5, "casing_mass": 3.5, "inertia": np.eye(3), "stiffness": 70.0, "damping": 1.0}
-    with pytest.raises(ValueError, match=f"{field} must be positive"):
-        ProofMassActuator(**{**data, field: -1.0})
 
 
 @pytest.mark.parametrize("nominal", [0.0, 130.0])
@@ -348,15 +296,6 @@ def test_assembly_is_the_sum_of_its_wheels() -> None:
     assert [p.size for p in block.inputs] == [6, 3, 2, 10] and [p.size for p in block.outputs] == [6, 2]
 
 
-def test_x_of_a_wheel_frame_is_horizontal() -> None:
-    for axis in ([0.3, 0.4, 1.0], [1.0, 0.0, 0.0], [1e-5, 0.0, 1.0]):
-        R = spin_frame(axis)
-        assert R[0] @ [0.0, 0.0, 1.0] == pytest.approx(0.0, abs=1e-15)
-        assert R[0] @ np.cross([0.0, 0.0, 1.0], axis) > 0.0
-    np.testing.assert_array_equal(spin_frame([0.0, 0.0, 2.0]), np.eye(3))
-    np.testing.assert_array_equal(spin_frame([0.0, 0.0, -2.0]), np.diag([1.0, -1.0, -1.0]))
-
-
 def test_pyramid_axes_rise_by_the_cant_at_their_azimuths() -> None:
     cant, azimuths = 0.6, [0.3, 1.9, -2.0]
     axes = pyramid_axes(cant, azimuths)
@@ -364,11 +303,3 @@ def test_pyramid_axes_rise_by_the_cant_at_their_azimuths() -> None:
     np.testing.assert_allclose(np.linalg.norm(axes, axis=0), 1.0, rtol=1e-14)
     np.testing.assert_allclose(np.arcsin(axes[2]), cant, rtol=1e-12)
     np.testing.assert_allclose(np.arctan2(axes[1], axes[0]), azimuths, rtol=1e-12)
-
-
-@pytest.mark.parametrize("field", ["mass", "axial_inertia", "radial_inertia"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_wheel_data_must_be_positive(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{field} must be positive"):
-        ReactionWheel(**{"mass": 1.0, "axial_inertia": 1.0, "radial_inertia": 1.0, field: value})
-    ReactionWheel(1e-3, 1e-3, 1e-3)

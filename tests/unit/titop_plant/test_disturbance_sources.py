@@ -124,30 +124,6 @@ def test_what_is_above_half_of_the_tick_rate_does_not_fold_back() -> None:
     assert seen[0] < 1e-6 and seen[1] > 0.99
 
 
-def test_a_slow_record_is_read_between_its_samples() -> None:
-    rate = 100.0
-    t = np.arange(2000) / rate
-    one = SampledSignal(np.sin(2 * np.pi * 31.0 * t)[:, None] * np.ones(6), rate, DT)
-    times = (1234 + INSTANTS) * DT
-    assert np.allclose(one.tick(1234, INSTANTS)[:, 0], np.sin(2 * np.pi * 31.0 * times), atol=1e-6)
-
-
-@pytest.mark.parametrize("place", ["bus", *PARAMETERS.nodes])
-def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.PlantFamily, place: str) -> None:
-    """The attitude's answer to a torque about z is the same wherever the torque acts, below all modes."""
-    tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
-    low = []
-    for one in ("bus", place):
-        telescope = placed.loaded_telescope(load_telescope(), True).system[
-            "attitude", "load_" + PARAMETERS.nodes[one] if one != "bus" else "external_wrench"
-        ]
-        data = telescope.at({})
-        w = 1e-3
-        low.append(data.C @ np.linalg.solve(1j * w * np.eye(len(data.A)) - data.A, data.B[:, 3:]))
-    assert np.abs(low[1] - low[0]).max() < 1e-3 * np.abs(low[0]).max()
-    assert np.isfinite(tables[1]).all() and np.abs(tables[1]).max() > 0
-
-
 def test_frames_and_offsets() -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     force_x = np.eye(6)[0]
@@ -233,16 +209,3 @@ def test_the_same_bits_after_a_reset_and_in_any_order(family: simulation.PlantFa
     later = [one.tick(k, INSTANTS) for k in (5, 900, 3)]
     assert all(np.array_equal(a, other.tick(k, INSTANTS)) for a, k in zip(later, (5, 900, 3)))
     assert plant.tones == pytest.approx(2 * np.pi * np.array([hz for hz, _, _ in TONES]))
-
-
-@pytest.mark.parametrize("drift", [3.5, 7.0, 30.0])
-def test_noise_with_a_drift_is_faded_into_its_beginning(drift):
-    """Its step across the ends is less than the largest one of the noise, but it is one of all that is slow."""
-    rng = np.random.default_rng(2)
-    noise = rng.standard_normal((20_000, 6))
-    assert len(repeated(noise, 2000.0)) == 20_000
-    drifting = noise + drift * np.linspace(-0.5, 0.5, 20_000)[:, None]
-    twice = np.vstack([repeated(drifting, 2000.0)] * 2)
-    assert len(twice) == 2 * 19_000
-    means = twice.reshape(-1, 100, 6).mean(axis=1)
-    assert np.abs(np.diff(means, axis=0)).max() < 0.6 + 0.3 * drift

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
@@ -117,24 +116,3 @@ def test_a_steady_wrench_turns_the_body_about_its_axis() -> None:
     _, twice = response(driven(2.0 * rows), commands)
     assert np.abs(once).max() > 1e-9
     np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-9, atol=1e-18)
-
-
-def test_reset_and_the_switch_of_the_disturbance() -> None:
-    rows = np.random.default_rng(2).standard_normal((60, DISTURBANCE_SIZE))
-    plant, commands = driven(rows), np.zeros((30, COMMANDS))
-    first = response(plant, commands)
-    plant.reset()
-    second = response(plant, commands)
-    np.testing.assert_array_equal(first[1], second[1])
-    plant.reset()
-    plant.change("disturbance", 0.0)
-    assert not response(plant, commands)[1].any()
-    plant.change("disturbance", 1.0)
-    assert response(plant, commands)[1].any()
-
-
-@pytest.mark.parametrize("port", DISTURBANCE_COLUMNS)
-def test_every_port_reaches_the_line_of_sight(port: str) -> None:
-    rows = np.zeros((50, DISTURBANCE_SIZE))
-    rows[:, DISTURBANCE_COLUMNS[port].start] = 1.0
-    assert response(driven(rows), np.zeros((50, COMMANDS)))[1].any()

@@ -53,12 +53,6 @@ def test_a_star_makes_low_pass_and_noise(tmp_path: Path) -> None:
     assert len(hashes) == 4
 
 
-def test_image_and_magnitude_are_one_model_of_the_loop(tmp_path: Path) -> None:
-    found = [load_telescope(user(tmp_path, f'[sensors]\ncamera = "{kind}"\n')) for kind in ("image", "magnitude")]
-    assert found[0].takes_images and not found[1].takes_images
-    assert found[0].parameters_hash == found[1].parameters_hash
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -75,11 +69,3 @@ def test_a_camera_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, tex
     with pytest.raises(ValueError, match=message) as refused:
         load_telescope(user(tmp_path, text))
     assert "\n" not in str(refused.value)
-
-
-def test_an_exposure_is_no_longer_than_a_frame(tmp_path: Path) -> None:
-    own = load_telescope(user(tmp_path, '[sensors]\ncamera = "magnitude"\n'))
-    own.check_exposure(20)
-    with pytest.raises(ValueError, match=r"camera.exposure must be at most the 0.01 s between frames of the run"):
-        own.check_exposure(10)
-    REFERENCE.check_exposure(1)  # that of a vector camera makes no difference

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lftkit.arrays import IntArray
 from lftkit.systems.ports import Port
 from titop_plant.interface import COMMAND_PORTS, COMMANDED, MEASURED_PORTS
 from titop_plant.telescope.load import load_telescope
@@ -53,28 +51,6 @@ def law(*names: str) -> SimpleNamespace:
     return SimpleNamespace(inputs=ports, outputs=ports)
 
 
-def columns(found: slice | IntArray) -> list[int]:
-    """Columns of a slice or an array among a hundred."""
-    return [int(column) for column in np.arange(100)[found]]
-
-
-def test_rows_of_the_reference_come_first(own: LoopPorts) -> None:
-    for ports in (own, load_telescope().loop_ports, LoopPorts()):
-        assert ports.measured[: len(MEASURED_PORTS)] == MEASURED_PORTS
-        assert ports.commanded[: len(COMMAND_PORTS)] == COMMAND_PORTS
-        assert not ports.reference.further
-    assert [port.name for port in own.further] == ["on_m1", "at_root", "shaker", "damper"]
-
-
-def test_columns_of_the_rows_are_a_partition(own: LoopPorts) -> None:
-    measured = [columns(own.measured_columns([port])) for port in own.measured]
-    commanded = [columns(own.command_columns([port])) for port in own.commanded]
-    assert np.concatenate(measured).tolist() == list(range(own.measurements)) and own.measurements == 22 + 3 + 1
-    assert np.concatenate(commanded).tolist() == list(range(own.commands)) and own.commands == 8 + 2
-    some = (own.measured[4], own.measured[1])
-    assert columns(own.measured_columns(some)) == measured[4] + measured[1]
-
-
 @pytest.mark.parametrize("count", [0, 20, 22])
 def test_ports_of_the_response_are_a_partition(own: LoopPorts, count: int) -> None:
     """Whatever the number of disturbances is; the port of the forces has those of the file's actuators."""
@@ -116,49 +92,9 @@ def test_a_controller_sees_what_it_names_in_the_order_of_the_rows(own: LoopPorts
         own.measured_columns([Port("shaker", 1)])
 
 
-def test_readings_of_a_controller_are_those_that_it_names_in_its_order(own: LoopPorts) -> None:
-    readings = np.arange(own.measurements - 22)
-    for names in ((), ("at_root",), ("on_m1",), ("at_root", "on_m1")):
-        used = own.named(names)
-        assert used.reference == own.reference and [row.name for row in used.further_sensors] == [*names]
-        behind = own.measured_columns(used.further_measured)
-        assert (22 + readings[own.readings_of(used)]).tolist() == columns(behind)
-
-
 def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPorts) -> None:
     """Actuators are in the order of its own outputs: they are behind the eight values of its command."""
     given = law("damper", "at_root", "shaker", "pma_force", "on_m1")
     found = own.among(given.inputs, given.outputs)
     assert [port.name for port in found.further] == ["on_m1", "at_root", "damper", "shaker"]
     assert found.commands == own.commands and not own.among((), ()).further
-
-
-@pytest.mark.parametrize(
-    ("sensors", "actuators", "message"),
-    [
-        (("on_m2",), (), "sensors must be distinct names among on_m1, at_root, got ('on_m2',)"),
-        (("on_m1", "on_m1"), (), "sensors must be distinct names among on_m1, at_root, got ('on_m1', 'on_m1')"),
-        ("on_m1", (), "sensors must be distinct names among on_m1, at_root, got 'on_m1'"),
-        ((), ("pma_force",), "actuators must be distinct names among shaker, damper, got ('pma_force',)"),
-    ],
-)
-def test_other_names_are_refused(own: LoopPorts, sensors: str, actuators: str, message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        own.named(sensors, actuators)
-    with pytest.raises(ValueError, match="none, as in the telescope's file, got"):
-        own.reference.named(sensors, actuators)
-
-
-def test_rows_are_idle_or_used(own: LoopPorts) -> None:
-    names = [port.name for port in own.further]
-    assert own.idle(names) == own.reference.idle() == ""
-    for name in names:
-        rest = [other for other in names if other != name]
-        kind = "sensor" if name in ("on_m1", "at_root") else "actuator"
-        assert own.idle(rest) == f"controllers and predictions do not use {kind} {name} of the telescope's file"
-
-
-def test_without_scale_a_command_has_its_unit(own: LoopPorts) -> None:
-    plain = own.unscaled()
-    assert plain.scale.tolist() == [1.0] * own.commands and plain.commanded == own.commanded
-    assert [row.authority for row in plain.actuators] == [row.authority for row in own.actuators]

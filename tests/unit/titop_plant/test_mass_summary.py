@@ -82,12 +82,3 @@ def test_properties_do_not_depend_on_the_point_or_the_frame() -> None:
         np.testing.assert_allclose(found.inertia, inertia, atol=1e-12)
         np.testing.assert_allclose(turned.center, turn @ center, atol=1e-12)
         np.testing.assert_allclose(turned.inertia, turn @ inertia @ turn.T, atol=1e-12)
-
-
-def test_a_rigid_body_has_no_share() -> None:
-    none = np.zeros(0)
-    rigid = ModalData(
-        "block", "P", np.zeros(3), from_inertia(2.0, np.eye(3), np.zeros(3)), none, none, np.zeros((0, 6))
-    )
-    assert mass_summary(rigid).sums.tolist() == [0.0] * 6
-    assert "| sum |" in str(mass_summary(rigid))

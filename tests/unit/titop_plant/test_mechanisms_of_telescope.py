@@ -12,10 +12,7 @@ from scipy import linalg
 
 from titop_plant.disturbances.mechanisms import mount_matrix
 from titop_plant.disturbances.places import place_matrix, source_ports
-from titop_plant.disturbances.sources import loaded_telescope
-from titop_plant.disturbances.wheel_and_drive_tones import sadm_tones
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.control_plant import control_plant
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.mechanism_modes import mechanism_modes
 from titop_plant.telescope.telescope import Telescope
@@ -58,16 +55,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def telescope(path: Path) -> Telescope:
     return load_telescope(path)
-
-
-def test_order_and_repetitions(telescope: Telescope) -> None:
-    """Ten states for each of four wheels, two for each of two drives; Delta is that of the reference."""
-    found, reference = build_telescope(telescope).system, build_telescope().system
-    assert found.order == reference.order + 4 * 10 + 2 * 2
-    assert found.occurrences() == reference.occurrences()
-    assert found.inputs == reference.inputs and found.outputs == reference.outputs
-    assert linalg.eigvals(found.at({}).A).real.max() < 0.0
-    assert control_plant(telescope).order == control_plant(load_telescope()).order + 44
 
 
 def test_stiff_mechanisms_are_the_reference(telescope: Telescope) -> None:
@@ -140,27 +127,6 @@ def _slices(telescope: Any, names: list[str]) -> list[slice]:
 
     columns = port_slices(source_ports(telescope))
     return [columns[name] for name in names]
-
-
-def test_a_source_has_the_torque_of_each_motor(path: Path) -> None:
-    system = loaded_telescope(load_telescope(path), True).system
-    assert system.input_port("motor_torque").size == 2
-    data = system["sadm_angle", "motor_torque"].at({})
-    static = data.D - data.C @ linalg.solve(data.A, data.B)
-    np.testing.assert_allclose(static, np.eye(2) / (100.0 * 0.4 * 50.0), atol=1e-9)  # the rotor turns its array along
-
-
-def test_a_drive_with_a_stepper_has_no_fixed_harmonics(telescope: Telescope) -> None:
-    assert sadm_tones(telescope, np.random.default_rng(0)).frequency.size == 0
-    assert sadm_tones(load_telescope(), np.random.default_rng(0)).frequency.size == 5
-
-
-def test_what_is_a_source_does_not_change_the_design(path: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other.toml"
-    other.write_text(FILE.replace("detent_torque = 0.02", "detent_torque = 0.01").replace("1e-6, 1e-6", "2e-6, 1e-6"))
-    assert load_telescope(path).design_basis == load_telescope(other).design_basis
-    other.write_text(FILE.replace("rocking_stiffness = 6.0e3", "rocking_stiffness = 7.0e3"))
-    assert load_telescope(path).parameters_hash != load_telescope(other).parameters_hash
 
 
 def test_wheels_and_arrays_of_a_list_have_their_own(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from unit.titop_plant.test_structures_nastran import KEEP, PARENT, frame, load, same_body, write_bdf, write_op2
 
-from titop_plant.structures import BeamFrame, ModalData, read_nastran, to_modal_data
-from titop_plant.structures.nastran_deck import read_deck
+from titop_plant.structures import BeamFrame, read_nastran, to_modal_data
 from titop_plant.structures.nastran_match import check_grids
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE
 
@@ -70,35 +69,6 @@ def test_a_deck_of_other_units_is_the_same_body(tmp_path: Path, system: str, wei
     same_body(load(tmp_path), to_modal_data(source, PARENT, ["e", "d"], KEEP), 1e-5)
 
 
-def test_a_given_mass_matrix_is_in_the_units_of_the_deck(tmp_path: Path) -> None:
-    source = frame()
-    written(tmp_path, scaled(source, 1e-3, 1.0), "PARAM,UNITSYS,MN-MM\n")
-    expected = to_modal_data(source, PARENT, ["e", "d"], KEEP)
-    factor = np.outer(*2 * [np.repeat([1.0, 1e3], 3)])
-    same_body(load(tmp_path, mass_matrix=expected.mass_matrix * factor), expected, 1e-5)
-
-
-@pytest.mark.parametrize(
-    ("extra", "message"),
-    [
-        ("PARAM,UNITSYS,FURLONGS\n", "UNITSYS must be one of N-M, .*, got FURLONGS"),
-        ("PARAM,WTMASS,.00259\n", r"units must be given with PARAM,WTMASS,0\.00259, as units='inch-lbf-s'"),
-        ("SOL 103\nCEND\nPARAM,WTMASS,2.59-3\nBEGIN BULK\n", "units must be given with PARAM,WTMASS,0.00259"),
-        ("PARAM,WTMASS,-1.\n", "WTMASS must be a positive number, got -1.0"),
-        ("SOL 103\nCEND\nSUBCASE 1\n  PARAM,UNITSYS,XX\nBEGIN BULK\n", "UNITSYS must be one of .*, got XX"),
-    ],
-)
-def test_units_that_are_not_known_are_refused_by_name(tmp_path: Path, extra: str, message: str) -> None:
-    written(tmp_path, frame(), extra)
-    with pytest.raises(ValueError, match=message):
-        load(tmp_path)
-
-
-def test_a_wtmass_of_one_is_none(tmp_path: Path) -> None:
-    written(tmp_path, frame(), "SOL 103\nCEND\nPARAM,WTMASS,1.0\nBEGIN BULK\n")
-    assert isinstance(load(tmp_path), ModalData)
-
-
 def heavier(source: BeamFrame) -> BeamFrame:
     masses = (*source.masses[:-1], replace(source.masses[-1], mass=1.1 * source.masses[-1].mass))
     return BeamFrame(source.name, source.nodes, source.beams, masses)
@@ -128,16 +98,6 @@ def test_a_deck_with_the_op2_of_another_model_is_refused(tmp_path: Path, name: s
     write_op2(OTHERS[name](), tmp_path / "crane.op2", weight=weight)
     with pytest.raises(ValueError, match="results must be of the model of the deck"):
         load(tmp_path)
-
-
-def test_grid_points_that_the_deck_has_not_are_named(tmp_path: Path) -> None:
-    small = frame()
-    nodes = {name: small.nodes[name] for name in "acd"}
-    less = BeamFrame("crane", nodes, tuple(b for b in small.beams if "e" not in (b.start, b.end)), small.masses[:2])
-    written(tmp_path, small)
-    write_bdf(less, tmp_path / "crane.bdf")
-    with pytest.raises(ValueError, match=r"got 1 unknown grid points: \[4\]"):
-        load(tmp_path, ports={"d": 3})
 
 
 def test_positions_that_the_op2_states_are_compared() -> None:
@@ -197,10 +157,3 @@ def test_a_pipe_or_device_is_no_deck_and_no_result(tmp_path: Path) -> None:
         deck.write("INCLUDE 'pipe'\n")
     with pytest.raises(ValueError, match="not an ordinary file"):
         load(tmp_path)
-
-
-def test_no_comment_makes_pynastran_write_or_leave_out(tmp_path: Path) -> None:
-    written(tmp_path, frame(), "$ pyNastran: dumplines=True\n$pyNastran: version=zona\n$PYNASTRAN: skip_cards=CONM2\n")
-    assert "nastran" not in read_deck(tmp_path / "crane.bdf").text.lower()
-    assert load(tmp_path).mass_matrix[0, 0] > 15.0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["crane.bdf", "crane.op2"]

@@ -11,14 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
 from support.nastran_deliveries import (
     CYLINDRICAL,
-    ORIGIN,
     RECTANGULAR,
     TURNED,
     Delivery,
-    equations,
     matrices,
     solved,
     write_deck,
@@ -39,10 +36,6 @@ from titop_plant.structures import (
     to_modal_data,
 )
 from titop_plant.structures.beam_frame import rigid_body_modes
-from titop_plant.structures.kinematics import tau
-from titop_plant.structures.nastran_axes import displacement_axes
-from titop_plant.structures.nastran_files import read_model
-from titop_plant.structures.nastran_mass import momentum_maps
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE, DeckUnits
 from titop_plant.structures.sections import tube
 
@@ -149,37 +142,6 @@ def test_constraints_are_in_the_displacement_coordinates(tmp_path: Path) -> None
     same_body(load(tmp_path, delivery, parent), expected(delivery), 1e-5)
 
 
-def test_a_grid_point_on_the_axis_of_its_coordinates_is_refused(tmp_path: Path) -> None:
-    source = boom(2)
-    nodes = {"P": ORIGIN, "tip": ORIGIN + TURNED[2]}
-    frame = BeamFrame("boom", nodes, (replace(source.beams[0], elements=2),))
-    delivery = Delivery(frame, {"P": "123456"}, cards="")
-    write_results(delivery, tmp_path / "x.op2")
-    write_deck(replace(delivery, cd={"P": RECTANGULAR}), tmp_path / "x.bdf")
-    text = (tmp_path / "x.bdf").read_text()
-    (tmp_path / "x.bdf").write_text(text.replace(f"{RECTANGULAR:>16}", f"{CYLINDRICAL:>16}", 1))
-    with pytest.raises(ValueError, match=r"GRID 1 must have displacement coordinates that exist there, got CD 8"):
-        again(tmp_path, delivery)
-
-
-@pytest.mark.parametrize("kind", ["r", "c", "s"])
-def test_axes_are_the_directions_in_which_the_coordinates_grow(kind: str) -> None:
-    """By differences of pyNastran's positions."""
-    from pyNastran.bdf.bdf import BDF
-
-    model = BDF(debug=None)
-    getattr(model, f"add_cord2{kind}")(7, ORIGIN, ORIGIN + TURNED[2], ORIGIN + TURNED[0])
-    model.add_grid(1, [0.9, -0.3, 0.7], cd=7)
-    model.cross_reference()
-    system = model.nodes[1].cd_ref
-    here = system.transform_node_to_local(model.nodes[1].get_position())
-    rows = []
-    for step in 1e-5 * np.eye(3):
-        grown = system.transform_node_to_global(here + step) - system.transform_node_to_global(here - step)
-        rows.append(grown / np.linalg.norm(grown))
-    np.testing.assert_allclose(displacement_axes(model.nodes[1], "x"), rows, atol=1e-8)
-
-
 @pytest.mark.parametrize("cid", [RECTANGULAR, CYLINDRICAL, -1])
 def test_a_mass_in_coordinates_of_its_own_is_the_same(tmp_path: Path, cid: int) -> None:
     """Offset and inertia of a CONM2 in the axes of CID, or its position with CID -1."""
@@ -224,12 +186,6 @@ def test_without_constraint_forces_other_masses_are_refused(tmp_path: Path) -> N
     write_results(replace(delivery, frame=light, lumped=True, weight=None), tmp_path / "x.op2", forces=False)
     with pytest.raises(ValueError, match="miss I by"):
         again(tmp_path, delivery, parent)
-
-
-def test_a_rigid_ring_and_clamped_bolts_are_the_same_body(tmp_path: Path) -> None:
-    """RBE2 with its centre clamped, against the bolts clamped and a frame whose bolts are one node's."""
-    rigid = load(tmp_path, *HELD["RBE2"])
-    same_body(load(tmp_path, *HELD["bolts clamped"]), replace(rigid, name="x"), 1e-5)
 
 
 def test_an_interface_without_one_of_its_bolts_is_refused(tmp_path: Path) -> None:
@@ -335,11 +291,6 @@ def test_units_in_which_no_material_exists_are_refused(tmp_path: Path, units: st
         load(tmp_path, HELD["RBE2"][0], units=units)
 
 
-def test_an_unknown_option_is_a_type_error(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"option must be one of .*, got unit"):
-        load(tmp_path, HELD["RBE2"][0], unit="SI")
-
-
 @pytest.mark.parametrize("weight", [0, None])
 @pytest.mark.parametrize("lumped", [False, True])
 def test_a_straight_boom_of_bars_is_a_cantilever(tmp_path: Path, lumped: bool, weight: int | None) -> None:
@@ -357,48 +308,3 @@ def test_a_straight_boom_of_bars_is_a_cantilever(tmp_path: Path, lumped: bool, w
     np.testing.assert_allclose(body.center_of_mass, [1.0, 0.0, 0.0], atol=1e-6)
     if not lumped:
         same_body(body, to_modal_data(boom(), "P", ["tip"], 4), 1e-5)
-
-
-def test_points_on_a_line_without_any_inertia_about_it_are_refused(tmp_path: Path) -> None:
-    source = boom(1)
-    light = replace(source.beams[0], section=replace(source.beams[0].section, density=0.0))
-    lump = LumpedMass("tip", 2.0, np.diag([0.0, 0.1, 0.1]))
-    delivery = Delivery(BeamFrame("boom", source.nodes, (light,), (lump,)), {"P": "123456"}, lumped=True, keep=2)
-    with pytest.raises(ValueError, match=r"inertia about every axis, got none .*: give a CONM2 an inertia"):
-        load(tmp_path, delivery)
-
-
-def test_the_constraint_forces_of_the_generator_balance_the_inertia() -> None:
-    """Its multipliers against Newton's law: forces at the bolts, moved to P, are -w^2 times the momentum."""
-    delivery, _ = HELD["bolts pinned"]
-    found, names = solved(delivery), matrices(delivery)[0]
-    moved = sum(
-        tau(delivery.frame.nodes[name], POINT).T @ found.forces[6 * k : 6 * k + 6]
-        for k, name in enumerate(names)
-        if name in RING
-    )
-    momentum = rigid_body_modes(delivery.frame, names, POINT).T @ found.M @ found.shapes
-    np.testing.assert_allclose(moved, -found.squares * momentum, atol=1e-6 * np.abs(found.squares * momentum).max())
-
-
-@pytest.mark.parametrize("lumped", [False, True])
-def test_momentum_of_the_elements_is_that_of_the_assembly(tmp_path: Path, lumped: bool) -> None:
-    """Every velocity of every grid point: R' M of this project's matrices, whose elements are integrated otherwise."""
-    delivery = replace(HELD["RBE2"][0], lumped=lumped)
-    write_deck(delivery, tmp_path / "x.bdf")
-    names, M, _ = matrices(delivery)
-    maps, unknown = momentum_maps(read_model(tmp_path / "x.bdf")[1], POINT, not lumped)
-    assert unknown == ""
-    rows = rigid_body_modes(delivery.frame, names, POINT).T @ M
-    for k, name in enumerate(names):
-        mine = maps.get(delivery.grid(name), np.zeros((6, 6)))
-        np.testing.assert_allclose(mine, rows[:, 6 * k : 6 * k + 6], atol=1e-9 * np.abs(rows).max(), err_msg=name)
-
-
-def test_a_mean_of_bolts_is_softer_than_their_rigid_ring() -> None:
-    """RBE3 constrains six combinations of the bolts, RBE2 all of them: by Rayleigh its frequencies are the lower."""
-    soft, stiff = (solved(HELD[kind][0]).squares for kind in ("RBE3", "RBE2"))
-    assert np.all(soft <= stiff)
-    rows = equations(HELD["RBE3"][0], {name: 6 * k for k, name in enumerate(matrices(HELD["RBE3"][0])[0])}, 60)[0]
-    assert rows.shape[0] == 12
-    assert eigh(rows @ rows.T, eigvals_only=True)[0] > 0.0

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nastran_deliveries import CYLINDRICAL, RECTANGULAR, Delivery, write_deck, write_superelement
+from support.nastran_deliveries import Delivery, write_deck, write_superelement
 from unit.titop_plant.test_nastran_decks import scaled
-from unit.titop_plant.test_nastran_deliveries import HELD, POINT, RING, expected, tower
+from unit.titop_plant.test_nastran_deliveries import HELD, RING, expected, tower
 from unit.titop_plant.test_structures_nastran import same_body
 
-from titop_plant.structures import Interface, ModalData, effective_masses, read_nastran_matrices
+from titop_plant.structures import Interface, ModalData, read_nastran_matrices
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE
 
 pytest.importorskip("pyNastran", reason="extra nastran")
@@ -73,23 +73,6 @@ def test_matrices_in_other_units_are_the_same_body(tmp_path: Path, units: str, l
     same_body(load(tmp_path, units=units, n_modes=8), expected(HELD["RBE2"][0]), 1e-6)
 
 
-def test_matrices_in_displacement_coordinates_are_the_same_body(tmp_path: Path) -> None:
-    turned = replace(FREE, cd={"P": CYLINDRICAL, "tip": RECTANGULAR})
-    reduced(tmp_path, turned, 18)
-    same_body(load(tmp_path, n_modes=8), expected(HELD["RBE2"][0]), 1e-6)
-
-
-def test_lumped_masses_leave_out_rotations_without_mass(tmp_path: Path) -> None:
-    lumped = replace(FREE, lumped=True)
-    light = replace(lumped, frame=replace(tower(), masses=tower().masses[1:]))  # the tip has no inertia of its own
-    reduced(tmp_path, light, 0, {"P": SIX, "tip": SIX, "top": SIX})
-    found = load(tmp_path, light)
-    assert found.n_modes < 12
-    share = effective_masses(found).sum(axis=0)[:3] / found.mass
-    assert np.all(share < 1.0)
-    np.testing.assert_allclose(found.parent_position, POINT, atol=1e-12)
-
-
 def test_a_grounded_component_and_other_positions_are_refused(tmp_path: Path) -> None:
     held = Delivery(tower(False), {RING[0]: SIX, RING[2]: SIX})
     reduced(tmp_path, held, 4, {RING[4]: SIX, "tip": SIX})
@@ -133,13 +116,3 @@ def test_incomplete_punch_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "x.pch").write_text(text.replace(*heads))
     with pytest.raises(ValueError, match=r"must be (real and square|readable by pyNastran)"):
         load(tmp_path)
-
-
-def test_deck_and_matrices_in_one_file(tmp_path: Path) -> None:
-    reduced(tmp_path, FREE, 4)
-    apart = load(tmp_path)
-    (tmp_path / "x.pch").write_text((tmp_path / "x.bdf").read_text() + (tmp_path / "x.pch").read_text())
-    both = read_nastran_matrices(
-        tmp_path / "x.pch", tmp_path / "x.pch", name="x", parent=("P", 1), ports={"tip": 9}, units="SI"
-    )
-    np.testing.assert_array_equal(both.frequencies, apart.frequencies)

@@ -26,21 +26,9 @@ def test_a_table_changes_that_of_its_name_and_leaves_the_others(tmp_path: Path) 
     assert found == reference
 
 
-def test_a_new_name_is_added(tmp_path: Path) -> None:
-    text = '[[payload.equipment]]\nname = "star tracker"\nmass = 2.0\nsize = [0.1, 0.1, 0.2]\nnode = "bench"\n'
-    found = equipment(tmp_path, text)
-    assert list(found)[-1] == "star tracker" and len(found) == len(load_telescope().payload.equipment) + 1
-
-
 def test_the_whole_list_is_replaced_only_when_asked(tmp_path: Path) -> None:
     one = '[[payload.equipment]]\nname = "all"\nmass = 30.0\nsize = [0.5, 0.5, 0.5]\nnode = "bench"\n'
     assert list(equipment(tmp_path, '[payload]\nreplace = ["equipment"]\n' + one)) == ["all"]
-
-
-def test_a_place_by_node_takes_the_place_of_a_position(tmp_path: Path) -> None:
-    found = equipment(tmp_path, '[[payload.equipment]]\nname = "calibration unit"\nnode = "bench"\n')
-    unit = found["calibration unit"]
-    assert unit.position is None and unit.mass == 4.1
 
 
 @pytest.mark.parametrize(

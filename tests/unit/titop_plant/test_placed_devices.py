@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lftkit import Port
-from titop_plant.disturbances.places import all_places, place_matrix, source_ports
 from titop_plant.sensors import Sensor, SensorMount
 from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
 from titop_plant.telescope.load import load_telescope
@@ -102,15 +101,6 @@ def test_sensors_measure_the_twists_of_the_telescope(sensed: AssembledTelescope)
         assert np.abs(read_off - expected).max() <= 1e-10 * np.abs(expected).max()
 
 
-def test_sensors_change_nothing_else(sensed: AssembledTelescope, tmp_path: Path) -> None:
-    reference = build_telescope()
-    assert sensed.system.order == reference.system.order == 204
-    assert read(tmp_path, SENSORS).parameters_hash == load_telescope().parameters_hash
-    names = [port.name for port in reference.system.outputs]
-    for one, other in zip(sensed.system.select(outputs=names).at({}).matrices, reference.system.at({}).matrices):
-        assert np.abs(one - other).max() <= 1e-10 * np.abs(other).max()
-
-
 def test_two_equal_actuators_are_reciprocal(actuated: tuple[Telescope, AssembledTelescope]) -> None:
     """A force at one moves the other as much as one at the other moves the first."""
     pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
@@ -129,24 +119,6 @@ def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Telescope
         relative = s / (m * s**2 + d * s + k) * (m * pair(s) + np.eye(2))  # from the equation of the mass
         least = np.linalg.eigvalsh(relative + relative.conj().T).min()
         assert least >= -1e-9 * np.abs(relative).max()
-
-
-def test_mass_and_states_are_added(actuated: tuple[Telescope, AssembledTelescope]) -> None:
-    telescope, assembled = actuated
-    bare = build_telescope(attitude_controlled=False)
-    assert assembled.system.order == bare.system.order + 4
-    slow = [np.linalg.inv(t.system["accel_G", "external_wrench"].at({})(1e-3j))[:3, :3] for t in (assembled, bare)]
-    added = 2 * (telescope.pma.moving_mass + telescope.pma.casing_mass)
-    assert (slow[0] - slow[1]).real == pytest.approx(added * np.eye(3), abs=2e-3)
-
-
-def test_a_source_drives_an_actuator(actuated: tuple[Telescope, AssembledTelescope]) -> None:
-    telescope = actuated[0]
-    assert all_places(telescope)[-2:] == ("one", "two")
-    matrix = place_matrix("two", telescope)
-    assert np.argwhere(matrix).tolist() == [[sum(p.size for p in source_ports(telescope)) - 1, 2]]
-    with pytest.raises(ValueError, match="frame and offset must be absent at one, which has a force along its axis"):
-        place_matrix("one", telescope, offset=np.ones(3))
 
 
 PLACE = '[[sensor]]\nname = "a"\nplace = "bus"\n'

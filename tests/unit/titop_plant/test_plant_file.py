@@ -131,14 +131,6 @@ def test_a_file_of_matlab_is_the_telescope_that_it_was_made_of(written: Callable
         np.testing.assert_allclose(one(1j * omega), other(1j * omega), rtol=1e-8)
 
 
-def test_the_mirror_is_added_to_a_line_of_sight_without_it(written: Callable[..., Path], small: System) -> None:
-    names = [port.name for port in small.outputs if port.name != "los_controlled"]
-    telescope = load_telescope(written(small.select(outputs=names)))
-    assert telescope.plant is not None
-    got, expected = (one["los_controlled", "fsm_command"].at({})(40j) for one in (telescope.plant, small))
-    np.testing.assert_allclose(got, expected, rtol=1e-9)
-
-
 def test_speeds_that_are_no_blocks_are_those_of_the_tones(written: Callable[..., Path], small: System) -> None:
     speeds = {f"wheel_{i}.speed": 100.0 * i for i in (1, 2, 3)}
     fixed = System(*small.at(speeds).matrices, small.inputs, small.outputs)

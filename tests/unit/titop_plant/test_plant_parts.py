@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -28,7 +27,6 @@ N, FURTHER, TICKS = 5, 2, 200
 SIZE = MEASUREMENTS + TRUTH + FURTHER
 AUTHORITY = np.array([5e-3] * 2 + [30.0] * 6)
 ACTUATOR = load_telescope().pma
-UNLIMITED = DeviceLimits(math.inf, math.inf, math.inf, 0.0, 0.0, 0.0, 0.0)
 SILENT = SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0)
 NOISY = SensorModel(np.full(MEASUREMENTS, 0.1), np.linspace(-1.0, 1.0, MEASUREMENTS), 4, 0.3, 7)
 EACH = np.ones(FURTHER)
@@ -138,12 +136,6 @@ def test_a_force_beyond_its_authority_is_the_authority() -> None:
     np.testing.assert_array_equal(found, response(plant, np.clip(commands, -plant.limits, plant.limits)))
 
 
-def test_limits_that_limit_nothing_leave_every_bit() -> None:
-    plain = telescope(NOISY, 1.0)
-    limited = replace(plain, devices=LimitedDevices(UNLIMITED, ACTUATOR, plain.limits))
-    assert response(plain, commanded()).tobytes() == response(limited, commanded()).tobytes()
-
-
 def test_limits_of_devices_change_no_truth_of_slow_commands() -> None:
     """They filter and round the measurement; a command within rate and stroke is applied as it is."""
     plain = telescope(SILENT, 1.0)
@@ -153,13 +145,6 @@ def test_limits_of_devices_change_no_truth_of_slow_commands() -> None:
     first, second = response(plain, commands), response(limited, commands)
     assert first[:, MEASUREMENTS:].tobytes() == second[:, MEASUREMENTS:].tobytes()
     assert not np.array_equal(first[:, :MEASUREMENTS], second[:, :MEASUREMENTS])
-
-
-def test_the_camera_is_the_last_part() -> None:
-    """Neither quantisation nor lost frames of the plant's own camera change its angles."""
-    found = response(whole(), commanded(COMMANDS + 1))
-    assert found[:, CAMERA.start].tolist() == list(range(TICKS))
-    assert np.array_equal(found[:, CAMERA.start + 1], found[:, MEASUREMENTS])
 
 
 def test_the_time_of_a_disturbance_goes_on_while_it_is_off() -> None:
@@ -189,14 +174,6 @@ def test_a_reset_gives_the_same_bits(again: Callable[[Plant], None]) -> None:
     same = again is Plant.reset
     assert (first[0].tobytes() == second[0].tobytes()) == same
     assert np.array_equal(first[1], second[1]) == same
-
-
-def test_the_name_says_what_the_parts_are() -> None:
-    plant = whole()
-    assert plant.parameters_hash.startswith("small with noise with (0.5, ")
-    assert plant.tones.tolist() == [50.0, 77.0]
-    assert replace(plant, inputs=(), devices=None).parameters_hash == "small"
-    assert not plant.is_plain and plant.readings.size == FURTHER
 
 
 def test_mistakes() -> None:

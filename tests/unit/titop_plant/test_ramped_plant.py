@@ -21,7 +21,7 @@ from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.motion_profiles import MotionProfile, linear_profile, read_profile, trapezoidal_profile
+from titop_plant.telescope.motion_profiles import MotionProfile, linear_profile, read_profile
 
 SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
 CROSSING = PlantConfig(
@@ -42,24 +42,6 @@ def line_of_sight(plant: Plant, ticks: int, every: int = 1) -> np.ndarray:
         if k % every == 0:
             record[k // every] = truth
     return record
-
-
-@pytest.mark.slow
-def test_a_wheel_crosses_the_mode_near_400_as_with_ten_times_finer_integration() -> None:
-    """Ticks and nodes ten times finer: the line of sight differs by less than 0.5 % of its peak."""
-    family = PlantFamily.of(CROSSING)
-    start = build_plant(CROSSING)
-
-    def record(finer: float, ticks: int) -> np.ndarray:
-        dt = DT / ticks
-        nodes, interval, tones = family.nodes(CROSSING, dt, finer)
-        plant = Plant(RampedStep(nodes, interval, tones, start.state, dt), SILENT, start.limits)
-        return line_of_sight(plant, 1200 * ticks, ticks)
-
-    usual, fine = record(1.0, 1), record(10.0, 10)
-    peak = np.abs(fine).max()
-    assert np.abs(usual - fine).max() < 5e-3 * peak
-    np.testing.assert_array_equal(usual, line_of_sight(build_plant(CROSSING), 1200))
 
 
 @pytest.mark.slow
@@ -161,26 +143,6 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     assert np.abs(first - second).max() < 1e-7 * np.abs(second).max()
 
 
-def test_trapezoidal_profile_has_the_ends_of_the_linear_one() -> None:
-    given = (0.1, 0.02, np.arange(4.0), np.full(4, 3.0), 8.0)
-    one, two = linear_profile(*given), trapezoidal_profile(*given)
-    for time in (0.0, 4.0, 8.0, 9.0):
-        assert two.angle(time) == pytest.approx(float(one.angle(time)), abs=1e-12)
-        np.testing.assert_allclose(two.speeds(time), one.speeds(time), atol=1e-12)
-    assert two.steepest()[0] == pytest.approx(0.02 / 0.75)
-    slow = np.diff(two.speeds(np.array([0.0, 0.1, 4.0, 4.1]))[:, 0])
-    assert slow[0] < 0.1 * slow[2]
-
-
-def test_a_file_moves_the_plant(tmp_path: Path) -> None:
-    path = tmp_path / "p.csv"
-    path.write_text(
-        "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4\n0,0.1,1,2,3,4\n2,0.3,5,2,3,4\n"
-    )
-    config = PlantConfig(scenario="ramp", profile=str(path))
-    assert config.ramps and motion(config, load_telescope()).speeds(1.0).tolist() == [3.0, 2.0, 3.0, 4.0]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -196,13 +158,6 @@ def test_files_that_are_no_profile(text: str, message: str, tmp_path: Path) -> N
     path.write_text(text.replace("HEAD", "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4"))
     with pytest.raises(ValueError, match=message):
         read_profile(path)
-
-
-def test_a_ramp_without_a_ramp_is_refused() -> None:
-    with pytest.raises(ValueError, match="must be given in the scenario ramp, got no ramp"):
-        PlantConfig(scenario="ramp")
-    with pytest.raises(ValueError, match=r"profile must be one of linear, trapezoidal or a CSV file, got no\.csv"):
-        motion(PlantConfig(scenario="ramp", profile="no.csv"), load_telescope())
 
 
 def test_modes_of_the_report_are_those_of_the_telescope() -> None:

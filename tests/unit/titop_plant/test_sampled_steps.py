@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from lftkit import Port, System
-from titop_plant.disturbances.wheel_and_drive_tones import Tones, joined, no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import CAMERA, DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.constant_step import ConstantStep
@@ -138,16 +138,6 @@ def test_compiled_code_has_the_bits_of_numpy(name: str) -> None:
     assert records[0] == records[1]
 
 
-def test_a_disturbance_that_ends_leaves_the_state_where_it_is() -> None:
-    model = plant(PLANTS["pairs and real poles"])
-    for _ in range(20):
-        model.step(np.zeros(8), np.zeros(22), np.zeros(2))
-    for value in (0.0, 1.0):
-        before = model.state
-        model.change("disturbance", value)
-        np.testing.assert_allclose(model.state, before, rtol=1e-12)
-
-
 def test_the_state_is_a_copy_and_the_settings_are_kept() -> None:
     model = plant(PLANTS["one real pole"])
     model.state[:] = 9.0
@@ -162,12 +152,6 @@ def tones() -> Tones:
     return Tones(
         np.array([200.0, 500.0, 150.0, 7.0]), amplitude, np.array([1.0, 2.5, 1.0, 0.0]), np.array([1, 1, 3, -1])
     )
-
-
-def test_joined_sets_keep_their_tones_in_order() -> None:
-    whole = joined([tones(), no_tones(), replace(tones(), frequency=np.zeros(4))])
-    assert whole.frequency.tolist() == [200.0, 500.0, 150.0, 7.0, 0.0, 0.0, 0.0, 0.0]
-    assert whole.amplitude.shape == (22, 8) and whole.wheel.tolist() == [1, 1, 3, -1] * 2
 
 
 @pytest.mark.parametrize("name", PLANTS)

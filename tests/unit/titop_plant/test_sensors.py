@@ -11,7 +11,6 @@ from lftkit import Port
 from titop_plant.interface import ACCELEROMETERS, COLUMNS, HELD, HELD_PARTS, MEASURED, period_ticks, sample_ticks
 from titop_plant.sensors import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.telescope import Telescope
 
 TABLE: dict[str, Any] = {
     "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
@@ -68,10 +67,3 @@ def test_columns_and_ticks_follow_from_the_table() -> None:
 def test_an_entry_that_no_loop_can_have_is_refused(port: Port, rate: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SensorEntry(port, "a", "a", "a", "a_noise", "camera_step", rate)
-
-
-def test_a_key_that_the_parameter_file_lacks_is_named(telescope) -> None:
-    tables = telescope.to_mapping()
-    del tables["sensors"]["camera_noise"]
-    with pytest.raises(ValueError, match=r"sensors.camera_noise of camera_los must be in the parameter file"):
-        _ = Telescope(tables).sensors

@@ -15,7 +15,7 @@ from oracles.accurate_response import accurate_response
 from oracles.kinematic_elimination import about_point, carry, index_slices, turn
 from scipy import linalg
 
-from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
+from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
@@ -199,21 +199,6 @@ def test_every_pair_of_ports_by_equations_of_motion(case: Any) -> None:
             assert (error <= bound).all(), (y, u, values, (error / np.maximum(size, 1e-300)).max())
 
 
-def test_order_and_occurrences(case: Any) -> None:
-    """Two states for each mode, each gearbox, each mirror axis, each actuator; twice each frequency, 16 times tau."""
-    system, layout = case.assembled.system, case.layout
-    tables = [*layout.get("solar_array", ()), *layout.get("appendage", ())]
-    modes = sum(body.n_modes for body in case.assembled.bodies[:2]) + sum(len(t["frequencies"]) for t in tables)
-    drives = sum(table.get("driven", True) for table in layout["solar_array"])
-    actuators = 0 if "pma" in layout else 6
-    rotors = 5 * 3 if layout is BEARINGS else 0
-    assert system.order == 2 * (modes + drives + 6 + 2 + actuators + 3 + rotors)
-    found = system.occurrences()
-    assert list(found) == list(case.telescope.uncertain)
-    kinds = {"speed": 2, "omega_1": 2, "omega_2": 2, "tau": 16}
-    assert all(count == kinds[name.rpartition(".")[2]] for name, count in found.items())
-
-
 def test_mass_and_inertia_are_the_sum_with_parallel_axes(case: Any) -> None:
     """Rigid motion of the free spacecraft at 1e-4 rad/s, the rotors free about their axes."""
     p, (body, payload) = case.telescope.to_mapping(), case.assembled.bodies[:2]
@@ -293,10 +278,6 @@ def test_a_list_of_the_reference_arrays_is_the_reference(tmp_path: Path) -> None
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_what_is_on_board_is_in_the_hash(case: Any) -> None:
-    assert case.telescope.parameters_hash != load_telescope().parameters_hash
-
-
 ARRAY = '[[solar_array]]\nname = "one"\nlike = "reference"\npoint = "A1"\n'
 WHEEL = "[[reaction_wheel]]\nname = '{0}'\naxis = {1}\ndefault_speed = 1.0\n"
 BAD = {
@@ -345,12 +326,3 @@ def test_a_mistake_is_one_line(name: str, tmp_path: Path) -> None:
     assert "\n" not in message and message.startswith(str(path))
     for word in words:
         assert word in message, message
-
-
-def test_examples_are_read() -> None:
-    folder = Path(__file__).parents[3] / "examples" / "spacecraft"
-    expected = {"earth_observer": (190, 9), "small_telescope": (172, 4)}
-    for name, (order, parameters) in expected.items():
-        assembled: AssembledTelescope = build_telescope(load_telescope(folder / f"{name}.toml"))
-        assert (assembled.system.order, len(assembled.system.parameters)) == (order, parameters)
-        assert linalg.eigvals(assembled.system.at({}).A).real.max() < 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from lftkit import System, minimal_realisation
+from lftkit import System
 from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import DriveRotor, on_revolute_joint
 from titop_plant.blocks.stepper import Stepper
@@ -97,12 +97,6 @@ def test_without_inertia_of_the_rotor_it_is_the_joint_on_springs_in_series(kind:
         one, two = about_the_axis(light, w), about_the_axis(series, w)
         np.testing.assert_allclose(one[:, 0], two[:, 0], rtol=1e-6)
         assert one[0, 1] == pytest.approx(two[0, 1], rel=1e-6)
-
-
-def test_the_order_is_minimal() -> None:
-    system = joint()
-    assert system.order == 4 == minimal_realisation(system["wrench_P", ("accel_P", "motor_torque")]).system.order
-    assert joint(None).order == 2
 
 
 def simulated(motor: Stepper, count: int = 200_000) -> np.ndarray:
@@ -212,15 +206,6 @@ def test_sources_of_the_telescope_have_a_row_each_and_their_density() -> None:
     assert np.abs(alike).max() < 0.05
     again = mechanism_sources(with_mechanisms(detent_torque=0.01), still, 20.0, 5)[0]
     np.testing.assert_array_equal(again.signal.tick(7, INSTANTS), noise.signal.tick(7, INSTANTS))
-
-
-def test_the_drive_follows_a_profile_that_turns_the_array() -> None:
-    turning = MotionProfile(np.array([0.0, 10.0]), np.array([0.2, 0.25]), np.full((2, 4), 200.0))
-    drive = mechanism_sources(with_mechanisms(detent_torque=0.01), turning, 10.0, 5)[1]
-    assert not drive.signal.lines.size
-    part = drive.signal.parts[0]  # type: ignore[attr-defined]
-    phase = part.cycles * (0.2 + 0.005 * 3.0)
-    np.testing.assert_allclose(part.tick(3000, INSTANTS[:1])[0], (np.exp(1j * phase) @ part.amplitude).imag, atol=1e-9)
 
 
 def test_torques_and_noise_are_in_no_design() -> None:

@@ -15,9 +15,7 @@ from titop_plant.structures import (
     BeamFrame,
     LumpedMass,
     Section,
-    check_residual_mass,
     effective_masses,
-    smallest_residual_fraction,
     static_displacement,
     to_modal_data,
 )
@@ -98,31 +96,6 @@ def test_dividing_a_beam_does_not_change_statics() -> None:
     fine_beams = tuple(dataclasses.replace(beam, elements=5) for beam in crane().beams)
     fine = static_displacement(dataclasses.replace(crane(), beams=fine_beams), "a", load)["e"]
     np.testing.assert_allclose(fine, coarse, rtol=1e-7)
-
-
-def test_static_reciprocity() -> None:
-    one = static_displacement(crane(), "a", {"e": [0, 0, 1.0, 0, 0, 0]})["c"][1]
-    other = static_displacement(crane(), "a", {"c": [0, 1.0, 0, 0, 0, 0]})["e"][2]
-    assert one == pytest.approx(other, rel=1e-9)
-
-
-@pytest.mark.parametrize("n_modes", [0, 1, 5, 12, None])
-def test_residual_mass_is_positive_for_any_number_of_modes(n_modes: int | None) -> None:
-    data = to_modal_data(crane(), "a", ["c", "e"], n_modes)
-    assert smallest_residual_fraction(data) > -1e-12
-    check_residual_mass(data)
-
-
-def test_fewer_modes_are_the_first_of_more() -> None:
-    all_modes, some = to_modal_data(crane(), "a", ["e"]), to_modal_data(crane(), "a", ["e"], 6, 0.02)
-    np.testing.assert_allclose(some.frequencies, all_modes.frequencies[:6], rtol=1e-9)
-    np.testing.assert_allclose(some.participation, all_modes.participation[:6], atol=1e-6)
-    np.testing.assert_array_equal(some.damping, 0.02)
-
-
-def test_a_child_at_the_clamped_point_is_an_error() -> None:
-    with pytest.raises(ValueError, match="crane: points must have different names, got 'a' twice"):
-        to_modal_data(crane(), "a", ["a"])
 
 
 def massless_link() -> BeamFrame:

@@ -85,16 +85,6 @@ def test_coefficients_noise_and_mode_are_those_of_the_wheel(waterfall: Measured)
     assert (peak > 20 * level**2).all()
 
 
-def test_nothing_of_the_record_is_lost(waterfall: Measured) -> None:
-    """Lines and noise have the mean square of the records, at each of the speeds."""
-    model = identify(waterfall.speeds, waterfall.frequency, waterfall.amplitude, waterfall.bandwidth)
-    for j in range(0, waterfall.speeds.size, 3):
-        _, lines = model.lines_at(waterfall.speeds[j])
-        noise = model.density_at(waterfall.speeds[j]).sum(axis=0) / SECONDS
-        total = 0.5 * np.square(lines).sum(axis=0) + noise
-        assert np.sqrt(total) == pytest.approx(np.sqrt(waterfall.mean_square[j]), rel=0.06)
-
-
 def test_a_run_has_the_rms_of_the_record(waterfall: Measured, tmp_path) -> None:
     speed, file = waterfall.speeds[12], tmp_path / "a.npz"
     grid = np.meshgrid(waterfall.speeds * 60, waterfall.frequency, indexing="ij")
@@ -134,18 +124,3 @@ def test_a_frequency_of_all_speeds_is_noise() -> None:
     rng = np.random.default_rng(1)
     noise = noise_of_density(frequency, model.density_at(30.0)[:, [1] * 6], 600.0, 1e-3, rng)
     assert np.square(noise.values).mean() == pytest.approx(0.5 * 0.3**2, rel=0.1)
-
-
-def test_two_speeds_are_enough_for_lines_above_little() -> None:
-    """Between them the amplitude is that of the square of the speed; outside of them there is none."""
-    frequency, speeds = np.arange(0.0, 300.0, 0.25), np.array([30.0, 34.0])
-    table = np.zeros((2, frequency.size, 6))
-    for i, speed in enumerate(speeds):
-        for order, size in ((2.0, 1.0), (3.3, 0.5)):
-            table[i, np.argmin(np.abs(frequency - order * speed)), 0] = size * speed**2
-    model = identify(speeds, frequency, table)
-    found, amplitude = model.lines_at(32.0)
-    assert found == pytest.approx([64.0, 105.6], abs=0.15)
-    assert amplitude[:, 0] == pytest.approx([32.0**2, 0.5 * 32.0**2])
-    with pytest.raises(ValueError, match="speed must be between 30 and 34 Hz"):
-        model.lines_at(50.0)
