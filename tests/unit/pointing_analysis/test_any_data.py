@@ -259,23 +259,6 @@ def test_lines_are_found_at_rates_without_a_window_of_20_ms(tmp_path: Path) -> N
     assert "dB above the noise" in page and "none is above the noise" not in page
 
 
-def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
-    for content, message in (
-        ("", "got an empty file"),
-        ("a,b,c,d\n1,2,3,4\n", "los must name two of the columns a, b, c, d"),
-        ("x,y\n1,2\n3\n", "every row must have 2 cells, got 1 in row 3"),
-        ("x,x\n1,2\n", "different names"),
-        ("x,y\nred,blue\n", "got a text without numbers"),
-        ("x,y\nred,blue2\n", "row 2, column x must be a number, got 'red'"),
-    ):
-        (tmp_path / "a.csv").write_text(content)
-        with pytest.raises(ValueError, match=message):
-            open_los(tmp_path / "a.csv", unit="rad", rate=1.0)
-    np.save(tmp_path / "a.npy", np.zeros(5))
-    with pytest.raises(ValueError, match="array must have the shape"):
-        open_los(tmp_path / "a.npy", unit="rad", rate=1.0)
-
-
 TIMES = {
     "time_ms": lambda t: [repr(1e3 * v) for v in t],
     "Time [us]": lambda t: [repr(1e6 * v) for v in t],

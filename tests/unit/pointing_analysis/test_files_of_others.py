@@ -275,14 +275,6 @@ def test_units_behind_a_comment_mark_count(tmp_path: Path, header: str, unit: st
     assert open_los(file, unit=unit)["truth/los"].values.tolist() == run["truth/los"].values.tolist()
 
 
-@pytest.mark.parametrize("name", ["x_px", "x (px)", "x_rad_s", "x [rad/s]", "x_mm", "x (V)", "x [pixels]", "x_dps"])
-def test_columns_of_another_quantity_are_no_angles(tmp_path: Path, name: str) -> None:
-    file = table(tmp_path / "a.csv", f"time,{name},{name.replace('x', 'y', 1)}")
-    for unit in (None, "rad"):
-        with pytest.raises(ValueError, match=r"unit of x.* must be an angle, mas, .* got .* in the file"):
-            open_los(file, unit=unit)
-
-
 def test_times_that_may_be_milliseconds_need_their_unit(tmp_path: Path) -> None:
     """0, 1, 2, ... under ``time`` were seconds, whatever the rate of the instrument."""
     file = table(tmp_path / "a.csv", "time,x_mas,y_mas", step=1.0)

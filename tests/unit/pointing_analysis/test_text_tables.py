@@ -56,14 +56,6 @@ def test_a_first_row_with_a_date_is_a_row(tmp_path: Path) -> None:
     assert table.columns["column_2"].tolist() == [0.5, 1.5]
 
 
-@pytest.mark.parametrize("first", ["0,000 0,012 --", "0,000 0,012,0,013", "0.1,-,0.2"])
-def test_a_first_row_of_digits_that_are_no_numbers_is_refused(tmp_path: Path, first: str) -> None:
-    (tmp_path / "a.csv").write_text(f"{first}\n1,2,3\n")
-    with pytest.raises(TableError, match="first row must be names or numbers, got '0") as caught:
-        read_text(tmp_path / "a.csv")
-    assert "\n" not in str(caught.value)
-
-
 def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
     path.write_bytes(text.encode(encoding))
     return path
@@ -90,23 +82,6 @@ def test_what_programs_write_around_a_table_changes_no_value(tmp_path: Path, tex
     for name, column in plain.columns.items():
         np.testing.assert_array_equal(found.columns[name], column)
     assert found.unit("x") == ("mas" if "mas" in text else "")
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("total,1,2", r"row 5, column time must be a number, got 'total'"),
-        ("0.03,#N/A,2", r"row 5, column x must be a number, got '#N/A'"),
-        ("0.03,1", r"every row must have 3 cells, got 2 in row 5"),
-    ],
-)
-def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path: Path, line: str, message: str) -> None:
-    with pytest.raises(TableError, match=message):
-        read_text(written(tmp_path / "a.csv", PLAIN + line + "\n"))
-    assert (
-        "text columns ignored: note"
-        in read_text(written(tmp_path / "b.csv", "x,y,note\n1,2,on\n3,4,7\n5,6,off\n")).left_out[0]
-    )
 
 
 def test_times_in_days_and_by_day_of_the_year_are_those_in_seconds(tmp_path: Path) -> None:
