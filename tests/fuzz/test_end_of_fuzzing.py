@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -112,31 +111,3 @@ def test_what_is_found_ends_it(tmp_path: Path, body: str, words: str) -> None:
     out, _ = process.communicate(timeout=250)
     assert process.returncode == 1 and words in out, out
     assert not examples_of(tmp_path, "two")
-
-
-@pytest.mark.parametrize("ci", ["", "true"])
-def test_the_seed_gives_the_examples_and_a_table_counts_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ci: str
-) -> None:
-    monkeypatch.delenv("CI", raising=False)
-    if ci:
-        monkeypatch.setenv("CI", ci)
-    body = """
-    with (FOLDER / "numbers").open("a") as file:
-        file.write(f"{number},")
-    while len((FOLDER / "one").read_text()) > 9 and not over():
-        time.sleep(0.01)
-"""
-    drawn = []
-    for name, seed in (("first", 7), ("again", 7), ("other", 8)):
-        folder = tmp_path / name
-        folder.mkdir()
-        process = started(folder, 60, body, f"--seed={seed}")
-        while examples_of(folder, "one") < 10:
-            assert process.poll() is None, process.communicate()
-            time.sleep(0.05)
-        process.send_signal(signal.SIGTERM)
-        out, _ = process.communicate(timeout=250)
-        assert f", seed {seed}, " in out and re.search(r"\ntest_one +10\n", out), out
-        drawn.append((folder / "numbers").read_text())
-    assert drawn[0] == drawn[1] != drawn[2]
