@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import re
-import resource
 import socket
 import subprocess
 import sys
@@ -17,9 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from los_testbed.campaign.cluster.tls_files import TlsFiles
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import _fetched as fetched
 from los_testbed.campaign.execution import _one_by_one as one_by_one
@@ -99,14 +96,6 @@ def test_interrupted_and_resumed_with_two_workers(
     assert [Path(bag).exists() for bag in summary["bags"]] == [True]
 
 
-def pages_of_arrays() -> int:
-    """Pages of memory that 20 arrays of 8 MB, one after the other, had to be given by the system."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(20):
-        np.ones(1_000_000)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-
-
 @pytest.fixture(scope="module")
 def one_worker() -> Iterator[Any]:
     """Client of a local cluster that several tests ask; none of them changes it."""
@@ -116,15 +105,6 @@ def one_worker() -> Iterator[Any]:
             patch.delenv(name)
         with cluster("", 1) as client:
             yield client
-
-
-def test_local_workers_keep_freed_memory_and_collect_no_call_stacks(one_worker: Any) -> None:
-    one_worker.run(pages_of_arrays)  # the allocator learns the size of the first ones
-    (pages,) = one_worker.run(pages_of_arrays).values()
-    one_worker.submit(time.sleep, 1.5).result()
-    stacks = one_worker.profile()["count"]
-    assert pages < 4 * 8_000_000 / resource.getpagesize()
-    assert stacks == 0
 
 
 class Processes:
@@ -274,24 +254,6 @@ def test_workers_without_memory_end_the_campaign_and_resume_completes_it(
     assert folder.table().to_pylist() == evaluate_chunk(portable(BASE, identity(BASE)), members, "model")
 
 
-@pytest.mark.slow
-def test_client_killed_and_resumed(undisturbed: ResultFolder, tmp_path: Path) -> None:
-    """Its workers end with it; what it had written stays."""
-    pytest.importorskip("distributed")
-    folder = ResultFolder(tmp_path / "c")
-    program = "import sys; from los_testbed.cli.app import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, *OPTIONS, "--workers", "1", "--output", str(folder.path)]
-    with (tmp_path / "log").open("wb") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
-        while not (folder.path.exists() and folder.parts()):
-            assert process.poll() is None, (tmp_path / "log").read_text()
-            time.sleep(0.01)
-        process.kill()
-    assert 1 <= len(folder.parts()) < 3
-    with cluster("", 1) as client:
-        run_campaign(asked(), folder, client, folder.open(asked(), True))
-    assert folder.rows_hash() == undisturbed.rows_hash()
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -366,16 +328,6 @@ def test_address_of_another_program_is_refused(answer: bytes, reason: str, monke
             pass
     for connection in connections:
         connection.close()
-
-
-def test_address_of_a_worker_is_refused(one_worker: Any) -> None:
-    (worker,) = one_worker.scheduler_info(n_workers=-1)["workers"]
-    files = TlsFiles(
-        *(Path(getattr(one_worker.security, f"tls_{name}")) for name in ("ca_file", "client_cert", "client_key"))
-    )
-    message = f"scheduler must be the address of a running Dask scheduler, got {worker}: a Worker.* answers"
-    with pytest.raises(ValueError, match=message), cluster(worker, 0, files):
-        pass
 
 
 def test_worker_with_other_parameters_is_refused(one_worker: Any) -> None:

@@ -14,8 +14,6 @@ from pathlib import Path
 
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster
-from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.identity import identity
 
@@ -35,34 +33,6 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     return folder
-
-
-def test_after_a_failure_in_the_client(temporary: Path) -> None:
-    def fail() -> None:
-        with cluster("", 1):
-            (made,) = temporary.iterdir()
-            assert made.name.startswith("los_testbed_campaign_")
-            raise KeyError
-
-    with pytest.raises(KeyError):
-        fail()
-    assert list(temporary.iterdir()) == []
-
-
-@pytest.mark.parametrize("resume", [False, True])
-def test_another_output_is_refused_without_a_cluster(
-    resume: bool, temporary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def no_cluster(*_: object) -> None:
-        raise AssertionError("a cluster was started")
-
-    monkeypatch.setattr("los_testbed.campaign.execution.cluster", no_cluster)
-    output = tmp_path / "existing"
-    output.mkdir()
-    with pytest.raises(SystemExit) as stopped:
-        main([*OPTIONS, f"--output={output}", *(["--resume"] if resume else [])])
-    assert stopped.value.code == 2 and str(output) in capsys.readouterr().err
-    assert list(temporary.iterdir()) == [] and list(output.iterdir()) == []
 
 
 def test_another_campaign_in_the_folder_is_refused_without_a_cluster(temporary: Path, tmp_path: Path) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import datetime
 import json
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from los_testbed.campaign.cluster.tls_files import TlsFiles
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster, evaluate_chunk
+from los_testbed.campaign.execution import evaluate_chunk
 from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
@@ -104,24 +102,6 @@ def test_rows_of_a_scheduler_with_certificates_are_those_of_this_process(
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["status"] == {"ok": 3}
 
 
-def test_key_may_be_in_the_file_of_the_certificate(own: Authority, address: str) -> None:
-    certificate, key = own.sign("both")
-    certificate.write_bytes(certificate.read_bytes() + key.read_bytes())
-    key.unlink()
-    with cluster(address, 0, TlsFiles(own.file, certificate)) as client:
-        assert client.submit(sum, [1, 2]).result() == 3
-
-
-def test_certificates_that_dask_is_configured_with_are_used(own: Authority, address: str) -> None:
-    from dask import config
-
-    certificate, key = map(str, own.sign("configured"))
-    files = {"ca-file": str(own.file), "client.cert": certificate, "client.key": key}
-    settings = {f"distributed.comm.tls.{name}": path for name, path in files.items()}
-    with config.set(settings), cluster(address, 0) as connected:
-        assert connected.submit(sum, [1, 2]).result() == 3
-
-
 def test_certificate_of_another_authority_is_refused_in_one_line(
     own: Authority, address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,16 +128,6 @@ def test_scheduler_with_certificates_is_not_reached_without(
     assert f"scheduler must be the address of a running Dask scheduler, got {plain}: " in refused(
         [f"--scheduler={plain}"], capsys
     )
-
-
-def test_silent_program_is_not_waited_for(
-    own: Authority, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        there = f"tls://127.0.0.1:{server.getsockname()[1]}"
-        line = refused([f"--scheduler={there}", *own.options("me")], capsys)
-    assert f"scheduler must be the address of a running Dask scheduler, got {there}: " in line
 
 
 def test_mistakes_in_the_options_are_one_line(

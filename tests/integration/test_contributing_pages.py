@@ -11,18 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.followed_page import PackageCopy, section
-from support.packages import LIBRARIES, ROOT, files_of
+from support.packages import ROOT
 
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import requirements_of
 from titop_plant.telescope.load import load_telescope
-
-SENSOR = re.compile(
-    r"\b(?:camera_los|fsm_angle|accel_Ip|accel_M[12]|CAMERA|FSM_ANGLE|PLATFORM|FRAME_TICKS|camera_noise|"
-    r"strain_gauge_noise|accelerometer_noise|CAMERA_PORT|GAUGE_PORT|PLATFORM_PORT)\b"
-)
-"""Names of one of the sensors, its noise, its columns or its rate; those of all of them follow from the table."""
 
 FIGURE = """
 from los_design.search.worst_case_search import Search
@@ -46,7 +40,6 @@ found = {
 }
 """
 
-CERTIFY = 'design certify --output proofs --stage fsm+pma --figure "force, slow"'
 FIGURE_VALUES = """
 from los_design.verification.verification import check_implemented
 from los_loop.member_metrics import MemberMetrics
@@ -72,21 +65,6 @@ def test_a_figure_of_merit_is_tuned_searched_proven_and_a_column(copy: PackageCo
     assert found["tuned for"] == 5.0 and found["searched"]
     assert found["proven"][0] == 0.0 and found["proven"][1] == pytest.approx(85.0)
     assert found["columns"].count("force_slow_gain") == 1
-
-
-def test_certify_takes_a_figure_that_was_added(copy: PackageCopy) -> None:
-    """A second is too short for a proof; the whole one is below."""
-    copy.follow("Add a figure of merit")
-    with pytest.raises(RuntimeError, match=r"fsm\+pma, force, slow: open"):
-        copy.run(f"{CERTIFY} --time-limit 1")
-
-
-@pytest.mark.slow
-def test_a_figure_that_was_added_is_proven(copy: PackageCopy) -> None:
-    copy.follow("Add a figure of merit")
-    (bounds,) = json.loads(copy.run(f"{CERTIFY} --json").splitlines()[-1])["figures"]
-    assert (bounds["figure"], bounds["status"]) == ("force, slow", "proven")
-    assert (copy.folder / "proofs" / bounds["proof"]).exists()
 
 
 @pytest.mark.slow
@@ -275,37 +253,3 @@ def test_a_wrong_sensor_is_named(
     monkeypatch.setattr("support.followed_page.section", lambda _: text.replace(right, wrong))
     with pytest.raises(RuntimeError, match=message):
         copy.follow("Add a sensor")
-
-
-def sensor_files() -> set[str]:
-    """Files of the packages that name one of the sensors, its noise, its columns or its rate."""
-    found = set()
-    for package in set(LIBRARIES) - {"lftkit"}:  # which contains no spacecraft
-        found |= {path.relative_to(ROOT) for path in files_of(ROOT / package) if SENSOR.search(path.read_text("utf-8"))}
-    ros = ROOT / "ros_ws/src/los_testbed"
-    found |= {p.relative_to(ros) for p in (ros / "los_testbed").rglob("*.py") if SENSOR.search(p.read_text("utf-8"))}
-    return {path.as_posix() for path in found}
-
-
-def test_the_page_on_sensors_names_every_file_that_uses_one_of_them() -> None:
-    rows = [line for line in section("Add a sensor").splitlines() if line.startswith("| ")][1:]
-    named = [name for row in rows for name in re.findall(r"`([\w/]+\.py)`", row)]
-    assert sorted(named) == sorted(sensor_files())
-
-
-@pytest.mark.parametrize(
-    ("title", "right", "wrong", "message"),
-    [
-        ("Add a figure of merit", "`FIGURES`", "`observer_requirements`", "observer_requirements must be a table"),
-        ("Add a scenario", "`titop_plant/interface.py`", "`titop_plant/names.py`", "must be a file of the repository"),
-        ("Add a scenario", "Add to `TONES` in", "Put into `TONES` in", "every block must be a step"),
-    ],
-)
-def test_a_wrong_step_is_found(
-    copy: PackageCopy, monkeypatch: pytest.MonkeyPatch, title: str, right: str, wrong: str, message: str
-) -> None:
-    text = section(title)
-    assert right in text
-    monkeypatch.setattr("support.followed_page.section", lambda _: text.replace(right, wrong))
-    with pytest.raises(ValueError, match=message):
-        copy.follow(title)

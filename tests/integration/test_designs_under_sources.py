@@ -5,25 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from los_testbed.cli import app
 from los_testbed.cli.designs import mission
-from los_testbed.cli.designs.mission import sources_of_mission, verify_mission
+from los_testbed.cli.designs.mission import verify_mission
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
 
 import fsm_pma_controller
 import los_estimator
-from los_design import redesign
 from los_design.search import worst_points
 from los_design.verification import verification
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.loop_ports import LoopPorts
 
 SOURCES = """
 replace = ["requirement"]
@@ -119,33 +115,6 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
     assert strong["mission"]["seen_by_the_tuning"] is False
     rpe = {row["stage"]: row for row in strong["mission"]["relative_error"]}
     assert np.isfinite([rpe["fsm"]["rpe_rms_mas"], rpe["fsm"]["without_fine_control"]]).all()
-
-
-def test_design_all_writes_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After designs and searches, which are replaced here, and before the verdict."""
-    pair = [SimpleNamespace(provenance={"status": "converged"})] * 2
-    monkeypatch.setattr(redesign, "_pair", lambda *given: pair)
-    monkeypatch.setattr(redesign, "digest", lambda given: "")
-    monkeypatch.setattr(redesign, "search_stages", lambda *given: {})
-    monkeypatch.setattr(redesign, "adversarial_points", lambda *given: [])
-    monkeypatch.setattr(redesign, "store_worst_points", lambda *given: None)
-    monkeypatch.setattr(redesign, "loop_plant", lambda *given: None)
-    monkeypatch.setattr(LoopPorts, "used_by", lambda ports, *given: ports)
-    monkeypatch.setattr(redesign, "verification_points", lambda *given: [])
-    monkeypatch.setattr(redesign, "check_implemented", lambda *given, **more: Check())
-    monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["first"])
-    telescope = load_telescope(folder / "telescope.toml")
-    summary = redesign.design_all(telescope, folder, verify_further=lambda report: ({"mission": 3}, ["second"]))
-    assert summary.not_met == ["first", "second"] and not summary.met
-    written = json.loads((folder / "verification.json").read_text())
-    assert written == {"implemented": {"points": 1}, "mission": 3, "not_met": ["first", "second"]}
-
-
-def test_a_telescope_without_sources_has_no_such_runs(folder: Path) -> None:
-    (folder / "telescope.toml").write_text("")
-    found = verify_mission(folder)
-    assert found.to_mapping() == {} and not found.not_met and not found.statements
-    assert sources_of_mission(None) == ()
 
 
 def test_a_source_that_no_run_can_have_is_refused_before_the_design(

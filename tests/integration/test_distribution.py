@@ -13,7 +13,6 @@ from pathlib import Path
 import los_testbed
 import pytest
 import yaml
-from packaging.requirements import Requirement
 from support.installed_wheel import LFTKIT, ROOT, environment, run, sdist_and_wheel
 from support.packages import files_of
 from support.ros_runs import private_domain
@@ -75,12 +74,6 @@ def test_the_version_is_written_down_once() -> None:
     assert str(citation["version"]) == version
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text("utf-8")
-
-
-def test_the_testbed_takes_the_library_of_its_repository() -> None:
-    (needed,) = [text for text in PROJECT["dependencies"] if text.startswith("lftkit")]
-    assert Requirement(needed).specifier.contains(lftkit.__version__)
-    assert "version" in LIBRARY["dynamic"] and "lftkit" not in TOP
 
 
 def test_the_wheel_of_the_library_has_its_files_and_no_other(library: tuple[Path, Path]) -> None:
@@ -173,21 +166,6 @@ def test_the_wheel_runs_outside_the_tree_without_ros(without_ros: Path, tmp_path
     assert missing.returncode == 2 and "pip install 'los-testbed[ros]'" in missing.stderr
     where = run(without_ros / "python", "-c", "import lftkit, los_testbed; print(lftkit.__file__)", folder=tmp_path)
     assert str(without_ros.parent) in where.stdout
-
-
-def test_messages_about_a_missing_package_name_the_extra(without_ros: Path, tmp_path: Path) -> None:
-    code = (
-        "from pointing_analysis.read.dataframes import to_pandas, to_xarray\n"
-        "from titop_plant.structures import nastran\n"
-        "open('a.bdf', 'w').close()\n"
-        "def read(_): nastran.read_nastran('a.bdf', 'a.op2', name='a', parent=('a', 1), ports={})\n"
-        "for call in (to_pandas, to_xarray, read):\n"
-        "    try:\n        call(None)\n    except (ValueError, ImportError) as error:\n        print(error)\n"
-    )
-    done = run(without_ros / "python", "-c", code, folder=tmp_path)
-    assert done.stdout.count("los-testbed[dataframes]") == 2, done.stdout + done.stderr
-    assert done.stdout.count("los-testbed[nastran]") == 1, done.stdout + done.stderr
-    assert {"dataframes", "nastran", "ros"} <= set(PROJECT["optional-dependencies"])
 
 
 @pytest.mark.slow

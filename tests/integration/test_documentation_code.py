@@ -128,26 +128,6 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
             assert shown in printed.getvalue()
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda p: p.name)
-def test_python_is_in_blocks_that_run(path: Path) -> None:
-    """Indented blocks are command lines and what they print."""
-    outside = re.sub(r"^```.*?^```", "", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
-    assert not re.findall(r"^ {4,}(?:from [\w.]+ import|import \w|\w+ = \w+\().*", outside, flags=re.MULTILINE)
-
-
 @pytest.mark.parametrize("path", [p for p in PAGES if blocks(p, "toml")], ids=lambda p: p.name)
 def test_toml_blocks_are_read(path: Path) -> None:
     assert all(tomllib.loads(block) for block in blocks(path, "toml"))
-
-
-def test_every_block_has_a_language_that_is_tested() -> None:
-    """Shell blocks are checked by tests/architecture/test_documentation_paths.py.
-
-    Text, mathematics and MATLAB do not run.
-    """
-    found = {
-        language
-        for path in PAGES
-        for language in re.findall(r"^```(\w+)\n.*?^```", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
-    }
-    assert found <= {"python", "toml", "sh", "text", "math", "matlab"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,14 +11,12 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_designs, of_scenario
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.stages import Plan, provenance
 
 from lftkit import SampledSystem
 from los_design.search.worst_points import load_worst_points
 from los_design.verification.verification import ARCSEC, MAS, check_implemented
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.interface import MIRROR_STAGES
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
@@ -88,24 +85,6 @@ def test_a_run_of_the_worst_tone_keeps_the_limits(name: str, tmp_path: Path) -> 
         assert verdict.quantile.value <= verdict.requirement.limit, verdict.requirement.name
 
 
-def test_stages_and_figures_are_those_that_the_telescope_has(tmp_path: Path) -> None:
-    base = RunConfig.from_mapping({**of_designs(str(EXAMPLES / "small_telescope")), "mode": "inprocess"})
-    plan = Plan(base, tmp_path / "stages", ("imbalance",), 1, ("all",))
-    assert [run.loop for run in plan.runs] == ["none", "isolator", "fsm"] and plan.stages[-1] == MIRROR_STAGES[0]
-    assert base.loop == "fsm+pma" and plan.base.loop == "fsm" and provenance(plan)
-    with pytest.raises(ValueError, match="loop must be one of none, isolator, fsm without proof-mass actuators"):
-        RunParts(replace(base, loop="fsm+pma")).settings  # noqa: B018
-
-
-def test_the_budget_of_a_folder_of_designs(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its tones, its noise, and the cooler of the parameter file as a row."""
-    assert main(["budget", "--designs", str(EXAMPLES / "small_telescope"), "--json"]) == 0
-    (ape, rpe) = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
-    names = {source["name"] for source in rpe["sources"]}
-    assert {"loop / cryocooler", "loop / noise, camera"} < names and any("tone" in name for name in names)
-    assert (ape["limit"], rpe["limit"]) == pytest.approx((10_000.0, 100.0)) and rpe["compliant"]
-
-
 def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The member that is named has that total in a budget of its own, and no other has more."""
     folder = EXAMPLES / "small_telescope"
@@ -121,21 +100,3 @@ def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys
         assert main(["budget", str(own), "--designs", str(folder), "--json"]) == 0
         alone = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
         assert [r["total"] for r in alone if r["text"] == row["requirement"]] == pytest.approx([row["worst"]], rel=1e-6)
-
-
-def test_a_budget_without_a_telescope_has_no_members(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "a.toml").write_text(
-        'unit = "mas"\n[[total]]\nindex = "APE"\n[sources.a]\ntype = "random"\nsigma = 1\n'
-    )
-    with pytest.raises(SystemExit) as caught:
-        main(["budget", str(tmp_path / "a.toml"), "--members", "3"])
-    assert caught.value.code == 2 and "without a source of type testbed, got 3" in capsys.readouterr().err
-
-
-def test_without_proof_masses_the_force_law_is_zero_and_no_stage_of_it_is_verified() -> None:
-    """The design tuned forces that act on nothing, for the limit of a stage that the telescope does not have."""
-    folder = EXAMPLES / "small_telescope"
-    k_pma = SampledSystem.from_file(folder / "k_pma.json")
-    assert k_pma.order == 0 and not k_pma.D.any()
-    stored = json.loads((folder / "verification.json").read_text())["implemented"]
-    assert not [key for key in stored["margins"] if key.startswith("pma")] and "fast_tones_reduction_db" not in stored

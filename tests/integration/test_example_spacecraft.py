@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import runpy
-import sys
 from pathlib import Path
 from typing import Any
-from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -52,45 +49,6 @@ def test_a_torque_of_the_wheel_turns_hub_and_wheel_in_opposite_senses(example: d
     assert wheel == pytest.approx(-1.0 / example["WHEEL"].axial_inertia - hub, rel=1e-9)
 
 
-def test_the_first_mode_follows_the_boom(example: dict[str, Any]) -> None:
-    system = example["cubesat"]()
-    nominal = system.parameter("boom.omega_1").nominal
-    first = []
-    for factor in (0.9, 1.0, 1.1):
-        poles = np.abs(system.at({"boom.omega_1": factor * nominal}).poles())
-        first.append(poles[poles > 5.0].min())
-    assert first[0] < first[1] < first[2]
-    assert first[1] > nominal  # a hub that gives way raises the frequency
-
-
-def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
-    example["main"]()
-    printed = capsys.readouterr().out
-    assert "order 14, continuous time" in printed
-    values = [float(line.split()[-2]) for line in printed.splitlines() if line.startswith("imbalance")]
-    assert len(values) == 4 and max(values) == values[1]  # the largest error is at the resonance
-
-
-def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The drawing has its own tests; here, that each asks for one that exists, and the last for all and the numbers."""
-    from los_design.figures import paper_case, paper_figures, paper_numbers
-
-    draw = create_autospec(paper_figures.draw, return_value=[tmp_path / "figure.png"])
-    monkeypatch.setattr(paper_figures, "draw", draw)
-    monkeypatch.setattr(paper_case.PaperCase, "of", lambda folder: folder)
-    monkeypatch.setattr(paper_numbers, "results", lambda case: {"gammas": [case.name]})
-    monkeypatch.setattr(sys, "argv", ["figure.py", str(tmp_path)])
-    for path in sorted((EXAMPLES / "paper").glob("figure_*.py")):
-        runpy.run_path(str(path))
-        assert path.stem == f"figure_{draw.call_args.kwargs['names'][0]}"
-    drawn = [call.kwargs["names"] for call in draw.call_args_list]
-    assert sorted(drawn) == sorted([name] for name in paper_figures.FIGURES)
-    runpy.run_path(str(EXAMPLES / "paper" / "all.py"))
-    assert all(call.args == (EXAMPLES / "paper", tmp_path) for call in draw.call_args_list)
-    assert "names" not in draw.call_args.kwargs
-    assert json.loads((tmp_path / "results.json").read_text("utf-8")) == {"gammas": ["paper"]}
-
-
 @pytest.mark.slow
 def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
     from los_design.figures.figures import draw
@@ -100,14 +58,6 @@ def test_the_figures_of_the_closed_loop_are_drawn(tmp_path: Path) -> None:
         f"{name}.{suffix}" for name in ("controllers", "stages_implemented") for suffix in ("png", "svg")
     ]
     assert all(path.stat().st_size > 10_000 for path in paths)
-
-
-def test_a_figure_that_does_not_exist_is_refused(tmp_path: Path) -> None:
-    from los_design.figures.figures import draw
-
-    with pytest.raises(ValueError, match=r"names must be of stages_implemented, .* got 'stage'"):
-        draw(tmp_path / "out", 0, names=["stage"])
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_stewart_platform_has_the_modes_of_its_legs() -> None:

@@ -117,12 +117,6 @@ def test_a_bag_is_whole_and_is_replayed(command: CommandLine) -> None:
     assert max(row["largest"] for row in found["differences"]) < 1e-14
 
 
-def test_limits_in_weights_are_those_of_the_requirements() -> None:
-    telescope = load_telescope(OLDER / "telescope.toml")
-    assert limits(OLDER / "telescope.toml") == pytest.approx([5 * ARCSEC, 200 * MAS, 80 * MAS], rel=1e-12)
-    assert telescope.parameters_hash == OWN_HASH == Run.open(OLDER / "bag").parameters["parameters_hash"]
-
-
 def test_a_copy_of_the_whole_reference_is_the_reference(tmp_path: Path) -> None:
     """That of 0.1 and today's: the file of a user may hold every key, with the value of the reference."""
     reference = load_telescope()
@@ -145,11 +139,6 @@ def test_a_folder_of_designs_is_read_and_runs(command: CommandLine) -> None:
     assert [row["limit"] for row in told["requirements"][:3]] == [5.0, 200.0, 80.0]
 
 
-def test_parameters_of_a_run_in_yaml(command: CommandLine) -> None:
-    told = summary_of(command, "run", "--config=run.yaml", *RUN, "--duration=0.1")
-    assert (told["loop"], told["scenario"], told["ticks"]) == ("fsm+pma", "worst_case", 100)
-
-
 def test_a_campaign_goes_on(command: CommandLine) -> None:
     """Its members are computed again, as a column has come; their figures are those of 0.1."""
     pyarrow = pytest.importorskip("pyarrow.parquet")
@@ -166,17 +155,6 @@ def test_a_campaign_goes_on(command: CommandLine) -> None:
     assert results.table(["status"]).column("status").to_pylist() == ["ok", "ok"]
     for row, before in zip(results.table(names).to_pylist(), older, strict=True):
         assert row == pytest.approx(before, rel=1e-6)
-
-
-def test_a_campaign_with_another_default_is_refused_in_one_line(command: CommandLine) -> None:
-    """The default scenario is another one; versions of numpy and scipy are those of the machine that wrote it."""
-    given = ["--samples=2", "--duration=0.2", "--k-fsm=k_fsm.json", "--k-pma=k_pma.json", "--output=campaign"]
-    code, out, err = command("campaign", *given, "--resume")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert (
-        err.startswith("los-testbed: output must be a new folder or one of the same campaign, got campaign, ")
-        and " as there, got " in err
-    )
 
 
 def options_of_today() -> Iterator[tuple[str, set[str]]]:

@@ -14,7 +14,6 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import controller_of, controllers, drive, metrics
-from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_a_budget
 
 import fsm_pma_controller
 import los_estimator
@@ -22,7 +21,6 @@ from lftkit import sampled
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_design.synthesis.store import load_designs
-from los_design.verification.verification import check_implemented
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
@@ -36,7 +34,6 @@ from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import loop_plant, with_sensors
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
 
 TELESCOPE = """
 [[sensor]]
@@ -201,31 +198,6 @@ def test_the_model_of_the_loop_has_them(base: RunConfig, tmp_path: Path, seeing:
     assert np.abs(los - without).max() > 1e-4 * np.abs(los).max()
 
 
-@pytest.mark.slow
-def test_the_verification_is_what_a_run_measures(base: RunConfig, tmp_path: Path) -> None:
-    """At the nominal point: the worst fast tone of the loop with these devices, verified and run, to 0.1 %."""
-    law, observer = law_with_devices(), observer_with_devices()
-    law.to_file(tmp_path / "k_pma.json")
-    observer.to_file(tmp_path / "k_fsm.json")
-    config = replace(
-        base, duration=4.0, scenario="worst_case", worst_of="fast", disturbance=True, start="steady",
-        k_fsm="k_fsm.json", k_pma="k_pma.json",
-    )  # fmt: skip
-    tone = RunParts(config).start.tone
-    assert tone is not None
-    run_in_process(config, tmp_path / "bag")
-    los = Run.open(tmp_path / "bag")["truth/los"].values[:, :2]
-    phase = tone.omega * DT * np.arange(len(los))
-    fitted = np.linalg.lstsq(np.c_[np.cos(phase), np.sin(phase)], los, rcond=None)[0]
-    telescope = load_telescope("own.toml")
-    measured = np.linalg.norm(fitted) * rpe_weight(np.array([tone.omega]), telescope.weights.rpe_window)[0]
-    plant = loop_plant(telescope, telescope.loop_ports.used_by(observer, law))
-    check = check_implemented(plant, telescope, observer, law, [{}])
-    worst = check.both.worst["fast"]
-    assert worst.gamma * worst.limit == pytest.approx(measured, rel=1e-3)
-    assert check.gamma("fsm+pma", "force") > 0.0 and "gain x2 at force 7" in str(check.lost_margins())
-
-
 TWINS = """
 [[sensor]]
 name = "twin_accel"
@@ -338,30 +310,6 @@ def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(base: RunC
     assert (row["rpe_rms_mas"], row["ape_max_arcsec"]) == (summary.rpe_rms, summary.ape_max)
 
 
-def test_a_budget_has_the_noise_of_the_sensors_that_such_a_pair_uses(base: RunConfig, tmp_path: Path) -> None:
-    (tmp_path / "twins.toml").write_text(TWINS)
-    settings = {"parameters": "twins.toml"}
-    table = {"part": "noise", "settings": settings}
-    standard = sources_of_a_budget(("loop",), table, 1e-9)
-    for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
-        law.to_file(tmp_path / f"{name}.json")
-        settings[name] = f"{name}.json"
-    own = sources_of_a_budget(("loop",), table, 1e-9)
-    assert [one.path[-1] for one in own if "twin" in one.path[-1]] == ["noise, twin_accel", "noise, twin_spin"]
-    total, expected = (sum(one.sigma(0.02) ** 2 for one in found) for found in (own, standard))
-    np.testing.assert_allclose(total, expected, rtol=1e-4)  # a small part of covariances of 7 digits
-
-
-def test_devices_without_use_are_named(base: RunConfig) -> None:
-    said = (
-        "controllers and predictions do not use sensor on_m1, at_root and actuator shaker, idle of the telescope's file"
-    )
-    assert RunParts(base).idle_devices == said
-    own = replace(base, k_fsm="laws_with_devices:Seeing", k_pma="laws_with_devices:Shaking")
-    assert RunParts(own).idle_devices == "controllers and predictions do not use actuator idle of the telescope's file"
-    assert not RunParts(replace(base, parameters=None)).idle_devices
-
-
 @pytest.mark.parametrize(
     ("setting", "name", "message"),
     [
@@ -387,12 +335,6 @@ def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
     config = replace(base, k_pma="laws_with_devices:Shaking", disturbance=True)
     with pytest.raises(ValueError, match="actuator shaker must have one driver, got source sine and k_pma"):
         RunParts(config).check()
-
-
-def test_a_device_has_no_name_of_the_loop(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text('[[sensor]]\nname = "accel_M1"\nplace = "M1"\n')
-    with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must not be one of accel_Ip, .*, got 'accel_M1'"):
-        load_telescope(tmp_path / "own.toml")
 
 
 def test_proofs_of_a_design_with_devices_are_refused_before_the_design(

@@ -12,7 +12,6 @@ from los_testbed.parts.run_parts import build_controller, build_estimator
 from los_testbed.run.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
-from support.call_count import calls
 
 from pointing_analysis.read.run import Run
 
@@ -84,29 +83,6 @@ def test_an_existing_bag_is_refused_and_left_alone(config, tmp_path):
     with pytest.raises(ValueError, match="exists already"):
         run_in_process(config, tmp_path / "bag", SimpleTelescope())
     assert not list((tmp_path / "bag").iterdir())
-
-
-class Still(SimpleTelescope):
-    """Measures zeros with one call a tick."""
-
-    def step(self, command, measurement, truth):
-        measurement[:] = 0.0
-        truth[:] = 0.0
-
-
-def test_recording_adds_no_work_per_tick(config, tmp_path):
-    """Calls per tick: one step of the plant, nine of both laws, and some two of the blocks, whose messages are arrays.
-
-    The laws' nine: observer, camera hold, controller; K_FSM and K_PMA, each with its product and numpy's sum.
-    """
-
-    def count(seconds):
-        longer = RunConfig.from_mapping({**config.to_mapping(), "duration": float(seconds)})
-        return calls(lambda: run_in_process(longer, tmp_path / str(seconds), Still()))
-
-    count(1)  # imports
-    a_tick = (count(5) - count(2)) / 3000
-    assert 10 <= a_tick < 13
 
 
 def test_no_ros_is_imported(config, tmp_path):

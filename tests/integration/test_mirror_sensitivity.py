@@ -13,20 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts, build_controller
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.replay import controllers, drive
 from los_testbed.run.summary.predictions import predictions
 
 from lftkit import SampledSystem
 from los_design.synthesis.store import load_designs
-from los_loop.closing import sampled_loop
-from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import sampled_loop_metrics
 from pointing_analysis.indices.errors import knowledge_error
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.run import Run
-from pointing_analysis.replay.replay import compare
 from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
@@ -70,10 +66,6 @@ def bag(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_runtime_divides_by_the_sensitivity(config: RunConfig) -> None:
-    assert build_controller(config).los_sensitivity == SENSITIVITY
-
-
 def test_the_simulation_does_what_the_sampled_loop_predicts(bag: Path) -> None:
     (found,) = predictions([Run.open(bag)])
     assert found is not None and not found.note
@@ -104,20 +96,6 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
     assert other.radius > 1.0 or other.ape > 1.5 * reference.ape
 
 
-def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -> None:
-    chosen = RunParts(config).models
-    telescope = load_telescope(config.parameters)
-    plant = control_loop_plant(telescope).at({})
-    silent = replace(chosen["k_fsm"], design_basis={})
-    said, given = (
-        sampled_loop(plant, ControlLaws(k_fsm, chosen["k_pma"], "fsm", SENSITIVITY), frame_ticks=FRAME_TICKS)
-        for k_fsm in (chosen["k_fsm"], silent)
-    )
-    np.testing.assert_array_equal(said.hold, given.hold)
-    with pytest.raises(ValueError, match="los_sensitivity must be given"):
-        sampled_loop(plant, ControlLaws(silent, chosen["k_pma"], "fsm"), frame_ticks=FRAME_TICKS)
-
-
 def test_the_analysis_takes_the_sensitivity_from_the_bag(bag: Path) -> None:
     """Knowledge error: estimate plus 0.2 times the mirror's angle, less the truth."""
     run = Run.open(bag)
@@ -127,10 +105,3 @@ def test_the_analysis_takes_the_sensitivity_from_the_bag(bag: Path) -> None:
     expected = (estimate + SENSITIVITY * angle - truth)[-len(found.values) :]
     assert len(found.values) > 1000
     np.testing.assert_allclose(found.values, expected, rtol=0, atol=1e-15)
-
-
-def test_the_replay_gives_the_same_bits(bag: Path) -> None:
-    run = Run.open(bag)
-    chosen = controllers(run)
-    assert chosen.controller.los_sensitivity == SENSITIVITY and chosen.warnings == ()
-    assert compare(run, drive(run, chosen, lambda done, total: None)).identical

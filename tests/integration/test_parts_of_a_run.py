@@ -17,9 +17,8 @@ from los_testbed.run.loop.source_alone import NOISE, parts_of
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
 
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.conditions import conditions_of, differences
+from pointing_analysis.requirements.conditions import conditions_of
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.disturbances.source_kinds import KINDS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -115,10 +114,6 @@ def test_a_telescope_with_a_source_runs_with_it_alone(folder: Path, kind: str) -
     check_sum(run, f"my {kind}", NOISE)
 
 
-def test_every_kind_is_tried() -> None:
-    assert set(SOURCES) == set(KINDS)
-
-
 @pytest.mark.parametrize("scenario", ["worst_case", "unit_norm", "imbalance"])
 def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, scenario: str) -> None:
     run = recorded(parameters=telescope(folder, "cooler", "pulses"), scenario=scenario)
@@ -191,14 +186,3 @@ def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
     words = "disturbance and member differ from a: no comparison of controllers"
     page = Path("page.html").read_text()
     assert words in said and words[1:] in page and acts in page and "unit_norm" in page
-
-
-def test_runs_under_the_same_conditions_are_compared_without_a_word(folder: Path) -> None:
-    run_in_process(RunConfig(mode="inprocess", duration=1.2, scenario="design", loop="fsm"), Path("a"))
-    run_in_process(RunConfig(mode="inprocess", duration=1.2, scenario="design", loop="fsm+pma"), Path("b"))
-    assert differences([Run.open(Path("a")), Run.open(Path("b"))]) == ("", "")
-
-
-def test_a_run_without_disturbance_says_so(folder: Path) -> None:
-    run = recorded(disturbance=False, parameters=telescope(folder, "cooler"), duration=1.2)
-    assert summarise(run).scenario == "no disturbance" and source_shares(run) == ()

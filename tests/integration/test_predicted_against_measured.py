@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
-from los_testbed.run.summary import predictions as module
 from los_testbed.run.summary.predictions import predictions
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -86,22 +84,6 @@ def test_noise_changes_the_ratio_by_what_the_table_says(tmp_path) -> None:
         assert abs(tone.ratio - 1.0) < 2.0 * tone.uncertainty  # four standard deviations
 
 
-def test_run_writes_the_table_too(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    arguments = [
-        "run",
-        "--mode=inprocess",
-        "--duration=2",
-        "--no-noise",
-        "--output=bag",
-        "--loop=isolator",
-        "--scenario=design",
-    ]
-    assert cli.main(arguments) == 0
-    page = (tmp_path / "bag" / "report.html").read_text()
-    assert [float(text.split()[0]) for text in ratios(page)] == pytest.approx([1.0] * len(ratios(page)), abs=0.02)
-
-
 def test_it_is_the_controllers_in_the_bag_that_are_modelled(quiet, tmp_path) -> None:
     """A bag that claims an observer of half the gain does not do what its model predicts."""
     run, file = Run.open(quiet), tmp_path / "weak.json"
@@ -110,24 +92,6 @@ def test_it_is_the_controllers_in_the_bag_that_are_modelled(quiet, tmp_path) -> 
     SampledSystem(old.A, old.B, 0.5 * old.C, 0.5 * old.D, old.inputs, old.outputs, old.dt, "weak").to_file(file)
     (found,) = predictions([Run.open(rewritten(run, tmp_path / "bag", {"k_fsm.json": file.read_bytes()}))])
     assert max(abs(tone.ratio - 1.0) for tone in found.tones) > 0.1
-
-
-def test_the_same_bag_gives_the_same_page(quiet, tmp_path) -> None:
-    moved = shutil.copytree(quiet, tmp_path / "elsewhere" / quiet.name)
-    pages = [
-        render([run], model=ModelResults(predictions=predictions([run])))
-        for run in map(Run.open, (quiet, quiet, moved))
-    ]
-    assert pages[0] == pages[1] == pages[2]
-    assert TITLE in pages[0]
-
-
-def test_long_runs_are_compared_over_their_first_part(quiet, monkeypatch) -> None:
-    monkeypatch.setattr(module, "LONGEST", 3.0)
-    (found,) = predictions([Run.open(quiet)], transient=1.0)
-    assert (found.start, found.stop) == (1.0, 3.0)
-    (late,) = predictions([Run.open(quiet)], transient=3.5)
-    assert not late.tones and "3 s" in late.note
 
 
 def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) -> None:

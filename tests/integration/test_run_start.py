@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import START_FILE, RunStart
+from los_testbed.parts.start import START_FILE
 from support.true_los import true_los
 
 from lftkit.support.threads import THREADS
@@ -60,21 +60,6 @@ def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
     assert last == pytest.approx(same, rel=0.02)
     assert radial(rest[2000:6000]).max() > 5.0 * radial(steady).max()
     assert first != pytest.approx(same, rel=0.02)
-
-
-def test_the_bag_holds_the_start_to_the_last_bit() -> None:
-    start = RunParts(RunConfig(loop="fsm")).start
-    again = RunStart.from_bytes(start.to_bytes())
-    assert again.tone.gamma == start.tone.gamma
-    for name in ("plant", "command", "k_fsm", "k_pma", "camera"):
-        np.testing.assert_array_equal(getattr(again.states, name), getattr(start.states, name))
-    np.testing.assert_array_equal(again.tone.amplitude, start.tone.amplitude)
-
-
-def test_open_stages_with_noise_alone_do_not_move() -> None:
-    start = RunParts(RunConfig(loop="isolator", disturbance=False)).start
-    assert not start.states.plant.any() and not start.states.command.any()
-    assert start.states.k_fsm.any()  # the washout has answered the bias
 
 
 def test_a_loop_that_is_not_stable_starts_at_rest_and_says_so(tmp_path) -> None:

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run import stages_tables
 from los_testbed.run.stages import Plan, perform, select
-from los_testbed.run.stages_tables import markdown
-from los_testbed.run.summary.screen import Screen, on_screen
 
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.rows import BRIEF, requirement_table
 from titop_plant.interface import STAGES
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -38,15 +34,6 @@ def test_the_parts_add_up_to_the_whole(compared) -> None:
         assert np.abs(whole - alone - noise).max() < 1e-6 * scale, loop
 
 
-def test_every_stage_has_the_same_noise_and_disturbance(compared) -> None:
-    _, results = compared
-    bags = [select(results, "imbalance", loop, "noise")["nominal"].bag for loop in ("none", "isolator")]
-    first, second = (Run.open(bag)["m1/accel"].values for bag in bags)
-    assert np.array_equal(first, second)  # nothing moves: what is seen is the noise
-    tones = [Run.open(select(results, "imbalance", x, "all")["nominal"].bag).parameters["tones_rad_s"] for x in STAGES]
-    assert all(t == tones[0] for t in tones)
-
-
 def test_open_stages_have_no_noise_in_the_line_of_sight(compared) -> None:
     _, results = compared
     for loop in ("none", "isolator"):
@@ -67,40 +54,6 @@ def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
         assert tone.measured == pytest.approx(tone.expected, rel=1e-6, abs=1e-9 * strongest)
         if tone.model > 0.1 * strongest:
             assert tone.model == pytest.approx(tone.expected, rel=5e-4)
-
-
-def test_the_tables_hold_all_stages(compared) -> None:
-    plan, results = compared
-    text = markdown(results, plan)
-    for loop in STAGES:
-        assert f"| {loop} |" in text
-    assert "Transmissibility" in text and "imbalance" in text
-    for loop in STAGES:
-        summary = select(results, "imbalance", loop, "all")["nominal"].summary
-        assert summary.rows
-        for row in requirement_table(summary.rows).only(*BRIEF).rows:
-            line = " | ".join(cell.replace("|", "\\|") for cell in (loop, *row))
-            assert f"| {line} |" in text
-
-
-def test_the_tables_for_the_screen_have_their_units(compared, monkeypatch, capsys) -> None:
-    """Square brackets are no markup there, and need no escape."""
-    monkeypatch.setenv("COLUMNS", "300")
-    plan, results = compared
-    for table in stages_tables.screen(results, plan):
-        Screen().print(on_screen(table))
-    shown = capsys.readouterr().out
-    assert "\\" not in shown
-    for words in ("APE max [arcsec]", "RPE 99.7 % of windows [mas]", "transmissibility [mas per N]"):
-        assert words in shown
-
-
-def test_the_report_names_the_units_of_its_columns(compared, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    bag = select(compared[1], "imbalance", "fsm", "all")["nominal"].bag
-    cli.main(["report", str(bag), f"--output={tmp_path / 'r.html'}"])
-    shown = capsys.readouterr().out
-    assert "APE max, 99.7 % [arcsec]" in shown and "RPE rms, 99.7 % [mas]" in shown and "\\[" not in shown
 
 
 def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> None:

@@ -11,15 +11,10 @@ from support.true_los import true_los
 
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
-from los_loop.worst_tone import INDICES, WorstTone, worst_tone
-from titop_plant.disturbances.wheel_and_drive_tones import Tones
+from los_loop.worst_tone import INDICES, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
-from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.simulation.plant import Plant
-from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
@@ -83,39 +78,3 @@ def loop_response(loop, plant, omega: float, amplitude: np.ndarray) -> np.ndarra
 
     model = ToneModel(loop, plant, np.array([omega]), amplitude[:, None], np.full(COMMANDS, 1.0))
     return model.settled()[:, 0]
-
-
-def test_the_phase_of_the_tone_puts_its_peak_into_the_middle_of_the_run() -> None:
-    config = RunConfig(loop="isolator", worst_of="APE", noise=False, duration=10.0)
-    tone = RunParts(config).start.tone
-    t = np.linspace(0.0, 10.0, 1001)
-    size = np.linalg.norm((tone.los[:, None] * np.exp(1j * tone.omega * t)).imag, axis=0)
-    assert t[size.argmax()] == pytest.approx(5.0, abs=0.011)
-    assert WorstTone.from_mapping(tone.to_mapping()).gamma == tone.gamma
-
-
-def test_imbalance_begins_at_structural_modes() -> None:
-    """Of the wheels' speeds each is where the line of sight of the telescope is louder than 5 % beside it."""
-    speeds = of_scenario({"scenario": "imbalance"})["wheel_speed"]
-    assert of_scenario({"scenario": "imbalance", "wheel_speed": [1.0, 2.0, 3.0, 4.0]}) == {}
-    config = RunConfig(scenario="imbalance", loop="isolator", wheel_speed=tuple(speeds), disturbance=False)
-    plant, _ = plant_and_tones(RunParts(config).physical)
-
-    def loudness(wheel: int, speed: float) -> float:
-        amplitude = np.zeros((22, 1), complex)
-        amplitude[5 * wheel : 5 * wheel + 2, 0] = 1.0, -1j * np.sign(speed)
-        tones = Tones(np.array([abs(speed)]), amplitude, np.zeros(1), np.array([-1]))
-        at_rest = np.linalg.solve(
-            1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0]
-        )
-        sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
-        run = Plant(ConstantStep(plant_step(plant, tones), at_rest.imag, tones.frequency), sensors, np.ones(8))
-        y, truth, los = np.zeros(22), np.zeros(2), np.zeros((400, 2))
-        for row in los:
-            run.step(np.zeros(8), y, truth)
-            row[:] = truth
-        return float(np.sqrt(np.mean(los**2)))
-
-    louder = [loudness(i, s) > max(loudness(i, 0.95 * s), loudness(i, 1.05 * s)) for i, s in enumerate(speeds)]
-    assert sum(louder) >= 3
-    assert len({round(abs(s)) for s in speeds}) == 4
