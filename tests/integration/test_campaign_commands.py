@@ -61,18 +61,8 @@ def test_commands_of_simulated_members(tmp_path: Path, capsys: pytest.CaptureFix
     compare_time(tmp_path, capsys, 3)
 
 
-@pytest.mark.slow
-def test_twenty_commands_of_simulated_members(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    compare_time(tmp_path, capsys, 20)
-
-
 def test_commands_at_depth_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     compare_model(tmp_path, capsys, 1)
-
-
-@pytest.mark.slow
-def test_twenty_commands_at_depth_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    compare_model(tmp_path, capsys, 20)
 
 
 def test_a_member_that_cannot_be_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
