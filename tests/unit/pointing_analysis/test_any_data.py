@@ -16,7 +16,6 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
-from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.report.report import render
@@ -189,21 +188,6 @@ def test_what_is_no_angle_is_refused(tmp_path: Path, kind: str, los: str, quanti
         open_los(bag, los=los, unit="rad")
     assert "Vector3Stamped" in str(caught.value) and "\n" not in str(caught.value)
     assert {one.field for one in candidates(bag)} <= {"orientation"}
-
-
-def test_a_position_in_a_type_of_others_is_no_angle() -> None:
-    text = "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 tilt\nfloat64[2] error\n" + "".join(
-        f"{'=' * 20}\nMSG: geometry_msgs/{name}\n{fields}\n"
-        for name, fields in (
-            ("Pose", "Point position\nQuaternion orientation"),
-            ("Point", "float64 x\nfloat64 y\nfloat64 z"),
-            ("Vector3", "float64 x\nfloat64 y\nfloat64 z"),
-            ("Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
-        )
-    )
-    found = {v.name: v.quantity for v in vectors("my/msg/Status", parse_definition("my/msg/Status", text))}
-    attitude = {f"pose.orientation.{axis}": "" for axis in "xyz"}
-    assert found == {"pose.position": "a position [m]", "tilt": "", "error": "", **attitude}
 
 
 def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> None:

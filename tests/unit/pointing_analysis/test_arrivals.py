@@ -100,15 +100,6 @@ def test_without_stamps_a_gap_is_only_a_gap() -> None:
     assert kinds(arrivals(logged + back)) == ["clock step"]
 
 
-def test_topics_without_a_period_have_no_gaps() -> None:
-    rng = np.random.default_rng(2)
-    logged = START + np.cumsum(rng.exponential(200 * MS, 500)).astype(np.int64)
-    assert arrivals(logged) == Arrivals(500, False, None)
-    assert arrivals(logged, logged - MS) == Arrivals(500, True, None)
-    for n in (0, 1, 9):
-        assert arrivals(logged[:n]) == Arrivals(n, False, None)
-
-
 def test_verify_lists_the_times_of_a_foreign_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A bag of another program: lost messages of a stamped topic, a gap of one without, and a whole topic."""
     external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")

@@ -202,13 +202,6 @@ def test_part_of_a_run(tmp_path: Path, signals) -> None:
         assert run.problems == ()
 
 
-def test_parameters_and_attachments(tmp_path: Path) -> None:
-    given = {"loop": "fsm+pma", "seed": 3, "tones_rad_s": [1.5, 2.5], "noise": False, "note": "no json {"}
-    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": np.zeros((10, 2))}, parameters=given))
-    assert dict(run.parameters) == given
-    assert run.title == "fsm+pma"
-
-
 def test_memory_limit(tmp_path: Path, signals) -> None:
     bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
     need = Run.open(bag)["m1/accel"].nbytes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +34,3 @@ def test_xarray(topic: Topic) -> None:
     assert float(array.sel(component="linear.y")[7]) == topic.values[7, 1]
     assert np.allclose(array["time"], 1e-3 * np.arange(50))
     assert array.attrs["units"] == topic.unit
-
-
-@pytest.mark.parametrize(("convert", "name"), [(to_pandas, "pandas"), (to_xarray, "xarray")])
-def test_missing_package_is_named(topic: Topic, monkeypatch, convert, name: str) -> None:
-    monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ValueError, match=rf"{name} must be installed: pip install 'los-testbed\[dataframes\]'"):
-        convert(topic)

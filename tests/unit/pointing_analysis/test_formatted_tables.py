@@ -6,10 +6,8 @@ import csv
 import io
 import json
 import re
-from typing import Any
 
 import pytest
-from los_testbed.run.summary.screen import Screen, on_screen
 from support.table_forms import of_html, of_latex, of_markdown
 
 from pointing_analysis.formatting.latex import latex_table
@@ -35,15 +33,6 @@ def test_all_forms_have_the_same_cells() -> None:
     assert of_markdown(TABLE) == wanted
     assert of_latex(latex_table(TABLE)) == wanted
     assert [list(row.values()) for row in json.loads(json.dumps(TABLE.as_dicts()))] == wanted
-
-
-def test_the_terminal_has_the_same_cells_and_colours(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setenv("COLUMNS", "250")
-    Screen().print(on_screen(TABLE))
-    shown = capsys.readouterr().out
-    assert all(line in shown for row in TABLE.rows for cell in row for line in cell.split("\n"))
-    styles = [[cell.style for cell in column._cells] for column in on_screen(TABLE).columns]  # type: ignore[union-attr]
-    assert styles[1] == ["green", "red", ""] and set(styles[0]) == {""}
 
 
 @pytest.mark.parametrize("character", list('\\{}&%$#_~^<>|"[]*-\n\x00\x1b'))
@@ -77,12 +66,3 @@ def test_html_has_no_markup_of_a_cell() -> None:
     found = TextTable.of((Heading("<b>"),), [("<script>&\"'",)], "<i>", classes=('"x',)).html(caption=True)
     assert "<script" not in found and "<b>" not in found and "<i>" not in found and 'class=""' not in found
     assert of_html(TextTable.of(("a",), [("<script>&\"'",)])) == [["<script>&\"'"]]
-
-
-def test_columns_can_be_chosen_and_rows_must_fit() -> None:
-    assert TABLE.only("RPE rms [mas]", "verdict").rows[0] == ("17", "compliant")
-    assert TABLE.only("value").columns[0].number
-    with pytest.raises(ValueError, match=r"^a row must have 2 cells, got 1: \('x',\)$"):
-        TextTable.of(("a", "b"), [("x",)])
-    assert [Heading(head).title for head in ("verdict", "rad/s", "x [mas]")] == ["Verdict", "rad/s", "x [mas]"]
-    assert Heading("none", name=True).title == "none"

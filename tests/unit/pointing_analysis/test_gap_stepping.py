@@ -32,15 +32,6 @@ def test_a_gap_costs_as_many_steps_up_to_the_limit(gap: int, steps: int) -> None
         np.testing.assert_array_equal(held, [1.0, np.nan, 3.0])
 
 
-def test_the_sample_is_copied() -> None:
-    core, out, sample = Recorder(), np.zeros(1), np.ones(2)
-    stepper = GapStepper(core.step, 2, fill=HOLD)
-    stepper(sample, 0, out)
-    sample[:] = 7.0
-    stepper(np.zeros(2), 1, out)
-    assert core.samples[1].tolist() == [1.0, 1.0]
-
-
 @pytest.mark.parametrize("gap", [1, 2, 7, GAP_LIMITS[LINE]])
 def test_a_line_is_met_exactly_and_a_bend_no_worse_than_by_a_held_sample(gap: int) -> None:
     """Of a ramp no missing sample is wrong; the error of a tone is at most its bend, (w dt (gap + 1))^2 / 8."""
@@ -70,8 +61,3 @@ def test_a_gap_beyond_half_a_period_of_the_fast_tones_is_left_out() -> None:
     stepper(np.zeros(1), 0, out)
     stepper(np.ones(1), GAP_LIMITS[LINE] + 1, out)
     assert [float(sample[0]) for sample in core.samples] == [0.0, 1.0]
-
-
-def test_another_fill_is_refused() -> None:
-    with pytest.raises(ValueError, match="fill must be one of line, hold, got 'spline'"):
-        GapStepper(Recorder().step, 1, fill="spline")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,25 +58,17 @@ def test_text_form(text: str, shown: str) -> None:
     ("text", "message"),
     [
         ("prob(MTF(20 ms, Nyquist) < 0.9) ", r"MTF must have a lower limit \(>\), got '<'"),
-        ("prob(Strehl(20 ms) < 0.9) ", r"Strehl must have a lower limit \(>\), got '<'"),
         ("prob(EE80(20 ms) > 90 mas) ", r"EE80 must have an upper limit \(<\), got '>'"),
         ("prob(|RPE(20 ms)| > 90 mas) ", r"RPE must have an upper limit \(<\), got '>'"),
         ("prob(MTF(20 ms, Nyquist) > 0.9 mas) ", "MTF must have a limit without a unit, got mas"),
         ("prob(EE80(20 ms) < 90) ", "EE80 must have a limit in one of mas, .*, got none"),
-        ("prob(EE80(20 ms) < 90 feet) ", "unit must be one of mas"),
         ("prob(MTF(20 ms) > 0.9) ", "MTF must have a spatial frequency, as in"),
-        ("prob(MTF(20 ms, 8) > 0.9) ", "MTF must have a spatial frequency, as in"),
-        ("prob(MTF(20 ms, -1 Nyquist) > 0.9) ", "MTF must have a spatial frequency, as in"),
         ("prob(MTF(20 ms, 8 cycles/pixel) > 0.9) ", "unit of a spatial frequency must be one of mas, .*, got 'pixel'"),
         ("prob(MTF(Nyquist) > 0.9) ", r"MTF\(...\) must have 1 times, got 0"),
         ("prob(Strehl(20 ms, 1 s) > 0.9) ", r"Strehl\(...\) must have 1 times, got 2"),
         ("prob(|Strehl(20 ms)| > 0.9) ", "Strehl must be given without"),
-        ("prob(rms MTF(20 ms, Nyquist) > 0.9) ", "MTF must be given without"),
-        ("prob(EE80_x(20 ms) < 90 mas) ", "EE80 must be given without"),
         ("prob(MTF(20 ms, Nyquist) > 1.0) ", r"limit of MTF must be below 1, got 1\.0"),
         ("prob(MTF(20 ms, Nyquist) > 0) ", "limit must be positive, got 0"),
-        ("prob(RPE(20 ms) < 40 mas) ", "requirement must read like"),
-        ("prob(|APE| < 40) ", "requirement must read like"),
         ("prob(EE85(20 ms) < 40 mas) ", "index must be one of APE.*got 'EE85'"),
     ],
 )
@@ -191,20 +182,3 @@ def test_what_cannot_be_judged_says_why(run: Any, reason: str) -> None:
     assert found.status == "not judged" and reason in found.note
     (row,) = requirement_table([RequirementRow.of(found)]).only(*BRIEF).rows
     assert row[1:] == ("–", "above 0.9", "–", f"not judged: {found.note}")
-
-
-def test_files_of_others_with_a_pupil(tmp_path: Path) -> None:
-    """Optics and pupil come from files beside the samples."""
-    fits = pytest.importorskip("astropy.io.fits")
-    from pointing_analysis.image.optics import load_optics, optics_of
-
-    unit = fits.PrimaryHDU((np.hypot(*np.mgrid[-31.5:32, -31.5:32]) < 30).astype(float))
-    unit.header["PUPLSCAL"] = 0.025
-    unit.writeto(tmp_path / "p.fits")
-    (tmp_path / "o.toml").write_text('[optics]\npupil = "p.fits"\nwavelength = 550e-9\npixel_mas = 38.0\n')
-    run = with_optics(run_of(noise(2001), None), *load_optics(tmp_path / "o.toml"))
-    optics = optics_of(run)
-    assert optics is not None and optics.pupil.extent == pytest.approx(1.5, rel=0.03)
-    closed = run_of(noise(2001), {"aperture_diameter": 1.5, "wavelength": 550e-9, "pixel_mas": 38.0})
-    text = "prob(Strehl(20 ms) > 0.5) >= 0.9 at 50 % confidence"
-    assert judged(text, run).quantile.value == pytest.approx(judged(text, closed).quantile.value, abs=2e-3)

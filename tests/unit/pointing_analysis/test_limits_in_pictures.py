@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.report import distribution_figure, exposure_figure, figures, moving_tones
+from pointing_analysis.report import distribution_figure, exposure_figure, figures
 from pointing_analysis.report.report import view
 from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from pointing_analysis.requirements.summary import summarise
@@ -56,18 +56,6 @@ def marks(axis: Axes) -> set[tuple[float, float]]:
     return {(round(float(x), 6), round(float(y), 6)) for x, y in places}
 
 
-def test_each_distribution_has_the_limits_on_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = [view(run, "run")]
-    made = drawn(distribution_figure, lambda: distribution_figure.distributions(shown, REQUIREMENTS), monkeypatch)
-    assert {title: marks(axis) for title, axis in made.items()} == {
-        "Distribution of |APE|": {(0.2, 0.003)},
-        "Distribution of |RPE(20 ms)|": set(),
-        "Distribution of rms RPE(20 ms)": {(40.0, 0.003), (30.0, 0.05)},
-        "Distribution of rms RPE(50 ms)": {(60.0, 0.003)},
-        "Distribution of |RPE_x(20 ms)|": {(70.0, 0.1)},
-    }
-
-
 @pytest.mark.parametrize("requirement", REQUIREMENTS, ids=str)
 def test_a_curve_says_of_a_limit_what_the_table_says(
     run: Run, requirement: Requirement, monkeypatch: pytest.MonkeyPatch
@@ -99,22 +87,6 @@ def test_limits_over_the_exposure_are_on_the_curve_of_their_part(run: Run, monke
         xs, ys = (np.asarray(data, dtype=float) for data in curve.get_data())
         at = float(np.interp(20.0, xs, ys))
         assert at == pytest.approx(judge(requirement, [run]).quantile.value / RAD_PER_MAS, rel=0.05)
-
-
-def test_limits_over_time_are_those_of_its_windows(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = drawn(moving_tones, lambda: moving_tones.error_over_time([view(run, "run")], REQUIREMENTS), monkeypatch)
-    (axis,) = made.values()
-    lines = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT]
-    assert sorted(float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in lines) == pytest.approx([30.0, 40.0])
-
-
-def test_the_circle_of_the_limit_has_the_unit_of_the_axes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In mas or arcsec, whichever the errors are shown in."""
-    made = drawn(figures, lambda: figures.trajectory([view(run, "run")], REQUIREMENTS), monkeypatch)
-    (axis,) = made.values()
-    circle = next(line for line in axis.get_lines() if line.get_color() == figures.LIMIT)
-    scale = 1.0 if "[arcsec]" in axis.get_xlabel() else 1000.0
-    assert np.hypot(*circle.get_data()) == pytest.approx(0.2 * scale)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +21,6 @@ from pointing_analysis.read.mapped_arrays import (
     parts,
     present,
 )
-from pointing_analysis.read.mcap.chunk_copies import ChunkCopies
-from pointing_analysis.read.mcap.chunks import Unpacked
-from pointing_analysis.read.mcap.manifest import RUN, Manifest
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import render
 from pointing_analysis.requirements.summary import summarise
@@ -142,15 +138,3 @@ def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
         )
         assert other.effective == pytest.approx(one.effective, rel=1e-9)
     assert len(render([split], transient=1.0)) == pytest.approx(len(page), rel=1e-3)
-
-
-def test_nothing_is_kept_of_the_chunks_that_were_read() -> None:
-    """Of a chunk that is whole its digest alone: manifests are a tenth of a long recording."""
-    manifest = Manifest(0, b"", 0, np.zeros(1, RUN), np.zeros(1, np.uint32))
-    copies, gone = ChunkCopies(), weakref.ref(manifest)
-    found, _, again = copies.new_part(Unpacked(b"content"), manifest)
-    assert found.content
-    assert not again
-    del manifest, _
-    assert gone() is None
-    assert copies.new_part(Unpacked(b"content"), None)[2]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +12,7 @@ import pytest
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.moving_tones import PIECES, error_over_time
 from pointing_analysis.report.report import render, view
-from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import summarise
 
 MAS = np.pi / 648_000_000
@@ -60,16 +57,6 @@ def test_the_spectrum_over_time_follows_the_wheel(tmp_path: Path) -> None:
     np.testing.assert_allclose(loudest[away], (START + RATE * time)[away], atol=30.0)
 
 
-def test_the_error_over_time_is_that_of_the_requirement(tmp_path: Path) -> None:
-    """Rms in windows of 20 ms: 50 mas in amplitude are 35 mas there, below a limit of 40."""
-    found = view(bag(tmp_path / "b", motion=MOTION), "fsm")
-    svg = error_over_time([found], [parse("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence")]).svg.decode()
-    curve, limit = (re.findall(r"[-\d.]+ [-\d.]+", d) for d in re.findall(r'<path d="([^"]*)"[^>]*clip-path', svg)[-2:])
-    assert len(curve) > PIECES / 2
-    highest = min(float(point.split()[1]) for point in curve)
-    assert highest > float(limit[0].split()[1])  # svg: y downwards
-
-
 @pytest.mark.parametrize(
     "motion",
     [
@@ -86,11 +73,3 @@ def test_the_error_over_time_is_that_of_the_requirement(tmp_path: Path) -> None:
 )
 def test_an_entry_that_cannot_be_read_is_no_motion(motion: object) -> None:
     assert motion_of(SimpleNamespace(parameters={"motion": motion})) is None
-
-
-def test_motion_names_wheel_and_modes_also_of_bags_without_modes_over_time() -> None:
-    motion = motion_of(SimpleNamespace(parameters={"motion": MOTION}))
-    assert motion is not None and motion.wheel == 0 and motion.turns
-    assert [(at, modes.tolist()) for at, modes in motion.modes] == [(0.0, [300.0]), (12.0, [330.0, 410.0])]
-    old = motion_of(SimpleNamespace(parameters={"motion": {k: v for k, v in MOTION.items() if k != "modes_over_time"}}))
-    assert old is not None and [(at, modes.tolist()) for at, modes in old.modes] == [(0.0, [300.0])]

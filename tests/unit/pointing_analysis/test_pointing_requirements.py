@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pytest
 
-from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.verdict import RequirementError, index_samples, judge, parse
+from pointing_analysis.requirements.verdict import RequirementError, judge, parse
 from titop_plant.telescope.load import load_telescope
 
 MAS = np.pi / 648_000_000
@@ -52,27 +50,6 @@ def test_text_that_cannot_be_understood(text: str, message: str) -> None:
         parse(text)
 
 
-def test_files(tmp_path) -> None:
-    line = "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence"
-    toml = tmp_path / "r.toml"
-    toml.write_text(f'[[requirement]]\ntext = "{line}"\nname = "A"\nloop = "fsm"\n')
-    yaml = tmp_path / "r.yaml"
-    yaml.write_text(f"requirement:\n  - text: '{line}'\n    name: A\n    loop: [fsm]\n")
-    assert requirements.load(toml) == requirements.load(yaml)
-    assert requirements.load(toml)[0].loops == ("fsm",)
-    for content, message in (
-        ("x = [", "must be TOML"),
-        ("a = 1", "a list 'requirement'"),
-        ("requirement = [1]", "whose entries have a 'text'"),
-        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be among text, name, loop"),
-    ):
-        toml.write_text(content)
-        with pytest.raises(RequirementError, match=message):
-            requirements.load(toml)
-    with pytest.raises(RequirementError, match="cannot read"):
-        requirements.load(tmp_path / "none.toml")
-
-
 RPE = "prob(|RPE(20 ms)| < {limit} mas) >= 0.997 at 95 % confidence"
 
 
@@ -95,36 +72,6 @@ def test_too_short_a_run_is_never_compliant_and_says_how_long_it_takes(noise_run
     assert verdict.seconds_needed == pytest.approx(19.96)
     assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.9)]).status == "not enough data"
     assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.98)]).status == "compliant"
-
-
-def test_correlated_samples_count_less(tmp_path) -> None:
-    t = 1e-3 * np.arange(30_000)
-    slow = 10 * MAS * np.column_stack([np.sin(0.3 * t), np.cos(0.3 * t) * 0.5])
-    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": slow}))
-    verdict = judge(parse("prob(|APE| < 1000 mas) >= 0.997 at 95 % confidence"), [run])
-    assert verdict.status == "not enough data"
-    assert verdict.effective < 100
-    assert verdict.seconds_needed > 300
-
-
-def test_drift_mean_and_knowledge_indices(tmp_path) -> None:
-    rng = np.random.default_rng(0)
-    n = 40_000
-    truth = MAS * rng.standard_normal((n, 2))
-    angle = 1e-6 * rng.standard_normal((n, 2))
-    estimate = truth - 0.1 * angle + 5 * MAS * rng.standard_normal((n, 2))
-    signals = {"truth/los": truth, "fsm/strain_gauge": angle, "los_estimate": estimate}
-    run = Run.open(write_bag(tmp_path / "bag", signals))
-    for text, sigma in (
-        ("AKE", 5.0),
-        ("MKE(20 ms)", 5 / math.sqrt(20)),
-        ("RKE(20 ms)", 5 * math.sqrt(0.95)),
-        ("MPE(20 ms)", 1 / math.sqrt(20)),
-        ("PDE(20 ms, 1 s)", math.sqrt(2 / 20)),
-    ):
-        verdict = judge(parse(f"prob(|{text}| < 100 mas) >= 0.95 at 95 % confidence"), [run])
-        assert verdict.status == "compliant", text
-        assert verdict.quantile.value / MAS == pytest.approx(2.44775 * sigma, rel=0.05), text
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
@@ -203,19 +150,6 @@ def test_nan_in_the_truth_is_no_zero(tmp_path) -> None:
         summarise(blank)
 
 
-def test_a_requirement_of_windows_has_one_value_of_each() -> None:
-    """A slow ramp within the windows: at the ends of a window its error is the square root of 3 times the rms."""
-    rate = 100.0 * MAS
-    values = np.zeros((20_000, 2))
-    values[:, 0] = rate * 1e-3 * np.arange(20_000)
-    series = ErrorSeries(values, 1e-3, 0.0, 0)
-    rms, count, _ = index_samples(series, parse("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence"))
-    instants, _, _ = index_samples(series, parse("prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"))
-    assert len(rms) == 1000 and len(instants) == 20_000 and math.isinf(count)
-    assert rms == pytest.approx(np.full(1000, rate * 1e-3 * math.sqrt((20**2 - 1) / 12)), rel=1e-6)
-    assert instants.max() / rms.max() == pytest.approx(math.sqrt(3.0), rel=0.05)
-
-
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.95, 0.997])
 def test_the_quantile_is_below_the_limit_exactly_where_the_limit_is_kept(probability: float) -> None:
     """Two of 500 windows above 40 mas are more than 0.3 %: no quantile of 38 mas may stand beside that verdict."""
@@ -227,11 +161,3 @@ def test_the_quantile_is_below_the_limit_exactly_where_the_limit_is_kept(probabi
             asked = parse(f"prob(rms RPE(20 ms) < {limit:.12g} mas) >= {probability} at 95 % confidence")
             verdict = requirements.decide(asked, values, float(size), 1.0)
             assert verdict.within_limit == (verdict.quantile.value < asked.limit), (size, rank)
-
-
-def test_a_short_run_says_whether_it_keeps_its_limit(noise_run) -> None:
-    short = noise_run(1.0, 5.0)
-    kept, broken = (judge(parse(RPE.format(limit=limit)), [short]) for limit in (1000, 0.01))
-    assert kept.status == "not enough data" and kept.within_limit
-    assert re.fullmatch(r"within limit; not yet demonstrated at 95 % confidence: needs \d+ s", kept.statement)
-    assert broken.statement == broken.status == "not compliant" and not broken.within_limit

@@ -107,16 +107,6 @@ def test_a_row_has_the_proven_bound_where_the_record_shows_none() -> None:
     assert rows_of([short], [beside_of(foreign, requirement)])[0].bound_text == "not demonstrated: record too short"
 
 
-def test_two_requirements_on_one_quantity_are_told_apart_by_their_names() -> None:
-    numbers = 25.0 * MAS * np.ones(50)
-    verdicts = [
-        decide(parse(RPE.replace("40", limit), name), numbers, 50.0, 1.0) for name, limit in (("a", "100"), ("b", "40"))
-    ]
-    labels = [row.label for row in rows_of(verdicts, ())]
-    assert labels == ["a: rms RPE(20 ms), 99.7 %", "b: rms RPE(20 ms), 99.7 %"]
-    assert rows_of([decide(parse(RPE, "RPE"), numbers, 50.0, 1.0)], ())[0].label == "rms RPE(20 ms), 99.7 %"
-
-
 @pytest.mark.parametrize(
     ("more", "text"),
     [

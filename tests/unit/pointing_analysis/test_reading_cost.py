@@ -32,13 +32,6 @@ def benchmark() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("reader", "package"), [("rosbags", "rosbags"), ("mcap_ros2", "mcap_ros2")])
-def test_other_readers_deliver_the_same(benchmark: ModuleType, tmp_path: Path, reader: str, package: str) -> None:
-    pytest.importorskip(package)
-    bag = benchmark.synthetic(tmp_path, 1.0)
-    assert benchmark.equal(benchmark.ours(bag), getattr(benchmark, reader)(bag))
-
-
 def test_messages_are_decoded_in_blocks(benchmark: ModuleType, tmp_path: Path) -> None:
     """Work per message, counted in calls: other readers make dozens for each message, this one some for each chunk."""
     counts, messages = [], []

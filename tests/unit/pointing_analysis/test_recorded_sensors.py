@@ -34,11 +34,6 @@ def test_what_is_written_is_read_and_only_for_topics_that_are_there(tmp_path: Pa
     assert found.as_dict()["sensors"] == [GUIDE.to_mapping()]
 
 
-def test_without_a_description_such_a_topic_is_unknown(tmp_path: Path) -> None:
-    found = summarise(recording(tmp_path / "bag", None, np.full((30, 2), np.nan)), transient=0.0)
-    assert found.sensors == () and found.camera_dropped == 0 and "sensors" not in found.as_dict()
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -58,9 +53,3 @@ def test_a_description_that_cannot_be_read_is_none(tmp_path: Path, change: dict[
     with pytest.raises(ValueError, match=r"a sensor must have|rate_hz and noise of a sensor must be finite"):
         RecordedSensor.from_mapping(entry)
     assert sensors_of(recording(tmp_path / "bag", [GUIDE.to_mapping(), entry], np.zeros((30, 2)))) == ()
-
-
-@pytest.mark.parametrize("entry", [None, [], "camera", {"topic": "guide/los"}])
-def test_an_entry_of_another_kind_is_refused(entry: Any) -> None:
-    with pytest.raises(ValueError, match="a sensor must have topic, unit, rate_hz, held and noise"):
-        RecordedSensor.from_mapping(entry)

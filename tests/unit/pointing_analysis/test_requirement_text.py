@@ -125,11 +125,6 @@ def test_a_time_is_positive_and_below_a_billion(time: str) -> None:
     assert parse(text("|RPE(0.5 s)|")).times == (0.5,)
 
 
-def test_both_signs_of_less_mean_the_same() -> None:
-    assert parse(text(than="<=")) == parse(text(than="<"))
-    assert parse(text().replace(">=", ">")) == parse(text())
-
-
 def test_rms_is_of_windows_and_of_two_indices() -> None:
     for index, count in INDICES.items():
         quantity = f"{index}({', '.join(['1 s'] * count)})" if count else index
@@ -150,12 +145,6 @@ def test_what_is_judged_across_runs() -> None:
             assert made.across_runs == (kind != "temporal" or index == "PRE")
             assert str(made).endswith(" confidence" if kind == "temporal" else f", {kind}")
         assert parse(text(quantity)).interpretation == "temporal"
-
-
-def test_the_name_is_the_index_where_none_is_given_and_the_axis_is_shown() -> None:
-    plain, named = parse(text("|APE_y|")), parse(text("|APE_y|"), "mine", ["fsm", "none"])
-    assert (plain.name, plain.loops, plain.axis, plain.quantity) == ("APE", (), "y", "|APE_y|")
-    assert (named.name, named.loops) == ("mine", ("fsm", "none"))
 
 
 def test_a_list_of_entries_holds_what_they_say() -> None:

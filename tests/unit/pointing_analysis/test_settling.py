@@ -14,7 +14,7 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import MEASURED
 from pointing_analysis.requirements.requirement import parse
-from pointing_analysis.requirements.settling import decay, judge_settled, start_up
+from pointing_analysis.requirements.settling import judge_settled, start_up
 from pointing_analysis.requirements.summary import summarise
 
 MAS = np.pi / 648e6
@@ -126,7 +126,3 @@ def test_a_run_that_is_not_settled_is_not_judged(tmp_path: Path) -> None:
     assert rows[0].status == "not judged" and rows[0].verdict_text.startswith("not judged: not settled: its start-up")
     rows = summarise(bag(tmp_path / "b", values, transient_s=0, tones_rad_s=[2 * np.pi * 0.756])).rows
     assert rows[0].status != "not judged", "a run that is known to be steady"
-
-
-def test_decay_of_a_constant_and_of_nothing() -> None:
-    assert decay(np.ones(600), 10.0) == decay(np.zeros(600), 10.0) == 0.0
