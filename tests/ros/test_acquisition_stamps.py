@@ -26,8 +26,7 @@ def told(tmp_path_factory):
     variables = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(config.domain)}
     nodes = [
         subprocess.Popen(
-            [*node_command(name), *ros_arguments(config.namespace, folder / "run.yaml", name)],
-            env=variables,
+            [*node_command(name), *ros_arguments(config.namespace, folder / "run.yaml", name)], env=variables
         )
         for name in ("estimator", "controller")
     ]

@@ -1,6 +1,5 @@
 """Estimator and controller as two nodes of one process: the same bits, the same faults, and the choice of the mode."""
 
-import json
 import os
 import signal
 import sys
@@ -20,8 +19,8 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
 from los_testbed.nodes.remote_control import remote_control
 from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.modes import EXERCISE_S, first_choice, in_lockstep
-from los_testbed.run.results import Exercised, RunError
+from los_testbed.run.modes import EXERCISE_S
+from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_faults import when_running
 from ros_runs import private_domain
@@ -145,30 +144,12 @@ def test_a_script_is_told_of_a_machine_that_is_too_slow(tmp_path, monkeypatch):
     assert raised.value.code == ExitCode.MISSED_TICKS and not (tmp_path / "bag").exists()
 
 
-def test_a_run_in_real_time_records_the_trial_before_it(tmp_path):
-    config = first_choice(config_of(tmp_path, "bag", max_missed=100.0))
-    results = Runner(config).run()
-    statistics = results.statistics["plant"]
-    assert int(statistics["exercised_ticks"]) > 1000
-    assert 0 <= int(statistics["exercised_late"]) <= int(statistics["exercised_ticks"])
-    parameters = Run.open(results.bag).parameters
-    assert (parameters["mode"], parameters["mode_choice"]) == ("realtime", "auto")
-    assert json.loads(json.dumps(parameters["statistics"]))["plant"]["exercised_ticks"]
-
-
 def test_the_trial_does_not_change_the_run(tmp_path):
     """Laws that have computed at hold ticks begin anew: lockstep after it has the same bits."""
     config = config_of(tmp_path, "tried", mode="lockstep")
     Runner(RunConfig.from_mapping({**config.to_plain(), "exercise": 0.5})).run()
     run_in_process(config, tmp_path / "inprocess")
     assert_same_samples(tmp_path / "tried", tmp_path / "inprocess")
-
-
-def test_lockstep_after_a_slow_trial_is_the_same_run():
-    config = first_choice(RunConfig(duration=2.0, seed=7))
-    other = in_lockstep(config, Exercised(1400, 70, 2, 900.0))
-    assert (other.mode, other.exercise, other.seed, other.duration) == ("lockstep", 0.0, 7, 2.0)
-    assert other.mode_choice == "auto: 5.0 % of 1400 ticks were answered late (limit 0.5 %)"
 
 
 def test_everything_of_a_tick_comes_in_one_message(tmp_path):

@@ -1,7 +1,6 @@
 """A run that is changed while it goes on: settings at one tick, faults, life cycle, refusals, the record."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -12,8 +11,6 @@ import pytest
 import yaml
 
 pytest.importorskip("rclpy")
-from los_testbed.config.run_config import RunConfig
-from los_testbed.nodes.remote_control import NoAnswerError
 from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from ros_faults import run_with_fault
@@ -38,7 +35,6 @@ def controlled(tmp_path_factory):
         user = UserNode(runner.domain)
         remote = user.remote
         try:
-            found["dumps"] = {name: user.dump(name) for name in ("plant", "estimator", "controller", "recorder")}
             found["refused"] = {
                 "stage": user.refused(remote.change, "stage", "none"),
                 "unknown": user.refused(remote.change, "stage", "fast"),
@@ -68,29 +64,6 @@ def controlled(tmp_path_factory):
         for c in json.loads(run.parameters["statistics"][node]["changes"])
     }
     return found, results, run, changes
-
-
-def plain(dump):
-    """A dump with Python's own types, as YAML takes them."""
-    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in dump.items()}
-
-
-def test_every_parameter_is_dumped_with_a_value_and_makes_the_same_node_again(controlled, tmp_path):
-    for name, dump in controlled[0]["dumps"].items():
-        assert set(RunConfig.SETTINGS) <= set(dump), name
-        assert None not in dump.values(), name
-    edited = {**plain(controlled[0]["dumps"]["controller"]), "fade_ticks": 33, "wheel_speed": [1.0, 2.0, 3.0, 4.0]}
-    file = tmp_path / "controller.yaml"
-    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": edited}}))
-    config = config_for(tmp_path)
-    command = [*node_command("controller"), "--ros-args", "--params-file", str(file)]
-    node, user = subprocess.Popen(command, env=environment(config.domain, tmp_path)), UserNode(config.domain)
-    try:
-        assert plain(user.dump("controller")) == edited
-    finally:
-        user.close()
-        node.terminate()
-        assert node.wait(60) == 0
 
 
 def test_what_is_out_of_range_or_in_the_wrong_state_is_refused_with_the_reason(controlled):
@@ -165,17 +138,3 @@ def test_a_change_at_a_tick_gives_the_same_bits_twice_in_lockstep(tmp_path):
     last = 500 + FADE_TICKS - 1  # of the fade, at zero
     assert np.flatnonzero(zero)[last - 700 :].tolist() == list(range(last, 700))
     assert not zero[300:last].any()
-
-
-def test_without_a_run_the_control_says_so(tmp_path):
-    config = config_for(tmp_path)
-    user = UserNode(config.domain, timeout=0.3)
-    try:
-        with pytest.raises(NoAnswerError, match="a run must be active, got no service /telescope/controller/"):
-            user.remote.change("stage", "fsm")
-    finally:
-        user.close()
-    command = [*COMMAND, "deactivate", "plant", "--domain", str(config.domain)]
-    done = subprocess.run(command, env={**os.environ}, capture_output=True, text=True)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "node must be estimator or controller, got 'plant'" in done.stderr

@@ -42,15 +42,6 @@ def test_a_node_refuses_a_controller_for_another_mirror(name: str, tmp_path: Pat
     )
 
 
-def test_the_runner_refuses_before_it_starts_a_process(tmp_path: Path) -> None:
-    user = user_file(tmp_path / "user.toml", "los_sensitivity = 0.2")
-    config = replace(config_for(tmp_path), parameters=user, k_fsm="", k_pma="")
-    runner = Runner(config)
-    with pytest.raises(ValueError, match=r"must be 0\.2, got 0\.1"):
-        runner.run()
-    assert runner.processes == {} and not Path(config.output).exists()
-
-
 def test_a_telescope_with_less_authority_is_run_with_its_own(tmp_path: Path) -> None:
     """Gates and laws have the limit of the telescope; the warning is in the results and in the bag, once each."""
     user = user_file(tmp_path / "user.toml", "authority = 1e-5")

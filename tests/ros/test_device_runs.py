@@ -101,68 +101,6 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
     assert "frozen" in run.parameters["statistics"]["plant"]["device_fault"]
 
 
-RIG = """
-import time
-import numpy as np
-from los_testbed.parts.device_contract import Sample
-
-YEAR = 365 * 86_400 * 10**9
-
-
-class Rig:
-    frames = 0
-
-    def open(self, config):
-        self.angle = np.zeros(2)
-
-    def read(self, now_ns):
-        now = time.monotonic_ns()
-        found = [Sample(port, now, np.random.normal(0.0, 1e-6, 6)) for port in ("accel_Ip", "accel_M1", "accel_M2")]
-        self.frames += 1
-        if self.frames % 20 == 0:
-            ahead = 20 * YEAR if self.frames == 1000 else 0
-            found.append(Sample("camera_los", now + ahead, np.random.normal(0.0, 1e-8, 2)))
-        return [*found, Sample("fsm_angle", now, self.angle + np.random.normal(0.0, 1e-9, 2))]
-
-    def write(self, command, now_ns):
-        self.angle = command[:2].copy()
-
-    def safe(self):
-        pass
-
-    def close(self):
-        pass
-
-
-class Stuck(Rig):
-    def safe(self):
-        raise OSError("the driver of the mirror does not answer")
-"""
-
-
-def test_a_frame_of_the_far_future_costs_itself_and_a_run_ends_well(tmp_path):
-    (tmp_path / "short_rig.py").write_text(RIG)
-    done = finished(command_of(tmp_path, "short_rig:Rig", 2), tmp_path)
-    assert done.returncode == ExitCode.FINISHED, done.stdout + done.stderr
-    said = " ".join((done.stdout + done.stderr).split())
-    assert "camera_los: 1 samples with an acquisition time in the future, or negative, were not used" in said
-    run = Run.open(tmp_path / "bag")
-    plant = run.parameters["statistics"]["plant"]
-    assert plant["device_impossible_time_camera_los"] == "1" and plant["device_state"] == "finalized"
-    assert len(run["camera/los"]) > 50 and max(run["camera/los"].stamp) <= max(run["isolator/accel"].stamp) + 10**7
-
-
-def test_a_rig_that_is_not_made_safe_at_the_end_is_told_by_line_bag_and_exit_code(tmp_path):
-    (tmp_path / "short_rig.py").write_text(RIG)
-    done = finished(command_of(tmp_path, "short_rig:Stuck", 1), tmp_path)
-    assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
-    line = done.stderr.splitlines()[-1]
-    assert "mirror and forces could NOT be set to zero: safe failed: OSError: the driver of the mirror" in line
-    plant = Run.open(tmp_path / "bag").parameters["statistics"]["plant"]
-    assert plant["device_state"] == "error" and plant["device_fault"].startswith("safe failed: OSError")
-    assert plant["ticks"] == "1000"
-
-
 def test_a_rig_that_waits_for_the_start_of_its_run_has_lost_nothing_when_it_begins(tmp_path):
     with emulator("--drift-ppm=500") as (process, address):
         words = command_of(tmp_path, DRIVER, 1, f"--set=device_address={address}", "--wait-for-start")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -171,44 +169,3 @@ def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Pat
     assert found.code == 0 and re.fullmatch(r"the run ended early: after \d+ of 600000 ticks", row.found)
     assert found.title == f"whole; {row.found}"
     assert row.found in summarise(Run.open(tmp_path / "bag")).problems
-
-
-def recorder_trial(folder: Path, name: str, seed: int) -> None:
-    """A recorder that is told to end goes on until its topics are quiet; one that is killed is replaced and told of."""
-    wait = random.Random(f"recorder {name} {seed}").uniform(0.0, 9.0)
-    process = started(folder, "realtime", 5.0)
-    while not (found := nodes_of(folder / "bag", "nodes.recorder")):
-        if process.poll() is not None:  # a machine so slow that no plant was there in time: no recorder to end
-            told = process.communicate()[1]
-            assert process.returncode == 1 and "did not reach" in told, told
-            return
-        time.sleep(0.01)
-    time.sleep(wait)
-    with contextlib.suppress(ProcessLookupError):  # the run may be over by then
-        os.kill(found[0], getattr(signal, name))
-    out, err = output_of(process)
-    told = f"{name} after {wait:.2f} s: code {process.returncode}\n{out}\n{err}"
-    assert process.returncode in (0, 1, 3) and "Traceback" not in err, told
-    if process.returncode == 1:
-        words = ("los-testbed: recorder", "los-testbed: plant did not reach")  # the latter on a slow machine
-        assert err.startswith(words) and err.count("\n") == 1, told
-    if process.returncode == 3:
-        number = {"SIGKILL": signal.SIGKILL, "SIGHUP": signal.SIGHUP}[name].value
-        assert f"recorder ended unexpectedly (signal {number})" in out, told
-    assert not temporary(folder)
-    for bag in sorted(folder.glob("bag*")):
-        shutil.rmtree(folder / "repaired", ignore_errors=True)
-        check_bag(folder, bag)
-        if opened(bag) is not None and any("truncated" in problem for problem in Run.open(bag).problems):
-            assert f"los-testbed bag repair {bag}" in (out + err).replace("\n", ""), told
-
-
-@pytest.mark.ros
-@pytest.mark.slow
-@pytest.mark.timeout(7200)
-@pytest.mark.parametrize("name", SIGNALS)
-def test_a_recorder_ended_at_a_random_time(tmp_path: Path, name: str) -> None:
-    for seed in range(TIMES):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        recorder_trial(folder, name, seed)

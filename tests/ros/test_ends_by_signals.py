@@ -56,14 +56,6 @@ def test_a_recorder_that_is_told_to_end_by_a_stranger_records_the_rest_of_the_ru
     assert_plant_is_recorded(run, int(results.statistics["plant"]["ticks"]))
 
 
-@pytest.mark.slow
-def test_a_plant_that_is_told_to_end_by_a_stranger_begins_again(tmp_path):
-    results = run_with_fault(tmp_path, 800, end_once("plant"), 3.0)
-    assert results.failures[0] == "plant ended unexpectedly (signal 15); it was restarted"
-    assert results.earlier == [tmp_path / "bag"]
-    assert not Run.open(results.bag).problems
-
-
 def test_in_lockstep_it_ends_the_run_with_the_reason(tmp_path):
     with pytest.raises(RunError, match=r"^controller ended unexpectedly \(signal 15\)") as told:
         run_with_fault(tmp_path, 300, end_once("controller"), 60.0, mode="lockstep")

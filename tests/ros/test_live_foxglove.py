@@ -7,7 +7,6 @@ import signal
 import threading
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -22,23 +21,9 @@ from mcap_ros2._dynamic import generate_dynamic
 from ros_runs import PLANT, config_for
 from support.unjudged import judged
 
-from titop_plant.interface import TICK_NS
-
 pytestmark = pytest.mark.ros
 TICKS = 700
 WAIT_S = 60.0
-
-
-@pytest.fixture(scope="module")
-def watched(tmp_path_factory):
-    """A run in simulated time with a client that subscribes before it begins."""
-    folder, clients = tmp_path_factory.mktemp("live"), []
-    config = config_for(folder, mode="lockstep", duration=TICKS / 1000, camera_rate=1000.0)
-    live = Live(port=0, tell=lambda foxglove, page: clients.append(FoxgloveClient(foxglove)))
-    runner = Runner(config, commands={"plant": PLANT}, live=live)
-    results = runner.run()
-    clients[0].join()
-    return clients[0], results, runner._seen["live", "done"]["statistics"]
 
 
 def bag_messages(bag):
@@ -50,8 +35,14 @@ def bag_messages(bag):
     return found
 
 
-def test_a_foxglove_client_decodes_ten_channels_by_their_schemas_with_the_bytes_of_the_bag(watched):
-    client, results, _ = watched
+def test_a_foxglove_client_decodes_ten_channels_by_their_schemas_with_the_bytes_of_the_bag(tmp_path):
+    """In simulated time, with a client that subscribes before the run begins."""
+    clients: list[FoxgloveClient] = []
+    config = config_for(tmp_path, mode="lockstep", duration=TICKS / 1000, camera_rate=1000.0)
+    live = Live(port=0, tell=lambda foxglove, page: clients.append(FoxgloveClient(foxglove)))
+    results = Runner(config, commands={"plant": PLANT}, live=live).run()
+    (client,) = clients
+    client.join()
     assert len(client.channels) == 10
     # a run of half a second may be over before the server has heard of a topic
     assert sum(bool(client.messages[topic]) for topic in client.channels) >= 8
@@ -66,20 +57,6 @@ def test_a_foxglove_client_decodes_ten_channels_by_their_schemas_with_the_bytes_
         if topic != "/diagnostics":
             judged(bool(payloads), f"the channel {topic}", "samples were lost")
             assert all(recorded[topic][stamp_of(payload)] == payload for payload in payloads), topic
-
-
-def test_nine_of_the_channels_have_a_kilohertz_but_for_what_the_server_did_not_get(watched):
-    """Counted by stamps, since the machine may be slow; the server counts the samples that it was too late for."""
-    client, _, lost = watched
-    channels = [topic for topic in client.channels if topic != "/diagnostics"]
-    assert len(channels) == 9
-    for topic in channels:
-        if not judged(bool(client.messages[topic]), f"the rate of {topic}", "samples were lost"):
-            continue
-        stamps = np.array([stamp_of(payload) for _, payload in client.messages[topic]])
-        span = (stamps.max() - stamps.min()) // TICK_NS + 1
-        assert len(stamps) == len(set(stamps.tolist())) and np.all(stamps % TICK_NS == 0), topic
-        assert abs(len(stamps) + int(lost[f"lost_{topic}"]) - span) <= 0.01 * span, topic
 
 
 def test_a_viewer_with_the_token_changes_a_run_and_ends_it(tmp_path):
@@ -146,14 +123,3 @@ def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
     assert killed and results.statistics["plant"]["ticks"] == "600"
     assert not results.failures
     assert results.warnings[-1] == "the server for viewers ended unexpectedly: code -9"
-
-
-@pytest.mark.slow
-def test_a_viewer_gets_only_the_topics_that_the_run_names(tmp_path):
-    clients = []
-    live = Live(port=0, tell=lambda foxglove, page: clients.append(FoxgloveClient(foxglove)), topics=("truth/los",))
-    config = config_for(tmp_path, mode="lockstep", duration=0.3)
-    Runner(config, commands={"plant": PLANT}, live=live).run()
-    clients[0].join()
-    assert set(clients[0].channels) == {"/telescope/truth/los"}
-    assert clients[0].messages["/telescope/truth/los"]

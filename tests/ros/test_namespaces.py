@@ -5,7 +5,6 @@ import subprocess
 import sys
 import threading
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -21,12 +20,9 @@ from los_testbed.run.processes.domains import (
     output_lock,
 )
 from los_testbed.run.runner import Runner
-from los_testbed.run.summary.summary import summarise_runs
 from mcap.reader import make_reader
-from ros_faults import diagnostics
 from ros_runs import PLANT, config_for, lost_samples, span_of
 
-from pointing_analysis.indices.errors import RAD_PER_ARCSEC
 from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
@@ -57,26 +53,6 @@ def both(tmp_path_factory):
     return run_both(tmp_path_factory, TICKS)
 
 
-@pytest.mark.slow
-def test_two_testbeds_for_20_s_have_each_a_verdict_of_its_own(tmp_path_factory):
-    found = run_both(tmp_path_factory, dict.fromkeys(SEEDS, 20_000))
-    quantiles = set()
-    for results in found.values():
-        assert not results.failures
-        summary, plant = summarise_runs([results.bag], None).runs[0], results.statistics["plant"]
-        assert plant["ticks"] == "20000"
-        assert summary["missed_ticks"] == int(plant["missed_ticks"]) <= summary["periods"]
-        assert summary["periods"] == 20_000
-        truth = Run.open(results.bag)["truth/los"]
-        kept = truth.values[truth.stamp - truth.stamp[0] >= summary["transient_s"] * 1e9, :2]
-        largest = np.hypot(*kept.T).max() / RAD_PER_ARCSEC
-        assert summary["ape_arcsec"]["max"] == pytest.approx(largest, rel=1e-4), (
-            "the verdict is on its own line of sight"
-        )
-        quantiles.add(tuple(verdict["quantile"] for verdict in summary["requirements"]))
-    assert len(quantiles) == 2
-
-
 @pytest.mark.parametrize("namespace", SEEDS)
 def test_each_run_counts_its_own_ticks_and_is_alone_on_its_topics(both, namespace):
     results = both[namespace]
@@ -100,13 +76,6 @@ def test_the_bag_has_the_names_that_were_used_and_its_own_statistics(both, names
     assert run.parameters["statistics"]["plant"]["ticks"] == str(TICKS[namespace])
     missing = len(span_of(run)) - len(run["truth/los"])
     assert lost_samples(run, "truth/los", namespace) == missing
-
-
-@pytest.mark.parametrize("namespace", SEEDS)
-def test_the_bag_holds_the_diagnostics_of_its_own_nodes(both, namespace):
-    assert list(diagnostics(both[namespace].bag, "plant", namespace.strip("/")))
-    (other,) = set(SEEDS) - {namespace}
-    assert not list(diagnostics(both[namespace].bag, "plant", other.strip("/")))
 
 
 def test_a_free_domain_is_one_without_participants_and_without_a_run():
@@ -173,21 +142,6 @@ def test_processes_that_look_for_a_free_domain_at_the_same_moment_get_two():
         process.communicate("end\n", timeout=60)
     assert [process.returncode for process in started] == [0, 0]
     assert "" not in domains and len(set(domains)) == 2, domains
-
-
-@pytest.mark.slow
-def test_runs_that_look_for_a_free_domain_at_the_same_moment_get_two(tmp_path):
-    """From the choice to the end of the run nobody else gets it."""
-    options = ["--mode=lockstep", "--duration=1.2", "--no-report", "--start=rest", "--domain=free"]
-    command = [sys.executable, "-m", "los_testbed.cli.app", "run", *options]
-    runs = [
-        subprocess.Popen([*command, f"--output={tmp_path / name}"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        for name in ("one", "other")
-    ]
-    told = [process.communicate(timeout=240)[1].decode() for process in runs]
-    assert [process.returncode for process in runs] == [0, 0], told
-    domains = [line for text in told for line in text.splitlines() if line.startswith("ROS domain")]
-    assert len(set(domains)) == 2, domains
 
 
 @pytest.mark.parametrize("name", ["foo", "", "/foo/", "/foo//bar", "/9", "/a b"])

@@ -10,9 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.runner import Runner
-from ros_runs import assert_plant_is_recorded, config_for, topic_hashes
+from ros_runs import config_for, topic_hashes
 
-from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
@@ -51,13 +50,3 @@ def test_a_ramp_in_lockstep_has_the_bytes_of_the_ramp_in_one_process(profile: st
     assert {topic: ours[topic] for topic in loop} == {topic: theirs[topic] for topic in loop}
     motions = [Run.open(bag).parameters["motion"] for bag in (results.bag, tmp_path / "alone")]
     assert motions[0] == motions[1]
-
-
-@pytest.mark.slow
-def test_a_ramp_in_real_time_is_recorded_and_names_its_motion(tmp_path: Path) -> None:
-    config = config_for(tmp_path, scenario="ramp", duration=1.2, start="steady", **THROUGH_REST)
-    run = Run.open(Runner(config, lambda ticks: None).run().bag)
-    assert_plant_is_recorded(run, 1200)
-    motion = motion_of(run)
-    assert motion is not None and motion.speed[0].tolist() == THROUGH_REST["wheel_speed"]
-    assert motion.speed[-1].tolist() == pytest.approx([-2.4, -402.8, 92.0, -100.0])

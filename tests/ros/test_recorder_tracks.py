@@ -13,7 +13,6 @@ from los_testbed.bags.diagnostics import Status, write_diagnostics
 from los_testbed.config.topics import TOPICS, TopicDefinition
 from los_testbed.nodes.recorder import Recorder
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
-from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.run.loop.source_guard import OURS, Endpoint, SourceGuard
 
@@ -93,27 +92,6 @@ def test_answers_of_the_last_run_that_come_late_are_not_of_the_next_one():
     assert all((len(track.data), track.first, track.distinct) == (1, 1000 * TICK_NS, 1) for track in made.tracks)
 
 
-class Info:
-    """What the graph tells of a publisher."""
-
-    def __init__(self, node_name: str) -> None:
-        self.endpoint_gid, self.node_namespace, self.node_name = bytes(15) + b"\1", "/telescope", node_name
-
-
-def subscription(*infos: Info) -> RawSubscription:
-    """One that the middleware does not know, with what the graph tells at each look."""
-    made, left = object.__new__(RawSubscription), list(infos)
-    made.name, made._node_names = "/telescope/truth/los", {}
-    made._node = SimpleNamespace(get_publishers_info_by_topic=lambda name: [left.pop(0)])
-    return made
-
-
-def test_a_publisher_that_is_found_again_is_of_the_node_that_it_was_of():
-    """After the lease the graph forgets a node, and learns its name later than its publishers."""
-    found = subscription(Info("_NODE_NAME_UNKNOWN_"), Info("plant"), Info("_NODE_NAME_UNKNOWN_"))
-    assert [found.endpoints()[0].node for _ in range(3)] == ["", "/telescope/plant", "/telescope/plant"]
-
-
 @pytest.mark.parametrize("node", ["/telescope/node", ""])
 def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node):
     made, plant, followers = recorder()
@@ -152,16 +130,3 @@ def test_a_report_waits_until_the_graph_knows_its_node():
     queue.take = lambda: None
     track.drain()
     assert (track.statistics, track.foreign) == ({"from": "01"}, 1)
-
-
-def test_a_report_that_comes_when_its_node_has_left_the_graph_is_taken():
-    queue: Any = Queue(TOPICS[0])
-    queue.name, queue.guard.expected = "/telescope/plant/diagnostics", "/telescope/plant"
-    queue.endpoints = lambda: [Endpoint("01", "/telescope/plant")]
-    track = ReportTrack(queue)
-    assert track.learn() == {"01": "/telescope/plant"}
-    queue.endpoints = list
-    data = write_diagnostics(0, "", Status(0, "telescope: plant", "", {"ticks": "7"}))
-    queue.take = iter([Taken(data, 1, 1, b"\1"), None]).__next__
-    track.drain()
-    assert (track.statistics, track.foreign) == ({"ticks": "7"}, 0)

@@ -98,24 +98,6 @@ def test_live_nodes_driven_by_a_bag_answer_as_recorded(recorded, tmp_path):
         assert found["identical"], errors
 
 
-@pytest.mark.parametrize("recorded", ["realtime"], indirect=True)
-def test_an_observer_alone_can_be_driven(recorded, tmp_path):
-    config, bag = recorded
-    with nodes(config, tmp_path, "estimator"):
-        code, found, errors = call(config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--json")
-    assert code == 0, errors
-    assert set(found["answers"]) == {"los_estimate"}
-
-
-@pytest.mark.parametrize("recorded", ["realtime"], indirect=True)
-def test_nobody_listens(recorded, tmp_path):
-    config, bag = recorded
-    code, _, errors = call(config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--timeout=1")
-    assert code == 2
-    assert "a node must subscribe to" in errors
-    assert errors.count("\n") == 1
-
-
 def test_frames_of_the_camera_come_to_a_recorder(tmp_path):
     """The bag of a run with images drives live nodes and a recorder, whose bag has the same frames, byte by byte."""
     file = tmp_path / "image.toml"

@@ -1,14 +1,10 @@
 """A node asks the middleware whether there is a request, without its executor."""
 
-from typing import Any
-
 import pytest
 import rclpy
 from los_testbed.nodes.support.requests import Requests
-from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
@@ -59,23 +55,3 @@ def test_a_request_waits_until_the_executor_has_answered_it(nodes):
     other.add_node(user)
     other.spin_until_future_complete(future, 5.0)
     assert future.result().success
-
-
-def test_messages_count_only_where_an_executor_takes_them(nodes):
-    server, user = nodes
-    requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
-    executor.add_node(server)
-    ours = RawSubscription(server, "raw", Header)
-    seen: list[Any] = []
-    server.create_subscription(Header, "ordinary", seen.append, 10)
-    raw, ordinary = (user.create_publisher(Header, name, 10) for name in ("raw", "ordinary"))
-    assert _until(lambda: raw.get_subscription_count() and ordinary.get_subscription_count())
-    raw.publish(Header())
-    assert _until(lambda: ours.take() is not None)
-    raw.publish(Header())
-    ordinary.publish(Header())
-    assert _until(requests.waiting)
-    executor.spin_once(timeout_sec=0.0)
-    assert len(seen) == 1
-    assert not requests.waiting()
-    assert _until(lambda: ours.take() is not None), "left alone by the executor"

@@ -95,15 +95,6 @@ def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path: Path, modu
     assert ours["/telescope/pma/command"][0] == 500
 
 
-def test_a_run_in_real_time_names_them_in_its_bag(tmp_path: Path, module: str) -> None:
-    config = config_for(tmp_path, duration=1.0, **settings(module))
-    results = Runner(config, lambda ticks: None).run()
-    parameters = Run.open(results.bag).parameters
-    for setting, name in settings(module).items():
-        assert parameters[setting] == name
-        assert len(parameters[f"{setting}_source_sha256"]) == 64
-
-
 def test_a_value_that_is_not_finite_ends_the_run_and_names_tick_and_port(tmp_path: Path, module: str) -> None:
     config = config_for(tmp_path, mode="lockstep", duration=2.0, **settings(module, k_pma=f"{module}:Failing"))
     with pytest.raises(RunError, match=rf"k_pma {module}:Failing failed at tick 300: pma_force\[2\] is nan"):
@@ -196,24 +187,6 @@ def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, 
         Runner(config_for(tmp_path, duration=60.0), lambda ticks: None, commands=commands).run()
     assert error.value.code == 1
     assert len(Run.open(tmp_path / "bag")["truth/los"]) > 300
-
-
-@pytest.mark.parametrize(
-    "node",
-    [
-        "plant",
-        pytest.param("estimator", marks=pytest.mark.slow),
-        pytest.param("controller", marks=pytest.mark.slow),
-    ],
-)
-def test_a_function_that_makes_nothing_for_a_node_is_a_mistake_of_the_user(tmp_path: Path, node: str) -> None:
-    file = tmp_path / "own_node.py"
-    file.write_text(BUILT.format(node=node, outputs=1, made='{}["telescope"]'))
-    commands = {"plant": PLANT, node: [sys.executable, str(file)]}
-    with pytest.raises(RunError, match=rf"{node} must be made .*, got KeyError: 'telescope' \(<lambda>, ") as error:
-        Runner(config_for(tmp_path), lambda ticks: None, commands=commands).run()
-    assert error.value.code == 2
-    assert not (tmp_path / "bag").exists() or not len(Run.open(tmp_path / "bag").topics)
 
 
 SLOW_AT_FIRST = """

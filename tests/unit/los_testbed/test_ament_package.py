@@ -42,14 +42,6 @@ def test_every_node_has_a_program_that_can_be_imported(described):
         assert callable(getattr(importlib.import_module(module), function))
 
 
-def test_marker_launch_and_configuration_are_installed(described):
-    files = dict(described["data_files"])
-    assert files["share/ament_index/resource_index/packages"] == ["resource/los_testbed"]
-    assert (PACKAGE / "resource" / "los_testbed").exists()
-    assert files["share/los_testbed/launch"] == ["launch/testbed.launch.py"]
-    assert files["share/los_testbed/config"] == ["config/run.yaml"]
-
-
 def test_the_configuration_that_ships_is_valid_and_default():
     values = yaml.safe_load((PACKAGE / "config" / "run.yaml").read_text())["/**"]["ros__parameters"]
     assert set(values) <= set(RunConfig.SETTINGS)

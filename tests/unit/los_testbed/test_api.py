@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.api import analyse, campaign, run
-from simple_telescope import SimpleTelescope
 from support.command_line import call_command
 
 from pointing_analysis.indices.errors import performance_error
@@ -47,12 +46,6 @@ def test_values_of_a_result_are_tables_and_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data["los_error"].values, error.values)
     assert float(data["time"][1] - data["time"][0]) == pytest.approx(1e-3) and data["los_error"].attrs["units"] == "rad"
     assert (tmp_path / "bag" / "report.html").stat().st_size > 10_000
-
-
-def test_a_plant_that_is_an_object_and_the_telescope_s_own_stage(tmp_path: Path) -> None:
-    assert run(tmp_path / "a", duration=1.04, parameters=SMALL).summary.loop == "fsm"
-    own = run(tmp_path / "b", plant=SimpleTelescope(20, 1, True, 0.0), duration=1.04, scenario="none")
-    assert own.summary.ticks == 1040
 
 
 @pytest.mark.parametrize(
@@ -94,20 +87,3 @@ def test_rows_of_a_campaign_are_a_table(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="output must be a new folder"):
         campaign(tmp_path / "rows", **given)  # type: ignore[arg-type]
     assert campaign(tmp_path / "rows", resume=True, **given).summary["rows_hash"] == found.summary["rows_hash"]  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"durtion": 3.0}, "unknown parameter 'durtion': did you mean duration"),
-        ({"duration": "3"}, "duration must be a number, got '3'"),
-        ({"loop": "fsm+pma", "parameters": str(SMALL)}, "loop must be one of none, isolator, fsm"),
-        ({"parameters": "none.toml"}, "none.toml"),
-    ],
-)
-def test_settings_that_do_not_fit_are_refused_before_anything_is_written(
-    tmp_path: Path, settings: dict[str, object], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        run(tmp_path / "bag", **settings)  # type: ignore[arg-type]
-    assert not (tmp_path / "bag").exists()

@@ -56,17 +56,7 @@ def test_a_bag_that_ends_within_a_chunk_keeps_all_chunks_before(bag, tmp_path, p
     assert Run.open(tmp_path / "new").parameters["loop"] == "fsm+pma"
 
 
-def _torn(bag, number):
-    """Half of a chunk's compressed data overwritten; where the chunk begins."""
-    file = bag / "bag_0.mcap"
-    data, hurt = bytearray(file.read_bytes()), chunks(bag)[number]
-    middle = hurt.chunk_start_offset + hurt.chunk_length // 2
-    data[middle : hurt.chunk_start_offset + hurt.chunk_length] = bytes(hurt.chunk_length - hurt.chunk_length // 2)
-    file.write_bytes(data)
-    return hurt.chunk_start_offset
-
-
-@pytest.mark.parametrize("places", [[0], [6], [20], [25], [50], [70], [-5], [-5, -2000], [30, -7000]])
+@pytest.mark.parametrize("places", [[6], [50], [-5, -2000]])
 def test_damage_in_a_chunk_and_in_its_manifest_leaves_the_records_that_are_whole(bag, tmp_path, places):
     """A wrong bit of the manifest is undone; with two, what its checksums of records confirm is used."""
     file, hurt = bag / "bag_0.mcap", chunks(bag)[1]
@@ -86,22 +76,6 @@ def test_damage_in_a_chunk_and_in_its_manifest_leaves_the_records_that_are_whole
     assert all(np.array_equal(old[name].values, new[name].values, equal_nan=True) for name in old.topics)
 
 
-def test_a_damaged_chunk_is_reported_with_its_offset_and_the_others_are_copied(bag, tmp_path):
-    offset = _torn(bag, 1)
-    result = repair_bag(bag, tmp_path / "new")
-    assert [place for place, _ in result.damage] == [offset]
-    lost = {loss.topic: loss for loss in result.losses}
-    run = Run.open(tmp_path / "new")
-    for name in run.topics:
-        topic, loss = run[name], lost.get(f"/telescope/{name}")
-        assert topic.integrity.missing == (loss.missing if loss else 0)
-        for span in loss.spans if loss else ():
-            assert 0.9 < span.start < span.stop <= 2.0
-    assert any("repaired from bag_0.mcap" in text for text in run.problems)
-    for loss in result.losses:
-        assert any(str(loss) in text for text in run.problems), "every later reader repeats it"
-
-
 def test_a_wrong_byte_in_a_chunk_is_put_right_by_its_manifest(bag):
     file = bag / "bag_0.mcap"
     good, hurt = file.read_bytes(), chunks(bag)[0]
@@ -110,27 +84,6 @@ def test_a_wrong_byte_in_a_chunk_is_put_right_by_its_manifest(bag):
     data[hurt.chunk_start_offset + 9 + 28 + 8 + 8] ^= 4  # magic number of zstd
     file.write_bytes(data)
     assert {name: Run.open(bag)[name].values.tobytes() for name in Run.open(bag).topics} == before
-
-
-def test_what_is_no_bag_is_refused(tmp_path, bag):
-    (tmp_path / "text").write_text("no bag")
-    for source in (tmp_path / "nothing", tmp_path / "text"):
-        with pytest.raises(ValueError):
-            repair_bag(source, tmp_path / "new")
-        assert not (tmp_path / "new").exists()
-    with pytest.raises(ValueError, match="exists already"):
-        repair_bag(bag, bag)
-
-
-def test_a_reader_names_the_place_of_a_damaged_chunk_and_uses_what_is_whole(bag):
-    whole = Run.open(bag)["truth/los"]
-    offset = _torn(bag, 2)
-    run = Run.open(bag)
-    assert any(f"byte {offset}:" in problem for problem in run.problems), run.problems
-    assert any("los-testbed bag repair" in problem for problem in run.problems), run.problems
-    left = run["truth/los"]
-    assert 3000 <= len(left) < 4000
-    assert np.array_equal(left.values, whole.values[np.isin(whole.stamp, left.stamp)])
 
 
 def test_log_times_beyond_the_signed_ones_are_kept(bag, tmp_path):

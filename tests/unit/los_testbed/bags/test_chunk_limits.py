@@ -20,11 +20,9 @@ from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.mcap import chunks as mcap_chunks
-from pointing_analysis.read.mcap import manifest as chunk_manifest
 from pointing_analysis.read.mcap import walk as mcap_walk
 from pointing_analysis.read.mcap.chunks import take_apart
-from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest, salvage
-from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_MANIFEST, OP_SCHEMA, RECORD, BagError, FileInfo
+from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST, OP_SCHEMA, RECORD, BagError
 from pointing_analysis.read.run import Run
 
 EIGHT_GB = 8 << 30
@@ -144,33 +142,6 @@ def test_many_chunks_do_not_unpack_to_more_than_a_multiple_of_the_file(
     assert len(run["truth/los"]) == 2000
     assert sum(len(content) for content, _ in unpacked) < 10 * size + 35_000_000
     assert any("the chunks of the file unpack to more than 10 times its size" in problem for problem in run.problems)
-
-
-def test_trials_to_undo_damage_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One record of a whole chunk would have as many trials as bytes, each over all of it."""
-    runs = [(0, 1, 5_000_000, 0, 0, 0)]
-    content = bytes(5_000_000)
-    manifest = decode_manifest(encode_manifest(content, runs))
-    assert manifest is not None
-    monkeypatch.setattr(chunk_manifest, "_bursts", lambda *_: pytest.fail("a record as long as this is not mended"))
-    assert not salvage(b"\1" + content[1:], manifest)[1].any()
-    monkeypatch.undo()
-    runs = [(0, 1, 90_000, 0, 0, 0), (0, 1, 60_000_000, 0, 0, 0)]
-    content = bytes(60_090_000)
-    manifest = decode_manifest(encode_manifest(content, runs))
-    made: list[Any] = []
-    monkeypatch.setattr(chunk_manifest, "content_digest", noting(made, lambda _: b""))
-    assert manifest is not None
-    assert salvage(b"\1" * 40_000 + content[40_000:], manifest)[1].tolist() == [False, True]
-    assert 1 <= len(made) <= 40
-
-
-def test_damaged_places_are_told_up_to_a_number() -> None:
-    info = FileInfo()
-    for i in range(3 * MAX_NOTES):
-        info.note("a.mcap", i // 2, "damaged")
-    assert len(info.damage) == len(info.problems) == MAX_NOTES + 1
-    assert "not listed" in info.problems[-1]
 
 
 def test_an_unknown_compression_is_refused_unless_its_checksum_says_that_there_is_none() -> None:

@@ -35,11 +35,6 @@ def test_its_format_is_the_present_one() -> None:
     assert set(states.values()) == {"agrees"}, states
 
 
-def test_its_report_is_no_change_of_the_clone() -> None:
-    """`los-testbed analyse bags/reference`, as the documentation says it, writes a report into the folder."""
-    assert "bags/reference/report.html" in (BAG.parents[1] / ".gitignore").read_text().splitlines()
-
-
 def test_its_controllers_give_its_commands_again() -> None:
     """To rounding: another processor may add up in another order."""
     run = Run.open(BAG)

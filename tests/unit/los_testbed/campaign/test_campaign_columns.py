@@ -14,7 +14,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.meanings import RequirementColumns, meaning
 from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row, metric_columns
-from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
+from los_testbed.campaign.overview import campaign_summary
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.cli.app import main
@@ -22,7 +22,6 @@ from los_testbed.cli.campaign import _show
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import identity
-from los_testbed.run.summary.screen import on_screen
 from rich.console import Console
 
 from pointing_analysis.image.optics import optics_of
@@ -71,80 +70,6 @@ def base_of(parameters: str, **changes: Any) -> RunConfig:
     )
 
 
-def named(name: str, requirements: tuple[Requirement, ...]) -> tuple[Requirement, RequirementColumns]:
-    requirement = next(r for r in requirements if r.name == name)
-    return requirement, RequirementColumns.of(requirement)
-
-
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("|APE| < 10 arcsec", "ape_above_10_arcsec ape_p9_arcsec ape_max_arcsec ape_above_10_arcsec_effective"),
-        (
-            "rms RPE(20 ms) < 4.848e-8 rad",
-            "rpe_window_above_9.99972_mas rpe_window_p9_mas rpe_window_max_mas rpe_window_above_9.99972_mas_effective",
-        ),
-        ("|APE| < 500 mas", "ape_above_0.5_arcsec ape_p9_arcsec ape_max_arcsec ape_above_0.5_arcsec_effective"),
-        (
-            "|APE_x| < 1 urad",
-            "ape_x_above_0.206264806247096_arcsec ape_x_p9_arcsec ape_x_max_arcsec "
-            "ape_x_above_0.206264806247096_arcsec_effective",
-        ),
-        (
-            "rms RPE(20 ms) < 40 mas",
-            "rpe_window_above_40_mas rpe_window_p9_mas rpe_window_max_mas rpe_window_above_40_mas_effective",
-        ),
-        ("|RPE(20 ms)| < 40 mas", "rpe_above_40_mas rpe_p9_mas rpe_max_mas rpe_above_40_mas_effective"),
-        (
-            "rms RPE(250 ms) < 40 mas",
-            "rpe_window_250ms_above_40_mas rpe_window_250ms_p9_mas rpe_window_250ms_max_mas "
-            "rpe_window_250ms_above_40_mas_effective",
-        ),
-        (
-            "|RPE_y(20 ms)| < 4 mas",
-            "rpe_20ms_y_above_4_mas rpe_20ms_y_p9_mas rpe_20ms_y_max_mas rpe_20ms_y_above_4_mas_effective",
-        ),
-        (
-            "|PDE(1 s, 1.5 min)| < 1 arcsec",
-            "pde_1s_90s_above_1000_mas pde_1s_90s_p9_mas pde_1s_90s_max_mas pde_1s_90s_above_1000_mas_effective",
-        ),
-        (
-            "|MKE(1 s)| < 1 arcsec",
-            "mke_1s_above_1_arcsec mke_1s_p9_arcsec mke_1s_max_arcsec mke_1s_above_1_arcsec_effective",
-        ),
-        (
-            "MTF(20 ms, Nyquist) > 0.9",
-            "mtf_20ms_nyquist_below_0.9 mtf_20ms_nyquist_p1 mtf_20ms_nyquist_min mtf_20ms_nyquist_below_0.9_effective",
-        ),
-        (
-            "MTF(5 ms, 8 cycles/arcsec) > 0.9",
-            "mtf_5ms_8cycles_per_arcsec_below_0.9 mtf_5ms_8cycles_per_arcsec_p1 mtf_5ms_8cycles_per_arcsec_min "
-            "mtf_5ms_8cycles_per_arcsec_below_0.9_effective",
-        ),
-        (
-            "EE80(20 ms) < 140 mas",
-            "ee80_20ms_above_140_mas ee80_20ms_p9_mas ee80_20ms_max_mas ee80_20ms_above_140_mas_effective",
-        ),
-        (
-            "ellipticity(20 ms) < 0.02",
-            "ellipticity_20ms_above_0.02 ellipticity_20ms_p9 ellipticity_20ms_max "
-            "ellipticity_20ms_above_0.02_effective",
-        ),
-    ],
-)
-def test_names(text: str, names: str) -> None:
-    assert RequirementColumns.of(parse(f"prob({text}) {TAIL}")).names == tuple(names.split())
-
-
-def test_names_of_probabilities() -> None:
-    for probability, upper, lower in (("99.7 %", "p997", "p003"), ("0.5", "p5", "p5"), ("0.99999", "p99999", "p1e-05")):
-        strehl, ape = (
-            RequirementColumns.of(parse(f"prob({text}) >= {probability} at 95 % confidence"))
-            for text in ("Strehl(1 s) > 0.5", "|APE_x| < 1 mas")
-        )
-        assert (ape.quantile, strehl.quantile) == (f"ape_x_{upper}_arcsec", f"strehl_1s_{lower}")
-
-
 def drawn(rng: np.random.Generator) -> Requirement:
     """Any requirement on single runs."""
     times = [
@@ -182,37 +107,6 @@ def test_names_tell_requirements_apart_and_have_a_meaning() -> None:
         assert re.fullmatch(r"[a-z0-9_.+-]+", name)
         assert meaning(name) != name.replace("_", " "), name
     assert len({meaning(name) for name in (*values, *shares)}) == len({*values, *shares})
-
-
-@pytest.mark.parametrize(
-    ("column", "words"),
-    [
-        ("ape_y_max_arcsec", "absolute error, axis y, largest of the instants [arcsec]"),
-        (
-            "rpe_window_250ms_p997_mas",
-            "relative error, rms of a window of 250 ms, 99.7 % of the windows [mas]",
-        ),
-        (
-            "rpe_40ms_x_above_4_mas_effective",
-            "relative error in windows of 40 ms, axis x: independent instants for the share above 4 mas",
-        ),
-        (
-            "pde_1s_10s_above_5_mas",
-            "drift between two windows of 1 s, 10 s apart: share of the pairs of windows above 5 mas",
-        ),
-        (
-            "mtf_20ms_0.5nyquist_min",
-            "MTF of the motion in an exposure of 20 ms, at 0.5 Nyquist, smallest of the exposures",
-        ),
-        (
-            "mtf_20ms_8cycles_per_arcsec_below_0.9",
-            "MTF of the motion in an exposure of 20 ms, at 8 cycles/arcsec: share of the exposures below 0.9",
-        ),
-        ("strehl_20ms_p003", "Strehl ratio of the motion in an exposure of 20 ms, 99.7 % of the exposures are above"),
-    ],
-)
-def test_meanings(column: str, words: str) -> None:
-    assert meaning(column) == words
 
 
 SHARES = ("ape_above_10_arcsec", "rpe_window_above_100_mas", "rpe_window_above_40_mas")
@@ -311,37 +205,6 @@ def test_missing_windows_count_in_the_share(text: str, share: float) -> None:
     assert found[columns.share] == pytest.approx(share, rel=1e-12) and np.isfinite(found[columns.worst])
 
 
-def test_an_index_that_a_shorter_run_lacks_is_not_known() -> None:
-    """A member that starts at rest where the others do not: the rest of its row is there."""
-    values = 1e-9 * np.random.default_rng(1).standard_normal((1000, 4))
-    long = parse(f"prob(rms RPE(500 ms) < 1 mas) {TAIL}")
-    assert "rpe_window_500ms_max_mas" in _Record(values, 1.0).metrics(0, [long], 0.02)
-    assert set(_Record(values, 1.0).metrics(600, [long], 0.02)) == set(COMMON_METRICS)
-
-
-def test_a_run_from_rest_is_shorter_by_its_start_up(tmp_path: Path) -> None:
-    file = telescope(tmp_path / "mine.toml", {"long": "prob(rms RPE(1.5 s) < 40 mas) >= 0.9 at 95 % confidence"})
-    for start, kept in (("steady", True), ("rest", False)):
-        asked = Campaign.of(base_of(file, start=start), "uniform", 1, 7, "time", {})
-        assert ("rpe_window_1.5s_max_mas" in asked.metrics) == kept
-        assert list(asked.refusals.values()) == (
-            [] if kept else ["the run must be at least as long as the window of 1.5 s, got 1 s"]
-        )
-    assert Campaign.of(base_of(file), "uniform", 1, 7, "model", {}).refusals == {}
-
-
-def test_optics_are_part_of_a_campaign_where_metrics_depend_on_them(tmp_path: Path) -> None:
-    wave = "[optics]\nwavelength = 633e-9\n"
-    star = {"star": "prob(Strehl(20 ms) > 0.5) >= 0.9 at 95 % confidence"}
-    reference, other = (
-        identity(base_of(telescope(tmp_path / f"{k}.toml", star, text))) for k, text in enumerate(("", wave))
-    )
-    assert {name for name in reference if reference[name] != other[name]} == {"telescope"}
-    lost = telescope(tmp_path / "lost.toml", star, '[optics]\npupil = "none.fits"\n')
-    with pytest.raises(ValueError, match=r"cannot read .*none\.fits"):
-        identity(base_of(lost))
-
-
 def test_rows_from_before_a_requirement_had_columns_are_computed_again(tmp_path: Path) -> None:
     """A folder of the same campaign with other columns is resumed, not refused."""
     pytest.importorskip("pyarrow")
@@ -360,42 +223,3 @@ def test_rows_from_before_a_requirement_had_columns_are_computed_again(tmp_path:
             folder.write(number, [finished_row(m["index"], m, metrics, "ok", "") for m in chunk])
         assert folder.open(asked, True) == {0, 1}
         assert campaign_summary(asked, folder)["members"] == 20
-
-
-def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
-    """Of a lower limit the quantiles of the members are those that so many are above."""
-    pytest.importorskip("pyarrow")
-    file = telescope(tmp_path / "mine.toml", JUDGED)
-    asked = Campaign.of(base_of(file), "uniform", 10, 1, "time", {"version": "1"})
-    folder = ResultFolder(tmp_path / "c")
-    folder.open(asked, False)
-    requirement, columns = named("image", asked.requirements)
-    for number, chunk in asked.chunks():
-        metrics = [
-            {**dict.fromkeys(asked.metrics, 1.0), columns.worst: 0.5 + 0.04 * m["index"], columns.quantile: 0.8}
-            for m in chunk
-        ]
-        folder.write(number, [finished_row(m["index"], m, v, "ok", "") for m, v in zip(chunk, metrics)])
-    summary = json.loads(json.dumps(campaign_summary(asked, folder)))
-    names = [name for r in asked.judged for name in RequirementColumns.of(r, LONG).names]
-    assert set(names) <= set(summary["metrics"])
-    worst = summary["metrics"][columns.worst]
-    assert worst == {"members": 10, "q0.5": 0.68, "q0.1": 0.536, "q0.01": 0.5036, "q0": 0.5}
-    assert list(summary["metrics"]["pde_100ms_500ms_max_mas"]) == ["members", "q0.5", "q0.9", "q0.99", "q1"]
-    assert list(summary["metrics"][columns.effective]) == ["members", "q0.5", "q0.9", "q0.99", "q1"]
-    shown = {v["interpretation"]: v for v in summary["verdicts"] if v["requirement"] == "image"}
-    assert shown["temporal"]["value"] == 0.8 and shown["temporal"]["lower_limit"] is True
-    assert shown["ensemble"]["text"] == str(requirement) and shown["ensemble"]["value"] == 0.54
-    page = write_page(asked, folder, summary, tmp_path / "r.html").read_text("utf-8")
-    for name in names:
-        assert f"<td>{name}<br>" in page and meaning(name) in page
-    assert "above 0.7 " in page
-    screens = {}
-    for width in (80, 300):
-        console = Console(width=width, record=True, file=(tmp_path / "screen").open("w"))
-        console.print(on_screen(verdict_table(summary)))
-        console.print(on_screen(metric_table(summary), whole=("metric",)))
-        screens[width] = console.export_text()
-        assert all(name in screens[width] for name in names), "a name that is cut names no column"
-    assert "above 0.7" in screens[300]
-    assert "largest (smallest for lower limits)" in screens[300] and "largest (smallest for lower limits)" in page

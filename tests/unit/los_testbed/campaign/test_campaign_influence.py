@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign.influence import bins_of, first_order_index, influences, pair_effects
+from los_testbed.campaign.influence import bins_of, influences, pair_effects
 from los_testbed.campaign.sampling import members
 
 COLUMNS = tuple("abcdefg")
@@ -77,8 +77,3 @@ def test_equal_values_are_in_one_bin(bins: int) -> None:
 def test_distinct_values_fill_the_bins_equally() -> None:
     counts = np.bincount(bins_of(np.random.default_rng(2).uniform(size=1003), 20))
     assert len(counts) == 20 and counts.min() >= 50 and counts.max() <= 51
-
-
-def test_one_value_has_no_share() -> None:
-    metric = np.random.default_rng(3).normal(size=100)
-    assert first_order_index(np.ones(100), metric) == 0.0 and first_order_index(metric, np.ones(100)) == 0.0

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import mmap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import los_testbed.campaign.member
-import los_testbed.run.loop.compiled_loop
 import numpy as np
 import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.run.loop.contract import RunFailedError
 from los_testbed.run.loop.simulate import run_in_process
 
-from los_estimator.runtime import LosEstimator
-from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
@@ -63,25 +57,6 @@ def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluat
     assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
 
 
-def test_a_long_run_is_kept_in_a_file_with_the_same_row(
-    evaluator: MemberEvaluator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a run that is longer than what the memory holds of it every metric has the same bits."""
-    in_memory = evaluator.row(0, member(0), "time")
-    made: list[np.ndarray] = []
-    empty = mapped_arrays.empty
-
-    def recorded(*arguments: Any) -> np.ndarray:
-        made.append(empty(*arguments))
-        return made[-1]
-
-    monkeypatch.setattr(mapped_arrays, "IN_MEMORY", 1000)
-    monkeypatch.setattr(mapped_arrays, "empty", recorded)
-    assert evaluator.row(0, member(0), "time") == in_memory
-    assert made[0].shape == (BASE.ticks, 4)
-    assert isinstance(made[0].base.base.obj, mmap.mmap)
-
-
 def test_rows_of_members_of_one_part_are_those_of_each_alone() -> None:
     """One of them fails before its run."""
     evaluator = MemberEvaluator.of(replace(BASE, scenario="design", duration=1.1))
@@ -90,57 +65,6 @@ def test_rows_of_members_of_one_part_are_those_of_each_alone() -> None:
     together = evaluator.rows(asked, "time")
     assert [row["status"] for row in together] == ["ok", "ok", "failed", "ok"]
     assert together == [evaluator.row(m["index"], m, "time") for m in asked[::-1]][::-1]
-
-
-@pytest.mark.parametrize(
-    ("changes", "growth"),
-    [
-        ({"loop": "fsm+pma"}, 0.0),
-        ({"loop": "fsm", "start": "rest", "camera_dropout": 0.3}, 0.0),
-        ({"loop": "fsm+pma"}, 3.0),
-    ],
-)
-def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
-    changes: dict[str, Any], growth: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With frames that are lost, and with loops that diverge, which say when; with compiled code and without."""
-    base = replace(BASE, scenario="design", duration=1.1, **changes)
-    evaluator = MemberEvaluator.of(base)
-    k_fsm = evaluator.controllers["k_fsm"]
-    pair = {**evaluator.controllers, "k_fsm": replace(k_fsm, A=k_fsm.A + growth * np.eye(k_fsm.order))}
-    evaluator = replace(evaluator, controllers=pair)
-    given = replace(base, **REFERENCE.settings(member(1)))
-    row = evaluator.row(1, member(1), "time")
-    with monkeypatch.context() as patched:
-        patched.setattr(los_testbed.run.loop.compiled_loop, "kernel_for", lambda ticks: None)
-        assert evaluator.row(1, member(1), "time") == row
-
-    class Own(LosEstimator):
-        """No class of the testbed: it is called tick by tick."""
-
-    start = RunParts(given, pair).start
-    rest = np.zeros(evaluator.family.control_loop.order) if start.states is None else start.states.plant
-    plant = evaluator.family.build(RunParts(given, pair).physical, rest)
-    estimator, controller = Own(pair["k_fsm"]), assemble_controller(pair, RunParts(base).basis, base.loop)
-    if start.states is not None:
-        estimator.start_at(start.states.k_fsm, start.states.camera)
-        controller.start_at(start.states.k_pma)
-    estimator.reset()
-    controller.reset()
-    loop = SimulatedLoop(plant, estimator, controller, start.command)
-    record = los_testbed.campaign.member._Record(
-        np.empty((base.ticks, 4)), evaluator.family.telescope.fsm.los_sensitivity
-    )
-    if growth:
-        with np.errstate(all="ignore"), pytest.raises(LoopDivergedError) as caught:
-            loop.run(base.ticks, record.keep)
-        assert (row["status"], row["reason"]) == ("diverged", str(caught.value))
-    else:
-        loop.run(base.ticks, record.keep)
-        first = 1000 if start.states is None else 0
-        assert {name: row[name] for name in TIME_METRICS} == record.metrics(
-            first, evaluator.requirements, evaluator.exposure
-        )
 
 
 def test_member_that_fails_is_a_row_with_its_reason(

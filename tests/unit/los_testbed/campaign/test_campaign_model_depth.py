@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
@@ -117,8 +116,3 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
         verdicts.append(found["status"])
         assert (found["ape_gain"] == np.inf) == (found["status"] == "unstable")
     assert verdicts == ["ok", "unstable"]
-
-
-def test_another_camera_rate_is_refused() -> None:
-    with pytest.raises(ValueError, match="camera_rate must be 50 Hz at depth model, got 25 Hz"):
-        Campaign.of(replace(BASE, camera_rate=25.0), "uniform", 1, 1, "model", {})

@@ -109,9 +109,7 @@ def test_the_command_of_a_member_has_every_setting_of_the_campaign(capsys: Any, 
     ("settings", "depth", "message"),
     [
         ({"theta": 0.3}, "time", "theta must be absent in a campaign, got 0.3"),
-        ({"disturbance_files": "shake.csv"}, "time", "disturbance_files must be absent in a campaign, got shake.csv"),
         ({"camera_dropout": 0.1}, "model", "camera_dropout must be 0.0 at depth model, got 0.1"),
-        ({"noise": False}, "model", "noise must be True at depth model, got False"),
     ],
 )
 def test_settings_that_members_would_not_have_are_refused(settings: Any, depth: str, message: str) -> None:

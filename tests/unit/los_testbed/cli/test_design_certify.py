@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
 
 import los_design
-from los_design.synthesis.options import DesignOptions
 
 PROGRAM = """
 import signal, sys
@@ -89,70 +85,6 @@ def test_it_goes_on_after_any_end(tmp_path: Path) -> None:
             np.testing.assert_array_equal(first[key], second[key])
 
 
-@pytest.mark.slow
-def test_a_full_disk_is_one_line_and_leaves_whole_parts(tmp_path: Path) -> None:
-    """A limit of the file size in place of the disk: writing fails in the midst of a part."""
-    output = tmp_path / "proofs"
-    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))\n"
-    limited += "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-    program = PROGRAM.replace("sys.exit", limited + "sys.exit")
-    process = subprocess.run(
-        [sys.executable, "-c", program, *FIGURE, f"--output={output}"], capture_output=True, text=True, timeout=300
-    )
-    assert process.returncode == 1
-    assert process.stderr.strip().splitlines()[-1].startswith("los-testbed: ") and "Traceback" not in process.stderr
-    assert not parts(output) and not list(output.rglob("*.npz*"))
-
-
-@pytest.mark.slow
-def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
-    """The wall limit ends it; bounds.json has the lower bound, no upper one, and the part that is not covered."""
-    process = started(tmp_path, "--time-limit=1")
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 8, errors
-    (found,) = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
-    assert found["status"] == "open" and found["upper"] is None and found["proof"] is None and not found["stable"]
-    assert 0.43 < found["lower"] < 0.44 and found["uncovered"]
-    assert "time limit: 0 of 1 figures proven; run again to resume" in errors
-    assert not list(tmp_path.glob("*.npz"))
-
-
-@pytest.mark.slow
-def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With the stored pair in place of a design of minutes, which took all the time."""
-    from los_testbed.cli.designs import redesign as commands
-
-    from los_design import redesign
-    from los_design.synthesis.store import load_designs
-    from los_design.verification.loop_models import figures_of
-    from titop_plant.interface import MIRROR_STAGES
-    from titop_plant.telescope.load import load_telescope
-
-    limits = []
-
-    def stored(telescope: Any, folder: Path, options: DesignOptions, **_: object) -> SimpleNamespace:
-        limits.append(options.wall_limit)
-        for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
-            system.to_file(folder / name)
-        shutil.copy(Path(redesign.__file__).parent / "search" / "worst_points.json", folder)
-        time.sleep(options.wall_limit / commands.ROUNDS_OF_ALL + 0.1)
-        return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
-
-    monkeypatch.setattr(redesign, "design_all", stored)
-    with pytest.raises(SystemExit) as stopped:
-        main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
-    told = capsys.readouterr()
-    found = json.loads(told.out)["figures"]
-    assert stopped.value.code == 8 and limits == [commands.ROUNDS_OF_ALL]
-    wanted = [(stage, name) for stage in MIRROR_STAGES for name in figures_of(load_telescope(), stage)]
-    assert [(f["stage"], f["figure"]) for f in found] == wanted
-    assert {f["status"] for f in found} == {"open"}
-    assert f"time limit: 0 of {len(wanted)} figures proven; run again to resume" in told.err
-    assert not (tmp_path / "bundle.zip").exists()
-
-
 @pytest.mark.parametrize(
     ("options", "chosen"),
     [
@@ -205,39 +137,6 @@ def test_outputs_that_can_not_be_are_refused(capsys: pytest.CaptureFixture[str],
     assert (tmp_path / "bounds.json").read_text() == "not a summary"
 
 
-def test_folders_without_the_controllers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    out = f"--output={tmp_path / 'new'}"
-    assert "k_fsm.json" in refused(capsys, f"--designs={tmp_path / 'none'}", out)
-    (tmp_path / "empty").mkdir()
-    assert "k_fsm.json" in refused(capsys, f"--designs={tmp_path / 'empty'}", out)
-    (tmp_path / "bad").mkdir()
-    for name in ("k_fsm.json", "k_pma.json"):
-        (tmp_path / "bad" / name).write_text("{}")
-    assert refused(capsys, f"--designs={tmp_path / 'bad'}", out)
-    assert not (tmp_path / "new").exists()
-
-
-def test_controllers_of_another_size_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The two files exchanged: K_FSM has not the ports of K_PMA."""
-    from los_design.synthesis.store import design_file
-
-    folder = tmp_path / "designs"
-    folder.mkdir()
-    shutil.copyfile(design_file("k-fsm"), folder / "k_pma.json")
-    shutil.copyfile(design_file("k-pma"), folder / "k_fsm.json")
-    assert "inputs must be" in refused(capsys, f"--designs={folder}", f"--output={tmp_path / 'new'}")
-
-
-def test_controllers_of_another_telescope_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Another sensitivity of the mirror than that of their design."""
-    from los_design.synthesis.store import design_file
-
-    for kind, name in (("k-fsm", "k_fsm.json"), ("k-pma", "k_pma.json")):
-        shutil.copyfile(design_file(kind), tmp_path / name)
-    (tmp_path / "telescope.toml").write_text("[fsm]\nlos_sensitivity = 0.2\n")
-    assert "los_sensitivity" in refused(capsys, f"--designs={tmp_path}", f"--output={tmp_path / 'new'}")
-
-
 def test_controllers_for_other_values_are_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -263,16 +162,3 @@ def test_controllers_for_other_values_are_refused_before_the_work(
         main(["design", "certify", "--designs", str(designs), f"--output={output}", *options])
     assert stopped.value.code == 7, "violated: the level is below what is known"
     assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "violated"
-
-
-def test_proofs_that_are_no_proofs_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for name, data in (("a.npz", b""), ("b.npz", os.urandom(300)), ("c.json", b"{}"), ("d.json", b"[1, 2]")):
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(SystemExit) as stopped:
-            main(["design", "check-proof", str(tmp_path / name)])
-        assert stopped.value.code == 1
-        assert capsys.readouterr().err.startswith("refused: ")
-    with pytest.raises(SystemExit) as stopped:
-        main(["design", "check-proof", str(tmp_path / "none.npz")])
-    assert stopped.value.code == 2
-    assert "none.npz" in capsys.readouterr().err

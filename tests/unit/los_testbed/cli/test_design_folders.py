@@ -6,13 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from los_testbed.cli import app as cli
 from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
 from los_testbed.config.members import WORST_POINTS, worst_member
 from los_testbed.config.run_settings import TELESCOPE_FILE, of_designs
-from los_testbed.run.summary.control_effect import ControlEffect
 
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
@@ -52,12 +50,6 @@ def test_a_run_takes_controllers_telescope_and_worst_point(folder: Path) -> None
     assert load_telescope(config.parameters) == load_telescope(folder / TELESCOPE_FILE)
 
 
-def test_a_member_that_is_named_stays(folder: Path) -> None:
-    given = {"output": "bag", "tau": 0.1, "scenario": "worst_case"}
-    config = configure(None, [], given, designs=str(folder))
-    assert (config.tau, config.wheel_speed, config.omega_1) == (0.1, None, None)
-
-
 def test_worst_points_of_another_telescope_are_not_used(folder: Path, soft: Path) -> None:
     assert worst_member("fsm", "fast", str(soft), str(folder))["omega_2"] == 2.6
     assert worst_member("fsm", "fast", "", str(folder)) == {}
@@ -71,33 +63,6 @@ def test_a_folder_without_a_controller_is_refused(folder: Path) -> None:
         of_designs(str(folder))
 
 
-def test_the_output_is_refused_before_the_work(folder: Path, soft: Path, tmp_path: Path) -> None:
-    check_output(folder, soft)  # the same telescope: goes on
-    with pytest.raises(ValueError, match="without designs of another telescope"):
-        check_output(folder, None)
-    with pytest.raises(ValueError, match="must be a folder, got the file"):
-        check_output(soft, None)
-    with pytest.raises(ValueError, match="writable folder"):
-        check_output(soft / "below", None)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["all"],
-        ["verify", "--designs", "nowhere"],
-        ["k-pma", "--k-fsm", "nowhere.json"],
-        ["k-fsm", "--parameters", "nowhere.toml", "--output", "k.json"],
-    ],
-)
-def test_a_mistake_is_one_line(tmp_path: Path, monkeypatch, capsys, arguments: list[str]) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["design", *arguments])
-    assert stop.value.code == 2
-    assert not list(tmp_path.iterdir())
-
-
 def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     name_unseen_requirements(load_telescope())
     assert capsys.readouterr().err == ""
@@ -106,9 +71,3 @@ def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsy
     name_unseen_requirements(load_telescope(tmp_path / "mission.toml"))
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in said
-
-
-def test_the_effect_of_control_is_told_where_it_is_adverse() -> None:
-    assert ControlEffect(closed=5.0, isolated=20.0).remark == ""
-    text = ControlEffect(closed=31.3, isolated=2.2).remark
-    assert text.startswith("control increases the error") and "31.3" in text and "2.2" in text

@@ -97,14 +97,6 @@ def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, 
     assert telescope_digest(designs_in(moved)[0]) == wanted
 
 
-def test_a_file_of_the_reference_with_sources_of_its_own_is_left_as_it_is(tmp_path: Path) -> None:
-    """Its hash of designs is that of the reference, so the command goes on there without ``--parameters``."""
-    text = '# mine\n[[disturbance]]\nname = "fan"\nkind = "psd"\nplace = "payload"\nfile = "fan.csv"\n'
-    (tmp_path / TELESCOPE_FILE).write_text(text)
-    check_output(tmp_path, None, ())
-    assert (tmp_path / TELESCOPE_FILE).read_text() == text
-
-
 def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     """They were refused beside a file with files of its own."""
     mine = tmp_path / "mine.toml"
@@ -114,15 +106,6 @@ def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
     with pytest.raises(ValueError, match="--uncertain must be in the table"):
         check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE, ["isolator.stiffness=10%"])
-
-
-def test_a_file_that_is_missing_is_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    mine.write_text(disturbance(tmp_path), "utf-8")
-    (tmp_path / "shake.csv").unlink()
-    with pytest.raises(ValueError, match=r"cannot read .*shake\.csv: No such file"):
-        check_output(tmp_path / "designs", mine)
-    assert not (tmp_path / "designs").exists()
 
 
 @pytest.fixture

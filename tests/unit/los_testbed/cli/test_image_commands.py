@@ -15,9 +15,7 @@ from pointing_analysis.image.motion_blur import motion_transfer
 from pointing_analysis.image.optics import with_optics
 from pointing_analysis.read.series import series
 from pointing_analysis.report.image_figures import image_views, siemens_star, stars
-from pointing_analysis.report.report import render, view
-from pointing_analysis.requirements import image_summary
-from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.report.report import view
 from pointing_analysis.units import RAD_PER_MAS
 
 MAS, ROOT = RAD_PER_MAS, Path(__file__).parents[4]
@@ -61,44 +59,6 @@ def test_from_samples_and_optics_to_a_verdict(folder: Path, capsys: pytest.Captu
     for name in ("star", "target", "mtf", "energy", "ellipticity"):
         assert f'<figure id="{name}">' in text
     assert 'data-label="Bound"' in text and "MTF(20 ms, Nyquist)" in text
-
-
-def test_without_optics_nothing_is_added(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["analyse", *source(folder), "--json"])
-    content = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert "image" not in content
-    run = series(None, np.zeros((500, 2)), unit="mas", rate=1000.0)
-    assert summarise(run, transient=0.0).image is None
-    assert 'id="star"' not in render([run], transient=0.0)
-
-
-def test_figures_of_the_image_are_made_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Once, however often; equal are those of equal motion."""
-    asked, figures = [], image_summary.figures
-
-    def counted(paths: Any, *given: Any) -> Any:
-        asked.append(len(paths))
-        return figures(paths, *given)
-
-    monkeypatch.setattr(image_summary, "figures", counted)
-    los = 3.0 * np.random.default_rng(0).standard_normal((500, 2))
-    runs = [with_optics(series(None, x, unit="mas", rate=1000.0), TABLE) for x in (los, 2.0 * los)]
-    one, other = (summarise(run, transient=0.0) for run in runs)
-    assert one.verdicts == () and one.budget is not None and asked == []
-    assert one.image is one.image is not None and one.star != other.star and len(asked) == 2
-    assert [figure.name for figure in one.figures if figure.name.startswith("Strehl")] and len(asked) == 2
-    assert one.star == summarise(runs[0], transient=0.0).star and len(asked) == 3
-
-
-def test_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = folder / "pictures"
-    main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
-    names = sorted(path.name for path in target.iterdir())
-    stems = ("ellipticity", "energy", "mtf", "star", "target")
-    assert names == sorted(f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png", "svg"))
-    first = {name: (target / name).read_bytes() for name in names}
-    main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
-    assert first == {name: (target / name).read_bytes() for name in names}, "the same bytes"
 
 
 def test_the_exposure_that_is_shown() -> None:
@@ -157,40 +117,16 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "optics", "message"),
     [
         (["analyse"], OPTICS.replace("38.0", "-38.0"), "optics.pixel_mas must be above 0 mas, got -38.0"),
-        (["analyse"], OPTICS.replace("0.3", "1.5"), "optics.obscuration must be at least 0 and below 1, got 1.5"),
         (["analyse"], "[telescope]\na = 1\n", "must hold a table [optics]"),
         (["analyse"], OPTICS + 'pupil = "zeros.fits"\n', "pupil must transmit somewhere, got zeros only"),
-        (
-            ["analyse"],
-            OPTICS + 'pupil = "bare.fits"\n',
-            "as PUPLSCAL or PIXELSCL in its header, got none",
-        ),
-        (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a readable FITS file, got"),
-        (
-            ["analyse", "--requirements", "long.toml"],
-            OPTICS,
-            "los.csv: exposure must be at most the",
-        ),
-        (["image", "figures", "--output", "new"], None, "no optics are known for this recording"),
-        (
-            ["image", "export", "--output", "k.fits", "--exposure", "5"],
-            None,
-            "must last for one exposure of 5 s",
-        ),
-        (["image", "export", "--output", "k.fits", "--exposure", "0.0205"], None, "window must be a whole number"),
+        (["analyse", "--requirements", "long.toml"], OPTICS, "los.csv: exposure must be at most the"),
+        (["image", "export", "--output", "k.fits", "--exposure", "5"], None, "must last for one exposure of 5 s"),
         (["image", "export", "--output", "k.txt"], None, "--output must end in .fits or .csv, got k.txt"),
-        (["image", "export", "--output", "k.fits", "--number", "3"], None, "--exposure must be given with --number"),
         (
             ["image", "export", "--output", "k.csv", "--exposure", "0.02", "--number", "400"],
             None,
             "number of the exposure must be from 0 to 99, got 400",
         ),
-        (
-            ["image", "export", "--output", "k.csv", "--exposure", "0.02"],
-            None,
-            "--number must be given with --exposure",
-        ),
-        (["image", "export", "--output", "k.fits", "--step", "1e-5"], None, "step must give at most 4001 cells"),
     ],
 )
 def test_mistakes(
@@ -221,49 +157,3 @@ def test_mistakes(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert message in line
     assert not Path("new").exists() and not Path("k.fits").exists() and not Path("k.csv").exists()
-
-
-def test_a_telescope_with_optics_that_make_no_image_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """By the parameter file, before anything runs."""
-    for text, message in (
-        ("[optics]\npixel_mas = -1.0\n", "'optics.pixel_mas' must be positive, got -1.0"),
-        ("[optics]\nobscuration = 1.0\n", "'optics.obscuration' must be between 0 and 0.99, got 1.0"),
-        ('[optics]\npupil = "none.fits"\n', "cannot read the pupil"),
-    ):
-        (tmp_path / "t.toml").write_text(text)
-        with pytest.raises(SystemExit) as stopped:
-            main(
-                [
-                    "run",
-                    "--mode",
-                    "inprocess",
-                    "--duration",
-                    "0.1",
-                    "--parameters",
-                    str(tmp_path / "t.toml"),
-                    "--no-report",
-                ]
-                + ["--output", str(tmp_path / "bag")]
-            )
-        assert stopped.value.code == 2
-        assert message in capsys.readouterr().err.strip().splitlines()[-1]
-        assert not (tmp_path / "bag").exists()
-
-
-def test_the_five_lines_of_the_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From samples and a pupil to a verdict, as docs/image_quality.md writes it."""
-    fits: Any = pytest.importorskip("astropy.io.fits")
-    text = (ROOT / "docs/image_quality.md").read_text()
-    lines = text.split("```toml\n")[1].split("```")[0].strip().splitlines()
-    command = next(line.split() for line in text.splitlines() if line.startswith("    los-testbed analyse"))
-    assert len(lines) + 1 == 5
-    monkeypatch.chdir(folder)
-    Path("optics.toml").write_text("\n".join(lines))
-    unit = fits.PrimaryHDU((np.hypot(*np.mgrid[-31.5:32, -31.5:32]) < 30).astype(float))
-    unit.header["PUPLSCAL"] = 0.025
-    unit.writeto("pupil.fits")
-    main([*command[1:], "--transient", "0"])
-    page = Path("seen.html").read_text()
-    assert "MTF(20 ms, Nyquist)" in page and "within limit" in page and '<figure id="star">' in page

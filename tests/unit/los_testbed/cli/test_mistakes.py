@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import los_testbed
 import pytest
 import yaml
 
@@ -30,23 +29,15 @@ def one_line(err: str) -> bool:
     "info",
     [
         None,
-        [],
         "text",
         {"relative_file_paths": None},
-        {"relative_file_paths": [None]},
         {"relative_file_paths": [3]},
-        {"relative_file_paths": [["bag_0.mcap"]]},
         {"relative_file_paths": {"a": 1}},
-        {"compression_mode": [1]},
-        {"topics_with_message_count": 7},
-        {"topics_with_message_count": [{"topic_metadata": None}]},
         {"relative_file_paths": ["../outside.mcap"]},
-        {"relative_file_paths": ["/etc/passwd"]},
         {"relative_file_paths": ["a\0b"]},
         {"relative_file_paths": ["x" * 300]},
         {"relative_file_paths": ["\ud800"]},
         {"relative_file_paths": ["bag_0.mcap", "bag_0.mcap"]},
-        {"relative_file_paths": ["."]},
     ],
     ids=str,
 )
@@ -59,7 +50,7 @@ def test_an_odd_metadata_yaml_is_told_and_the_file_beside_it_read(bag: Path, inf
     assert any("metadata.yaml" in problem for problem in run.problems) == odd
 
 
-@pytest.mark.parametrize("text", ["[" * 5000, "&a [*a]", "a: b: c", "\x00", "{" * 200, "1e400000: x"])
+@pytest.mark.parametrize("text", ["[" * 5000, "&a [*a]", "\x00"])
 def test_metadata_yaml_that_is_none_is_told(bag: Path, text: str) -> None:
     (bag / "metadata.yaml").write_text(text)
     run = Run.open(bag)
@@ -79,16 +70,7 @@ def parameters(path: Path, **values: object) -> Path:
     return write_bag(path, {"truth/los": los}, parameters=values)
 
 
-ODD_STATISTICS = [
-    7,
-    "text",
-    [1],
-    {"plant": 3},
-    {"plant": {"ticks": "many"}},
-    {"plant": {"ticks": []}},
-    {"recorder": None},
-    {"plant": {"ticks": "1e999", "missed_ticks": "nan"}},
-]
+ODD_STATISTICS = [7, [1], {"plant": {"ticks": "many"}}, {"plant": {"ticks": "1e999", "missed_ticks": "nan"}}]
 
 
 @pytest.mark.parametrize("value", ODD_STATISTICS, ids=str)
@@ -96,14 +78,6 @@ def test_statistics_of_another_type_are_left_out(call: Call, tmp_path: Path, val
     code, out, err = call("analyse", parameters(tmp_path / "odd", statistics=value, loop="fsm"), "--json")
     assert (code, err.count("Traceback")) == (0, 0)
     assert json.loads(out.splitlines()[-1])["ticks"] == 3000
-
-
-def test_names_with_brackets_are_printed_as_they_are(call: Call, tmp_path: Path) -> None:
-    bag = parameters(tmp_path / "b[bold]x[/nothing]", loop="[/red]a", scenario="[x]", mode="[/]")
-    for command in ("analyse", "report"):
-        code, out, _ = call(command, bag)
-        assert code == 0 and "[/red]a" in out
-        assert "b[bold]x[/nothing]" in out.replace("\n", "")
 
 
 def test_every_command_prints_names_with_brackets_as_they_are(call: Call, bag: Path, tmp_path: Path) -> None:
@@ -130,62 +104,35 @@ def test_every_command_prints_names_with_brackets_as_they_are(call: Call, bag: P
     assert code == 0 and "[/red]new" in out.replace("\n", ""), err
 
 
-def test_no_command_has_a_console_of_its_own() -> None:
-    """That of rich takes square brackets for markup: after minutes of work a name would end the command."""
-    folder = Path(los_testbed.__file__).parent
-    own = [path for path in folder.rglob("*.py") if "Console(" in path.read_text() and path.name != "screen.py"]
-    assert not own
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["analyse", "{bag}", "--transient=1e308"], ["--transient", "1e+308"]),
-        (["analyse", "{bag}", "--transient=nan"], ["--transient", "nan"]),
         (["analyse", "{bag}", "--transient=-1"], ["--transient", "-1"]),
-        (["analyse", "{bag}", "--max-chunk=0"], ["--max-chunk"]),
         (["report", "{bag}", "--from=nan"], ["--from", "nan"]),
         (["report", "{bag}", "--from=2", "--to=1"], ["--to", "--from = 2"]),
         (["control", "start", "--timeout=nan"], ["--timeout", "nan"]),
-        (["control", "start", "--timeout=inf"], ["--timeout", "inf"]),
         (["control", "start", "--domain=999"], ["domain", "232", "999"]),
-        (["control", "stop", "--at=nan"], ["--at", "nan"]),
         (["control", "stage", "[/x]"], ["loop", "[/x]"]),
-        (["control", "fault", "[/x]", "1"], ["name", "[/x]"]),
-        (["control", "fault", "noise", "[" * 100], ["VALUE", "nested"]),
         (["control", "fault", "noise", "2020-01-01"], ["VALUE", "2020-01-01"]),
         (["control", "fault", "noise", "{a: [1]}"], ["VALUE", "{a: [1]}"]),
         (["control", "fault", "noise", "9" * 400], ["VALUE", "digits"]),
-        (["design", "check-proof", "--workers=-1", "{bag}/metadata.yaml"], ["--workers", "-1"]),
         (["replay", "{bag}", "--domain=999"], ["domain", "232", "999"]),
-        (["replay", "{bag}", "--to-ros", "--timeout=nan"], ["--timeout", "nan"]),
         (["replay", "{bag}", "--to-ros", "--timeout=inf"], ["--timeout", "inf"]),
-        (["run", "--domain=999"], ["domain", "232", "999"]),
         (["run", "--set=seed=.inf"], ["seed", "inf"]),
         (["run", "--set=seed=" + "9" * 400], ["seed", "digits"]),
         (["run", "--set=wheel_speed=" + "[" * 100], ["wheel_speed", "nested"]),
         (["run", "--duration=1e999"], ["duration"]),
         (["run", "--output={bag}"], ["exists already"]),
         (["run", "--output=" + "x" * 300], ["name of at most"]),
-        (["design", "verify", "--samples=-1"], ["--samples", "-1"]),
-        (["campaign", "--samples=-1"], ["samples", "-1"]),
         (["campaign", "--samples=99999999999"], ["--samples", "99999999999"]),
-        (["campaign", "--seed=-1"], ["--seed", "-1"]),
-        (["campaign", "--seed=" + "9" * 400], ["--seed", "9999"]),
         (["stages", "--samples=-1"], ["--samples", "-1"]),
-        (["campaign", "--keep=-1"], ["--keep", "-1"]),
-        (["design", "all", "--output=new", "--seed=-1"], ["--seed", "-1"]),
-        (["design", "all", "--output=new", "--effort=medium"], ["--effort", "full, short", "medium"]),
         (["run", "--seed=-1"], ["seed", "-1"]),
         (["design", "k-fsm", "--time-limit=nan"], ["--time-limit", "nan"]),
         (["design", "k-fsm", "--output=no/such/folder/k.json"], ["folder of --output", "no/such"]),
-        (["analyse", "{bag}", "--output=no/such/r.html"], ["folder of --output"]),
         (["analyse", "{bag}", "--output={bag}"], ["must be a file"]),
-        (["report", "{bag}", "--output=no/such/r.html"], ["folder of --output"]),
         (["replay", "{bag}", "--output={bag}"], ["exists already"]),
         (["bag", "repair", "{bag}", "--output={bag}"], ["exists already"]),
-        (["bag", "repair", "nothing"], ["no such bag"]),
-        (["stages", "--output={bag}"], ["exists already"]),
         (["plant", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
         (["design", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
         (["design", "figures", "--samples=-1"], ["--samples", "-1"]),
@@ -226,14 +173,6 @@ def test_deep_nesting_names_the_file(call: Call, tmp_path: Path, option: str, na
     assert code == 2 and one_line(err) and name in err
 
 
-def test_requirements_nested_deep_name_the_file(call: Call, bag: Path, tmp_path: Path) -> None:
-    for name, text in (("r.toml", f"requirement = {nested(20_000)}"), ("r.yaml", nested(20_000)), ("s.toml", "a = ")):
-        (tmp_path / name).write_text(text)
-        code, _, err = call("report", bag, f"--requirements={name}", "--output=r.html")
-        assert code == 2 and one_line(err) and name in err
-    assert not (tmp_path / "r.html").exists()
-
-
 def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Path, tmp_path: Path) -> None:
     file = bag / "bag_0.mcap"
     data = file.read_bytes()
@@ -265,76 +204,24 @@ def test_a_failed_report_leaves_nothing_and_the_old_one(bag: Path, monkeypatch: 
     assert sorted(bag.iterdir()) == before and (bag / "report.html").read_text() == "old"
 
 
-def test_a_failed_repair_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from los_testbed.bags import repair
-
-    def fail(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(repair, "_copy_messages", fail)
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(KeyboardInterrupt):
-        repair.repair_bag(bag, tmp_path / "new")
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_default_in_silence(tmp_path: Path) -> None:
-    """One table of a list: those with other names stay; of tables without names the change is told."""
-    from titop_plant.telescope.load import differences, load_telescope
-
-    reference = load_telescope()
-    lists = [
-        (table, key, value)
-        for table, content in reference.to_mapping().items()
-        for key, value in (content.items() if isinstance(content, dict) else ())
-        if isinstance(value, list) and isinstance(value[0], dict)
-    ]
-    assert {key for _, key, _ in lists} == {"equipment", "further_modes"}
-    own = tmp_path / "own.toml"
-    for table, key, value in lists:
-        item = "\n".join(f"{name} = {json.dumps(entry)}" for name, entry in value[-1].items())
-        own.write_text(f"[[{table}.{key}]]\n{item}\n")
-        found = load_telescope(own).to_mapping()[table][key]
-        assert len(value) > 1
-        assert found == value or any(f"{table}.{key}" in line for line in differences(own)), (table, key)
-        assert found == value or "name" not in value[0]
-
-
 LONG, DEEP = "x" * 300, "d/" * 2500 + "x"
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        "analyse {}",
         "analyse {}.csv --unit=rad --rate=10",
         "report {}",
-        "replay {}",
         "bag repair {}",
-        "bag topics {}",
         "bag info {}",
-        "bag verify {}",
         "bag verify bag --public-key={}",
-        "bag sign {} --key=bag",
-        "bag sign bag --key={}",
         "replay bag --k-fsm={}",
-        "report bag --requirements={}",
         "budget {}",
-        "plant --parameters={}",
         "design check-proof {}",
-        "design verify --designs={}",
         "export c --designs={}",
-        "export c --output={}",
-        "export check {}",
-        "stages --mode=inprocess --k-fsm={}",
         "campaign --designs={}",
-        "campaign --sampling={}",
-        "run --mode=inprocess --k-fsm={}",
-        "run --mode=inprocess --designs={}",
         "run --mode=inprocess --config={}",
-        "run --mode=inprocess --parameters={}",
         "run --mode=inprocess --cases={} --case=a",
-        "run --mode=inprocess --set=profile={}",
     ],
 )
 @pytest.mark.parametrize("name", [LONG, DEEP], ids=["long name", "long path"])

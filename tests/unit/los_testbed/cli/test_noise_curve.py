@@ -12,9 +12,7 @@ import pytest
 from los_testbed.cli.app import main
 
 from pointing_analysis.image.centroid import noise_equivalent_angle
-from pointing_analysis.image.guide_camera import GuideCamera
-from pointing_analysis.image.noise_curve import NoiseCurve, NoisePoint, at_magnitude, curve_for, load_curves, measure
-from pointing_analysis.image.optics import Optics
+from pointing_analysis.image.noise_curve import NoiseCurve, NoisePoint, curve_for, load_curves, measure
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.guide_camera import STORED_CURVES, star_camera
@@ -35,7 +33,7 @@ def noise_of(file: Path) -> float:
 
 
 @pytest.mark.parametrize("exposure", [0.02, 0.04])
-@pytest.mark.parametrize("magnitude", [9.25, 13.2, 14.75, 15.3])
+@pytest.mark.parametrize("magnitude", [9.25, 14.75])
 def test_between_measured_stars_the_curve_is_what_is_measured_there(magnitude: float, exposure: float) -> None:
     """Other random numbers than those of the stored curve; four standard errors of both."""
     camera = StarCamera(STAR.optics, replace(STAR.camera, magnitude=magnitude, exposure=exposure))
@@ -44,21 +42,6 @@ def test_between_measured_stars_the_curve_is_what_is_measured_there(magnitude: f
     point = measure(camera, 1500, seed=2)
     error = math.sqrt(0.5 / 2.0 / 1500 / (1.0 - point.without) + 0.5 / 2.0 / 10_000)
     assert point.noise == pytest.approx(curve.at(camera), rel=4.0 * error)
-
-
-def test_the_stored_curve_says_where_it_is_from_and_is_no_better_than_the_bound() -> None:
-    content = json.loads(STORED_CURVES.read_text())
-    assert content["command"].startswith("los-testbed image noise") and content["seed"] == 1
-    assert content["frames"] == 10_000 and len(content["curves"]) == 2
-    for curve in load_curves(STORED_CURVES):
-        seen = curve.without < 0.1  # of fainter stars the frames with angles are those of more light
-        assert (curve.noise[seen] > (1.0 - 4.0 * math.sqrt(0.25 / 10_000)) * curve.bound[seen]).all()
-        assert (curve.noise[seen] < 1.06 * curve.bound[seen]).all()
-
-
-def test_a_measurement_repeats_and_does_not_depend_on_the_others() -> None:
-    first, again, other = (measure(at_magnitude(STAR, 13.0), 50, seed) for seed in (1, 1, 2))
-    assert first == again and first.noise != other.noise
 
 
 def test_the_camera_of_the_loop_has_the_measured_noise(tmp_path: Path) -> None:
@@ -100,14 +83,10 @@ CURVE = NoiseCurve.of(STAR, [NoisePoint(m, 1e-8, 1e-8, 0.0) for m in (12.0, 13.0
     ("content", "camera", "message"),
     [
         (None, "", "cannot read .*curve.json: No such file"),
-        ("[1]", "", "curve.json must hold curves of `los-testbed image noise`"),
-        ("{", "", "curve.json"),
         ('{"curves": [{"detector": {}}]}', "", "must hold curves of `los-testbed image noise`, got no magnitude"),
         (json.dumps({"curves": [{**CURVE, "noise_mas": [1.0, -1.0]}]}), "", "a noise that is not positive"),
-        (json.dumps({"curves": [{**CURVE, "noise_mas": [1.0]}]}), "", "columns of different length"),
         (json.dumps({"curves": [{**CURVE, "magnitude": [13.0, 12.0]}]}), "", "magnitudes that do not increase"),
         (json.dumps({"curves": [CURVE]}), "dark = 3.0", "noise_curve must have a curve of this detector, got none in"),
-        (json.dumps({"curves": [CURVE]}), "magnitude = 14.0", "magnitude must be from 12 to 13 with noise_curve"),
     ],
 )
 def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
@@ -124,11 +103,8 @@ def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
     ("arguments", "message"),
     [
         (["--magnitudes", "12"], "--magnitudes must be two or more, got 1"),
-        (["--magnitudes", "12,x"], "--magnitudes must be numbers separated by commas, got '12,x'"),
         (["--magnitudes", "25,26", "--frames", "10"], "two stars detected in half of the frames, got 0"),
-        (["--frames", "1"], "--frames must be"),
         (["--exposures", "-1"], "camera.exposure must be above 0 s, got -1.0"),
-        (["--time-limit", "0.001", "--frames", "100"], "--time-limit must be enough for 19 stars"),
     ],
 )
 def test_a_mistake_is_one_line(
@@ -139,9 +115,3 @@ def test_a_mistake_is_one_line(
     error = capsys.readouterr().err
     assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
     assert not (tmp_path / "noise.json").exists()
-
-
-def test_another_aperture_is_another_detector(tmp_path: Path) -> None:
-    stored = load_curves(STORED_CURVES)
-    assert curve_for(STAR, stored) is not None
-    assert curve_for(StarCamera(Optics(550e-9, 38.0 * RAD_PER_MAS, 1.4, 0.3), GuideCamera()), stored) is None

@@ -1,9 +1,7 @@
 """One configuration: each setting is an option, a YAML key, a ROS parameter and an entry of the metadata."""
 
-import ast
-import inspect
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +14,6 @@ from los_testbed.config.run_config import RunConfig, physical_hash
 from los_testbed.run.processes.node_launch import parameter_text
 
 from pointing_analysis.read.run import Run
-from titop_plant.physical_settings import PhysicalSettings
-from titop_plant.simulation.plant_config import PlantConfig
 
 REFERENCE = Path(__file__).parents[4] / "bags" / "reference"
 FORMER = {
@@ -187,13 +183,6 @@ def test_of_two_angles_the_former_zero_is_the_absent_one(given) -> None:
     assert [getattr(config, name) for name in given] == [value or None for value in given.values()]
 
 
-def test_a_truth_value_is_no_word_for_absent() -> None:
-    with pytest.raises(ValueError, match="omega_1 must be a number, got False"):
-        RunConfig(omega_1=False)
-    with pytest.raises(ValueError, match=r"seed must be between 0 and .*, got -1"):
-        RunConfig(seed=-1)
-
-
 def test_the_configuration_of_an_old_bag_is_read_and_has_its_hash() -> None:
     run = Run.open(REFERENCE)
     from_file = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
@@ -202,22 +191,6 @@ def test_the_configuration_of_an_old_bag_is_read_and_has_its_hash() -> None:
     from_metadata = RunConfig.from_mapping({name: v for name, v in recorded.items() if name not in limits})
     assert physical_hash(from_file) == run.parameters["plant_hash"]
     assert len(recorded) > 30 and from_metadata == from_file
-
-
-def test_defaults_and_bounds_of_the_plant_are_those_of_the_run() -> None:
-    for name, own in PhysicalSettings.SETTINGS.items():
-        assert RunConfig.SETTINGS[name] == PlantConfig.SETTINGS[name] == own
-    plant = PlantConfig.of(RunConfig(), disturbance=False)
-    shared = set(PhysicalSettings.SETTINGS) - {"disturbance"}
-    assert {name: getattr(plant, name) for name in shared} == {name: getattr(RunConfig(), name) for name in shared}
-    assert {entry.name for entry in fields(RunConfig)} == set(RunConfig.SETTINGS)
-
-
-@pytest.mark.parametrize("kind", [RunConfig, PlantConfig])
-def test_no_physical_setting_is_declared_twice(kind) -> None:
-    (made,) = ast.parse(inspect.getsource(kind)).body
-    declared = {node.target.id for node in made.body if isinstance(node, ast.AnnAssign)}
-    assert declared and not declared & set(PhysicalSettings.SETTINGS)
 
 
 def test_the_installed_parameter_file_and_no_options_mean_the_defaults(tmp_path) -> None:

@@ -35,34 +35,6 @@ def refused(call, *arguments, words=()):
     assert not list(call.here.iterdir())
 
 
-@pytest.mark.pictures
-def test_several_bags_side_by_side(call, tmp_path) -> None:
-    bags = [
-        write_bag(tmp_path / n, {"truth/los": los(10, s)}, parameters={"loop": n})
-        for n, s in (("isolator", 90.0), ("fsm", 9.0))
-    ]
-    code, out, _ = call(*bags, "--output", "two.html", "--json")
-    assert code == 0
-    content = json.loads(out.splitlines()[-1])
-    assert [run["loop"] for run in content["runs"]] == ["isolator", "fsm"]
-    assert all(run["transient_s"] == 5.0 for run in content["runs"])
-    page = (call.here / "two.html").read_text()
-    assert page.count('<strong class="name">') == 2
-    code, out, _ = call(bags[0])
-    assert (bags[0] / "report.html").exists()
-    assert "5 s" in out
-
-
-def test_a_bag_of_somebody_else_has_no_predictions(call, tmp_path) -> None:
-    names = {"loop": "fsm+pma", "scenario": "design", "seed": 1, "tones_rad_s": [88.0, 210.0]}
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters=names)
-    code, _, _ = call(bag, "--output", "r.html")
-    assert code == 0
-    page = (call.here / "r.html").read_text()
-    assert "210.00" in page
-    assert "Predicted and measured tones" not in page and "no prediction" not in page
-
-
 def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> None:
     """As `run` and `analyse` do; of several bags with the name of the one that it is of."""
     told, quiet = (
@@ -74,33 +46,6 @@ def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> N
     assert "no start &lt;is&gt; known" in (call.here / "one.html").read_text()
     code, out, _ = call(told, quiet, "--output", "two.html")
     assert code == 0 and "note: fsm: no start <is> known" in out
-
-
-def test_requirements_of_ones_own_and_transient(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
-    own = tmp_path / "own.toml"
-    own.write_text('[[requirement]]\nname = "mine"\ntext = "prob(|APE_x| < 1 arcsec) >= 0.5 at 90 % confidence"\n')
-    code, out, _ = call(bag, "--requirements", own, "--transient", "0.5", "--json", "--output", "r.html")
-    assert code == 0
-    run = json.loads(out.splitlines()[-1])["runs"][0]
-    assert [r["name"] for r in run["requirements"]] == ["mine"]
-    assert run["requirements"][0]["status"] == "compliant"
-    assert run["transient_s"] == 0.5
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ('[[requirement]]\nname="x"\ntext="prob(|XPE| < 1 mas) >= 0.9 at 95 % confidence"\n', ["XPE", "APE"]),
-        ("not a table", ["own.toml"]),
-        ("", ["own.toml", "requirement"]),
-    ],
-    ids=["unknown index", "no TOML", "empty"],
-)
-def test_requirements_that_cannot_be_understood(call, tmp_path, text, words) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)})
-    (tmp_path / "own.toml").write_text(text)
-    refused(call, bag, "--requirements", tmp_path / "own.toml", "--output", "r.html", words=words)
 
 
 def test_files_that_are_not_there(call, tmp_path) -> None:
@@ -124,21 +69,10 @@ def test_no_truth_topic(call, tmp_path) -> None:
     refused(call, bag, words=["truth/los", "los_estimate"])
 
 
-def test_zero_length_run(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": np.empty((0, 2)), "los_estimate": los(1)})
-    refused(call, bag, words=["truth/los"])
-
-
 def test_only_start_up(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(0.8)})
     refused(call, bag, words=["longer than its start-up transient", "0.8 s"])
     refused(call, bag, "--transient", "-1", words=["--transient must be between 0"])
-
-
-def test_mixed_sample_rates(call, tmp_path) -> None:
-    stamps = 10**9 + np.cumsum(10**6 * np.repeat([1, 2], [3000, 2000]))
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(5)}, stamps={"truth/los": stamps})
-    refused(call, bag, words=["must have one sampling rate"])
 
 
 def test_two_plants(call, tmp_path) -> None:
@@ -161,18 +95,6 @@ def test_nan_in_the_truth_is_counted_and_never_a_verdict_of_zero(call, tmp_path)
     assert any("truth/los: 3 messages with NaN" in p for p in run["problems"])
     everything = write_bag(tmp_path / "nan", {"truth/los": np.full((4000, 2), np.nan)})
     refused(call, everything, words=["finite samples, got none"])
-
-
-def test_a_window_longer_than_the_run_is_not_judged(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
-    own = tmp_path / "own.toml"
-    own.write_text('[[requirement]]\nname = "long"\ntext = "prob(|RPE(60 s)| < 1 arcsec) >= 0.9 at 95 % confidence"\n')
-    code, out, _ = call(bag, "--requirements", own, "--json")
-    assert code == 0
-    found = json.loads(out.splitlines()[-1])["runs"][0]["requirements"][0]
-    assert found["status"] == "not judged"
-    assert "at least as long as the window" in found["note"]
-    assert found["quantile"] is None
 
 
 def test_a_bag_larger_than_the_memory(call, tmp_path, monkeypatch) -> None:

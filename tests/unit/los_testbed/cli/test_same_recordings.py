@@ -33,10 +33,6 @@ def test_a_recording_or_its_copy_is_no_further_run(table: Path, capsys: pytest.C
         assert "recordings must be distinct, got" in refused(capsys, "analyse", table, second)
 
 
-def test_a_column_is_not_both_axes(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "los must be two different columns" in refused(capsys, "analyse", table, "--los", "x_mas,x_mas")
-
-
 def test_recordings_that_are_not_there_are_not_called_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

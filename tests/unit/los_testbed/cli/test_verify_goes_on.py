@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 from los_testbed.cli import app
 
-from los_design.synthesis import provenance
 from los_design.verification import stage_check
 
 FOLDER = Path(__file__).parents[4] / "examples" / "spacecraft" / "small_telescope"
@@ -58,40 +56,6 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
     whole = tmp_path / "whole.json"
     app.main([*command[:-1], str(whole)])
     assert whole.read_bytes() == file.read_bytes()
-
-
-def test_parts_are_of_the_same_telescope_designs_and_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = shutil.copytree(FOLDER, tmp_path / "designs")
-    file, parts = tmp_path / "check.json", tmp_path / "check.json.parts"
-
-    def taken(after: int) -> str:
-        """What is said of parts by a start that is interrupted after some of them."""
-        calls = iter([None] * after)
-
-        def part(*arguments: Any) -> Any:
-            if next(calls, stage_check) is stage_check:
-                raise KeyboardInterrupt
-            return swept(*arguments)
-
-        with monkeypatch.context() as changed:
-            changed.setattr(stage_check, "_swept", part)
-            with pytest.raises(SystemExit):
-                app.main(
-                    ["design", "verify", "--designs", str(folder), "--samples=0", "--workers=1", f"--output={file}"]
-                )
-        return capsys.readouterr().err
-
-    swept = stage_check._swept
-    said = taken(0)
-    assert "stored" not in said and not parts.exists(), "nothing was done"
-    assert "stored" in taken(1) and "1 parts are read" in taken(0)
-    law = (folder / "k_fsm.json").read_text()
-    (folder / "k_fsm.json").write_text(law.replace('"name": "', '"name": "other ', 1))
-    assert "taken" not in taken(1)
-    monkeypatch.setattr(provenance, "source_digest", lambda: "changed code")
-    assert "taken" not in taken(1) and "1 parts are read" in taken(0)
 
 
 def test_nothing_is_lost_of_a_file_that_is_no_verification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

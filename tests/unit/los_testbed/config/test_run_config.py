@@ -3,32 +3,22 @@
 import math
 
 import pytest
-from los_testbed.config.run_config import RunConfig, parse_value, physical_hash, read_yaml
+from los_testbed.config.run_config import RunConfig, physical_hash, read_yaml
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
         ({"durtion": 1.0}, ["unknown parameter 'durtion'", "duration"]),
-        ({"zzz": 1.0}, ["unknown parameter 'zzz'", "expected one of", "camera_rate"]),
-        ({"duration": -1.0}, ["duration", "between", "-1"]),
         ({"duration": 0.0}, ["duration", "between"]),
-        ({"duration": math.nan}, ["duration", "between", "nan"]),
         ({"duration": math.inf}, ["duration", "between", "inf"]),
-        ({"duration": "long"}, ["duration", "a number", "'long'"]),
         ({"duration": True}, ["duration", "a number", "True"]),
         ({"duration": 0.0015}, ["whole number of milliseconds"]),
         ({"camera_rate": 30.0}, ["camera_rate", "divide", "30"]),
-        ({"camera_rate": 0.0}, ["camera_rate", "between"]),
         ({"seed": 1.5}, ["seed", "whole number", "1.5"]),
-        ({"seed": -1}, ["seed", "between"]),
         ({"loop": "pma"}, ["loop", "none, isolator, fsm, fsm+pma", "'pma'"]),
-        ({"mode": "fast"}, ["mode", "realtime", "'fast'"]),
-        ({"scenario": 3}, ["scenario", "design"]),
         ({"noise": 1}, ["noise", "true or false", "1"]),
-        ({"wheel_speed": 100.0}, ["wheel_speed", "list"]),
         ({"wheel_speed": [1.0, 2.0, 3.0, math.nan]}, ["wheel_speed", "between"]),
-        ({"camera_dropout": 1.1}, ["camera_dropout", "between 0 and 1"]),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_was_expected_and_what_came(values, words):
@@ -40,7 +30,7 @@ def test_a_mistake_is_one_line_that_says_what_was_expected_and_what_came(values,
         assert word in message
 
 
-@pytest.mark.parametrize("rate", [1, 10, 12.5, 20, 25, 40, 50, 100, 125, 200, 250, 500, 1000])
+@pytest.mark.parametrize("rate", [1, 12.5, 40, 1000])
 def test_camera_rates_that_divide_the_loop_rate(rate):
     assert RunConfig(camera_rate=float(rate)).frame_ticks * rate == 1000
 
@@ -59,18 +49,6 @@ def test_a_file_that_is_no_configuration(tmp_path, text, words):
     (tmp_path / "bad.yaml").write_text(text)
     with pytest.raises(ValueError, match=f"bad.yaml {words}"):
         read_yaml(tmp_path / "bad.yaml")
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(ValueError, match="No such file"):
-        read_yaml(tmp_path / "none.yaml")
-
-
-def test_values_from_the_command_line():
-    assert parse_value("wheel_speed", "[1, 2, 3, 4.5]") == [1, 2, 3, 4.5]
-    assert parse_value("k_fsm", "12") == "12"
-    with pytest.raises(ValueError, match="unknown parameter"):
-        parse_value("nothing", "1")
 
 
 def test_every_parameter_says_what_it_is():

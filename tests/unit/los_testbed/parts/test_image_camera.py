@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImageCamera, window_of
+from los_testbed.parts.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImageCamera
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
@@ -22,7 +22,7 @@ from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.read.run import Run
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.interface import CAMERA, COMMANDS, DT, MEASUREMENTS, TRUTH
+from titop_plant.interface import CAMERA, DT, MEASUREMENTS
 
 OPTICS = Optics(550e-9, 38.0 * RAD_PER_MAS, 1.5, 0.3)
 STAR = GuideCamera(magnitude=9.0, cosmic_rate=0.0)
@@ -72,23 +72,6 @@ def test_the_angles_are_the_mean_over_the_exposure_that_was_read_out(exposure: f
     known = RATE * (frames[exposed] * DT - delay - 0.5 * exposure)[:, None]
     # the model of the centroid is a star at rest
     np.testing.assert_allclose(found[frames[exposed]], known, atol=2e-3 * OPTICS.pixel)
-
-
-def test_noise_is_that_of_the_star_and_of_the_seed() -> None:
-    faint = replace(STAR, magnitude=13.0)
-    first, again, other = (angles(plant(faint, noise=True, seed=seed), 8001)[40::20] for seed in (1, 1, 2))
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-    known = RATE * (20 * np.arange(2, 2 + len(first)) * DT - 0.012)[:, None]
-    assert float((first - known).std()) == pytest.approx(noise_equivalent_angle(StarCamera(OPTICS, faint)), rel=0.1)
-
-
-def test_a_reset_gives_the_same_bits() -> None:
-    made = plant(noise=True)
-    first = angles(made, 400)
-    assert made.counts == {"frames": "20", "frames_before_start": "2"}
-    made.reset()
-    assert np.array_equal(first, angles(made, 400), equal_nan=True)
-    assert made.counts == {"frames": "20", "frames_before_start": "2"}
 
 
 class Counted(Drift):
@@ -172,29 +155,11 @@ def test_a_run_has_its_images_in_the_bag(tmp_path: Path) -> None:
     assert json.loads(json.dumps(run.parameters["camera"]))["magnitude"] == 14.0
 
 
-def test_the_other_noise_of_the_loop_stays_as_it_is(tmp_path: Path) -> None:
-    """Without fine control nothing but the camera's columns differs from those of the vector camera."""
-    text = '[sensors]\ncamera = "{}"\n'
-    values = {}
-    for kind in ("magnitude", "image"):
-        config = RunConfig(duration=0.1, loop="isolator", parameters=user(tmp_path, text.format(kind)))
-        made, y, truth = RunParts(config).plant(), np.zeros(MEASUREMENTS), np.zeros(TRUTH)
-        assert window_of(made) == (15 if kind == "image" else 0)
-        rows = []
-        for _ in range(100):
-            made.step(np.zeros(COMMANDS), y, truth)
-            rows.append(np.concatenate([np.delete(y, np.r_[CAMERA]), truth]))
-        values[kind] = np.array(rows)
-    assert np.array_equal(values["magnitude"], values["image"])
-
-
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
         ('[sensors]\ncamera = "image"\n[camera]\nwindow = 4\n', [], "camera.window must be an odd number from 7 to 63"),
         ('[sensors]\ncamera = "image"\n', ["--camera-rate", "100"], "camera.exposure must be at most the 0.01 s"),
-        ('[sensors]\ncamera = "image"\n[camera]\nexposure = 30.0\n', [], "camera.exposure must be at most the 0.02 s"),
-        ('[sensors]\ncamera = "slides"\n', [], "must be vector, magnitude or image, got 'slides'"),
     ],
 )
 def test_a_camera_that_cannot_be_used_is_one_line(

@@ -11,14 +11,12 @@ import control
 import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.port_order import with_named_ports
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.user_blocks import LAWS, make_law, read_law
 from scipy import io
 
 import los_estimator
 from lftkit.arrays import FloatArray
-from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
 
 STORED = SampledSystem.from_file(Path(los_estimator.__file__).parent / "designs/k_fsm.json")
@@ -88,12 +86,3 @@ def test_without_names_the_message_says_both_ways(tmp_path: Path) -> None:
     ):
         assert part in message
     assert "\n" not in message
-
-
-def test_another_number_of_signals_is_refused_also_in_order() -> None:
-    matrices = np.zeros((0, 0)), np.zeros((0, 21)), np.zeros((2, 0)), np.zeros((2, 21))
-    few = SampledSystem(*matrices, (Port("u", 21),), (Port("y", 2),), 1e-3)
-    with pytest.raises(ValueError, match=r"inputs must be 22, in the order accel_Ip\[6\], .* got 21 without names"):
-        with_named_ports(few, *LAWS["k_fsm"], True)
-    named = SampledSystem(*matrices, (Port("mine", 21),), (Port("y", 2),), 1e-3)
-    assert with_named_ports(named, *LAWS["k_fsm"], True).inputs == (Port("mine", 21),), "names are never changed"

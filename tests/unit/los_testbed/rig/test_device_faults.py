@@ -169,26 +169,6 @@ def test_an_outage_of_the_line_brings_the_rig_to_zero_and_it_flies_again(rig):
     supervisor.end()
 
 
-@pytest.mark.parametrize("rig", [("--fault=repeated", "--fault-at=0", "--watchdog=5000")], indirect=True)
-def test_repeated_packets_are_refused_and_counted(rig):
-    given: list[Sample] = []
-
-    class Watched(UdpRig):
-        def read(self, now_ns):
-            found = super().read(now_ns)
-            given.extend(found)
-            return found
-
-    supervisor = Supervisor(Watched(), rig.config)
-    supervisor.open()
-    complete, _ = fly(supervisor, 200)
-    found = supervisor.statistics()
-    assert complete > 20 and int(found["device_refused_repeated"]) > 100
-    seen = [np.asarray(sample.values).tobytes() for sample in given if sample.port == "accel_Ip"]
-    assert len(seen) > 20 and len(set(seen)) == len(seen), "no sample is given twice"
-    supervisor.end()
-
-
 def fly_until(supervisor, done, ticks=20_000):
     """Ticks until a condition holds; whether it did."""
     for _ in range(ticks):
@@ -196,52 +176,6 @@ def fly_until(supervisor, done, ticks=20_000):
         if done():
             return True
     return False
-
-
-@pytest.mark.parametrize("rig", [("--fault=clock_jump", "--fault-at=0.2", "--watchdog=5000")], indirect=True)
-def test_a_clock_that_is_set_during_a_run_is_learned_anew_and_counted(rig):
-    driver = UdpRig()
-    supervisor = Supervisor(driver, rig.config)
-    supervisor.open()
-    assert fly_until(supervisor, lambda: driver.clock.jumps == 1)
-    fly(supervisor, 30)
-    _, frames = fly(supervisor, 60)
-    assert supervisor.state == ACTIVE and frames
-    assert all(0 < time.monotonic_ns() - sample.acquired_ns < 20e9 for sample in frames), "not 1 s ahead"
-    assert supervisor.statistics()["device_clock_jumps"] == "1"
-    supervisor.end()
-    assert rig.until("closed")["applied"] == 0.0
-
-
-@pytest.mark.parametrize("rig", [("--fault=camera_silent", "--fault-at=0.2", "--watchdog=5000")], indirect=True)
-def test_a_silent_camera_ends_no_run(rig):
-    supervisor = Supervisor(UdpRig(), rig.config)
-    supervisor.open()
-    came = []
-
-    def silent():
-        came.append(bool([sample for sample in supervisor.frames if sample.port == "camera_los"]))
-        return sum(came) > 0 and not any(came[-200:])
-
-    assert fly_until(supervisor, silent), "frames came, and then no more"
-    assert supervisor.state == ACTIVE, "the other sensors go on"
-    supervisor.end()
-    assert rig.until("closed")["applied"] == 0.0
-
-
-def test_the_counts_of_a_driver_begin_with_the_run_and_not_when_its_rig_is_opened(rig):
-    supervisor = Supervisor(UdpRig(), rig.config)
-    supervisor.open()
-    time.sleep(4.0)  # the socket keeps some 1000 packets
-    supervisor.drain()
-    time.sleep(0.01)
-    supervisor.drain()
-    assert int(supervisor.statistics()["device_packets_lost"]) > 100
-    supervisor.reset()
-    fly(supervisor, 20)
-    found = supervisor.statistics()
-    assert "device_packets_lost" not in found and "device_packets_reordered" not in found
-    supervisor.end()
 
 
 OPENED_AND_KILLED = """
@@ -275,13 +209,6 @@ def test_a_host_that_waits_for_its_run_keeps_its_rig(rig, monkeypatch):
     driver.close()
 
 
-def test_no_rig_is_a_mistake_of_the_user(monkeypatch):
-    monkeypatch.setattr("los_testbed.rig.driver.OPEN_S", 0.1)
-    config = RunConfig(device="my:Rig", device_address="127.0.0.1:9", start="rest")
-    with pytest.raises(ValueError, match=r"device my:Rig must open, got RigSilentError: no answer from 127.0.0.1:9"):
-        Supervisor(UdpRig(), config).open()
-
-
 class Broken:
     """A device whose methods fail."""
 
@@ -296,17 +223,6 @@ class Broken:
             return {}
 
         return method
-
-
-def test_a_device_that_fails_is_made_safe_and_closed_although_that_fails_too():
-    device = Broken()
-    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"))
-    supervisor.open()
-    with pytest.raises(DeviceError, match="read failed: OSError: the cable is out"):
-        supervisor.read(0)
-    supervisor.end()
-    supervisor.end()
-    assert [name for name in device.called if name != "notes"] == ["open", "read", "write", "safe", "close"]
 
 
 def test_the_rig_has_limits_of_its_own_and_a_resonance():

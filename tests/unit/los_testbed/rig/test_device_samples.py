@@ -12,15 +12,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
 from los_testbed.rig import motions
 from los_testbed.rig.motions import record
-from los_testbed.rig.supervisor import (
-    EVERY_TICK,
-    FROZEN_FRAMES,
-    FROZEN_TICKS,
-    Supervisor,
-    as_stamp,
-    refused_in_words,
-)
-from los_testbed.rig.wire import Kind, Reader, encode
+from los_testbed.rig.supervisor import EVERY_TICK, FROZEN_FRAMES, FROZEN_TICKS, Supervisor, refused_in_words
 
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
@@ -88,16 +80,6 @@ def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift, monkeypatch
     assert len(said) == 1 and said[0].startswith("accel_Ip, camera_los, los_controlled: 1 samples with an acquisition")
 
 
-def test_the_times_of_a_slow_read_and_of_another_day_are_used():
-    device = Rig()
-    supervisor = watched(device)
-    now = time.monotonic_ns()
-    device.more = [Sample(CAMERA_PORT, now + TICK_NS // 2, device.noise(CAMERA_PORT)), Sample(TRUTH_PORT, 0, [1, 2])]
-    assert supervisor.read(now) and len(supervisor.frames) == 2
-    assert not refused_in_words(supervisor.counts)
-    assert as_stamp(0, now, 1_000) == 1 and isinstance(as_stamp(5.5, 1, 1_000), int)
-
-
 @pytest.mark.parametrize(
     ("odd", "quiet", "said"),
     [
@@ -163,18 +145,6 @@ def test_the_end_says_whether_mirror_and_forces_are_at_zero(failing, reading, sa
     found = supervisor.statistics()
     assert found["device_state"] == (ERROR if said else FINALIZED)
     assert all(f"{name} failed" in found["device_fault"] for name in failing)
-
-
-def test_the_notes_of_the_end_are_those_before_the_device_was_closed():
-    class Noted(Rig):
-        def notes(self):
-            if "close" in self.called:
-                raise OSError("closed")
-            return {"lamp_hours": "7"}
-
-    supervisor = watched(Noted())
-    supervisor.finish()
-    assert supervisor.statistics()["device_lamp_hours"] == "7"
 
 
 def test_a_check_by_test_motions_does_not_pass_where_the_rig_is_not_made_safe(monkeypatch):
@@ -250,18 +220,3 @@ def test_a_run_begins_with_counts_of_zero_and_its_own_samples():
     assert supervisor.read(now)
     assert supervisor.acquired_ns == now, "no sample of the run before is left"
     assert supervisor.age.maximum_us < 1e6
-
-
-def test_packets_of_before_the_run_that_come_late_are_in_no_count():
-    key = bytes(8)
-    reader = Reader(key)
-
-    def read(number):
-        return reader.read(encode(Kind.FAST, number, number, np.zeros(1), key))
-
-    read(1), read(5), reader.read(b"")
-    assert reader.lost == 3 and reader.refused["size"] == 1
-    reader.begin_counts()
-    assert read(3) is not None and reader.statistics() == {}
-    read(8), read(7)
-    assert reader.statistics() == {"packets_lost": "1", "packets_reordered": "1"}

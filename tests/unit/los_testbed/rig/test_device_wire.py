@@ -8,7 +8,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.rig.clock_map import ClockMap
 from los_testbed.rig.driver import PacketRig, secret_of
 from los_testbed.rig.emulator import key_of
-from los_testbed.rig.serial import BAUD, PacketSplitter, line_of
+from los_testbed.rig.serial import PacketSplitter
 from los_testbed.rig.udp import address_of, other_machine
 from los_testbed.rig.wire import Kind, Reader, encode, fits
 
@@ -30,19 +30,6 @@ def test_a_flipped_bit_is_found(place, bit):
     data = bytearray(encode(Kind.FRAME, 3, 5, VALUES, KEY))
     data[place] ^= 1 << bit
     assert Reader(KEY).read(bytes(data)) is None
-
-
-def test_a_packet_of_another_run_is_refused():
-    reader = Reader(KEY)
-    assert reader.read(encode(Kind.COMMAND, 1, 5, np.zeros(8), OTHER)) is None
-    assert dict(reader.refused) == {"check": 1}
-
-
-def test_lost_and_reordered_packets_are_counted():
-    reader = Reader(KEY)
-    for number in (1, 2, 5, 4, 6, 6):
-        reader.read(encode(Kind.FAST, number, 5, VALUES, KEY))
-    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 1, {"repeated": 1})
 
 
 @given(st.floats(-200, 200), st.integers(0, 400_000), st.integers(0, 2**40))
@@ -180,10 +167,3 @@ def test_a_changed_or_lost_byte_costs_one_packet(place, change, lost):
         stream[place] ^= change
     found = frames().feed(bytes(stream) + bytes(1000))
     assert len(found) == len(PACKETS) - 1 and all(packet in PACKETS for packet in found)
-
-
-def test_the_address_of_a_serial_line():
-    assert line_of("/dev/null") == ("/dev/null", BAUD)
-    for text in ("127.0.0.1:47800", "/dev/null@fast", "/dev/null@12345", "/no/such/line"):
-        with pytest.raises(ValueError, match="device_address must"):
-            line_of(text)

@@ -32,10 +32,6 @@ def test_requests_are_told_in_order_of_time_with_their_senders():
     )
 
 
-def test_changes_of_the_parameter_file_are_no_requests():
-    assert requested(run(plant=[{"tick": 3, "name": "noise", "value": False}])) == ()
-
-
 def test_of_many_requests_the_first_ones_and_the_last_are_told():
     found = requested(run(plant=[row(k, "noise", False) for k in range(50)] + [row(99, "reset", True)]))
     assert len(found) == SHOWN + 2
@@ -43,21 +39,7 @@ def test_of_many_requests_the_first_ones_and_the_last_are_told():
     assert found[-1] == "reset by request at 0.099 s, from /stranger"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[",
-        "7",
-        "null",
-        "[" * 100_000,
-        '[{"by": "/x"}]',
-        '[{"by": 1, "name": "stop", "tick": 3}]',
-        "[[], 1]",
-        5,
-        None,
-    ],
-)
+@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, '[{"by": 1, "name": "stop", "tick": 3}]', None])
 def test_what_is_no_list_of_changes_is_left_out(text):
     assert requested(SimpleNamespace(parameters={"statistics": {"plant": {"changes": text}}})) == ()
     assert requested(SimpleNamespace(parameters={"statistics": text})) == ()

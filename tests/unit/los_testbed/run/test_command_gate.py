@@ -76,17 +76,6 @@ def test_values_are_judged_before_stamps(gate):
     assert dict(gate.rejected) == {"not_finite": 3, "limit": 3}
 
 
-def test_the_limit_itself_is_allowed(gate):
-    assert gate.offer(message(START, LIMIT, -LIMIT), START + MS)
-
-
-def test_a_second_command_of_the_same_tick_is_a_duplicate(gate):
-    assert gate.offer(message(START), START + MS)
-    assert not gate.offer(message(START, 2e-3), START + MS)
-    assert gate.rejected["duplicate"] == 1
-    assert output(gate, START + MS)[0] == 1e-3
-
-
 def test_a_late_command_is_used_while_it_is_the_newest_but_is_not_fresh(gate):
     assert gate.offer(message(START), START + 3 * MS)
     assert not gate.fresh(START + 3 * MS)

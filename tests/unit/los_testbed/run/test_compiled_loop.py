@@ -13,10 +13,9 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop import compiled_loop
 from los_testbed.run.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
-from los_testbed.run.loop.compiled_loop import CompiledLoop, prepare
+from los_testbed.run.loop.compiled_loop import prepare
 
 from titop_plant.simulation import compilation
-from titop_plant.simulation.plant import Plant
 
 DESIGN = RunConfig(mode="inprocess", scenario="design", duration=2.3, camera_dropout=0.3, seed=5)
 SPEED_UP = {"wheel_acceleration": (8.0, -8.0, 3.0, 0.0)}
@@ -50,19 +49,6 @@ def record(parts: RunParts, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_loop_in_compiled_code_has_the_bits_of_its_parts(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     parts = RunParts(CONFIGS[name])
     assert record(parts, True, monkeypatch) == record(parts, False, monkeypatch)
-
-
-@needs_numba
-def test_code_of_the_user_is_called_and_the_telescope_beside_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled_loop, "kernel_for", lambda ticks: compilation.kernel())
-    parts = RunParts(replace(DESIGN, nonlinear=True))
-    plant, estimator, controller = parts.plant(), parts.estimator(), parts.controller()
-    assert isinstance(plant, Plant) and not plant.dynamics.compiled
-    assert CompiledLoop.of(plant, estimator, controller, 10) is None
-    assert plant.dynamics.compiled
-    linear = replace(plant, devices=None)
-    assert CompiledLoop.of(linear, estimator, controller, 10) is not None
-    assert CompiledLoop.of(linear, object(), controller, 10) is None
 
 
 @needs_numba

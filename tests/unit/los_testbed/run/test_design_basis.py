@@ -18,10 +18,9 @@ from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit import SampledSystem
-from los_design.synthesis.store import VARIANTS, load_designs
+from los_design.synthesis.store import load_designs
 from pointing_analysis.read.run import Run
-from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
-from titop_plant.telescope.guide_camera import IMAGE_OPTICS
+from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, design_warnings
 from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -72,12 +71,6 @@ def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") ->
     return path
 
 
-def test_the_stored_designs_are_made_for_the_reference_telescope() -> None:
-    for variant in VARIANTS:
-        assert design_warnings(load_designs(variant), REFERENCE.design_basis, closed=True) == ()
-    assert RunParts(RunConfig()).check() == ()
-
-
 def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
     """A controller made for the reference is refused or warned about, whatever number the user's file changes."""
     known, pair = REFERENCE.design_basis.parameters_hash, load_designs("implemented")
@@ -98,15 +91,6 @@ def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> No
         assert len(lines) == 2, number
         assert all(f"parameters_hash {known}" in line and basis.parameters_hash in line for line in lines), number
     assert len(hashes) == len(walked) and known not in hashes
-
-
-def test_the_optics_of_images_are_in_no_design(tmp_path: Path) -> None:
-    """Another aperture or detector leaves the hash, the plant and the stored designs as they are."""
-    (tmp_path / "user.toml").write_text("[optics]\naperture_diameter = 2.4\npixel_mas = 50.0\nobscuration = 0.0\n")
-    telescope = load_telescope(tmp_path / "user.toml")
-    assert telescope.image_optics.aperture_diameter == 2.4
-    assert telescope.design_basis == REFERENCE.design_basis
-    assert set(IMAGE_OPTICS) < set(REFERENCE.to_mapping()["optics"])
 
 
 @pytest.mark.parametrize("loop", STAGES)
@@ -164,12 +148,6 @@ def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path
     assert json.loads(run_metadata(RunParts(replace(config, pma_authority=5.0)))["pma_authority"]) == 5.0
 
 
-def test_another_limit_of_the_run_is_one_line_for_each_controller() -> None:
-    first, second = RunParts(RunConfig(fsm_authority=4e-3)).check()
-    assert first == "K_FSM, implemented was designed for fsm_authority 0.0053, not for fsm_authority 0.004"
-    assert second.startswith("K_PMA, implemented was designed for fsm_authority 0.0053")
-
-
 def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / "bag"
     arguments = ["run", "--mode=inprocess", "--duration=1.5", "--no-report", f"--output={bag}", "--loop=fsm"]
@@ -183,32 +161,6 @@ def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys:
     assert parameters["los_sensitivity"] == 0.1
     assert parameters["rate_hz"] == 1000
     assert parameters["parameters_hash"] == REFERENCE.design_basis.parameters_hash
-
-
-@pytest.mark.parametrize("command", [["run", "--mode=inprocess"], ["stages", "--samples=1"]])
-def test_the_commands_refuse_in_one_line(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    user = sensitive(tmp_path / "user.toml")
-    with pytest.raises(SystemExit) as stop:
-        cli.main([*command, f"--parameters={user}", f"--output={tmp_path / 'new'}"])
-    captured = capsys.readouterr()
-    assert stop.value.code == 2
-    assert captured.err == ("los-testbed: K_FSM, implemented: fsm.los_sensitivity of its design must be 0.2, got 0.1\n")
-    assert not (tmp_path / "new").exists()
-
-
-def test_design_verify_compares_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from los_design.synthesis import store
-
-    def others(variant: str) -> tuple[SampledSystem, ...]:
-        return tuple(replace(k, design_basis={"los_sensitivity": 0.2}) for k in load_designs(variant))
-
-    monkeypatch.setattr(store, "load_designs", others)
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["design", "verify", "--samples=0"])
-    assert stop.value.code == 2
-    assert "los_sensitivity of its design must be 0.1, got 0.2" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -232,23 +184,12 @@ def test_a_replay_compares_with_the_telescope_of_the_bag(recorded: Path, tmp_pat
     assert controllers(Run.open(recorded)).warnings == ()
 
 
-def test_a_bag_from_before_is_replayed_with_the_reference_telescopes_sensitivity(recorded: Path) -> None:
-    run = Run.open(recorded)
-    new = ("parameters_hash", "los_sensitivity", "rate_hz")
-    run.parameters = {key: value for key, value in run.parameters.items() if key not in new}
-    chosen = controllers(run)
-    assert chosen.as_recorded and chosen.controller.los_sensitivity == REFERENCE.fsm.los_sensitivity
-
-
 @pytest.mark.parametrize(
     ("basis", "message"),
     [
         ({"los_sensitvity": 0.1}, "keys of design_basis must be among parameters_hash, .*, got 'los_sensitvity'"),
         ({"los_sensitivity": 0.0}, "los_sensitivity must be positive and finite, got 0"),
-        ({"los_sensitivity": "0.1"}, "los_sensitivity must be a number, got '0.1'"),
         ({"fsm_authority": True}, "fsm_authority must be a number, got True"),
-        ({"parameters_hash": 12}, "parameters_hash must be a text, got 12"),
-        ([0.1], "design_basis must be an object of names and values"),
     ],
 )
 def test_a_file_that_says_it_wrongly(tmp_path: Path, basis: Any, message: str) -> None:
@@ -257,20 +198,3 @@ def test_a_file_that_says_it_wrongly(tmp_path: Path, basis: Any, message: str) -
     with pytest.raises(ValueError, match=message) as caught:
         RunParts(RunConfig(k_fsm=str(path))).check()
     assert "\n" not in str(caught.value)
-
-
-def test_what_neither_side_says_is_an_error() -> None:
-    with pytest.raises(ValueError, match="los_sensitivity must be given"):
-        DesignBasis().mirror_sensitivity(DesignBasis())
-    with pytest.raises(ValueError, match="fsm_authority and pma_authority must be given"):
-        _ = DesignBasis(fsm_authority=1e-3).authority
-
-
-STORED = Path("los_estimator/designs/k_fsm.json")
-
-
-def test_files_keep_what_they_were_made_for(tmp_path: Path) -> None:
-    k_fsm = RunParts(RunConfig()).models["k_fsm"]
-    k_fsm.to_file(tmp_path / "copy.json")
-    copy, stored = (json.loads(path.read_text()) for path in (tmp_path / "copy.json", STORED))
-    assert copy == {**stored, "format": "lftkit/sampled-system"}  # the stored one has the name of version 0.1

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from los_testbed.config.plugins import in_one_line
 from simple_telescope import write_controllers
 from user_code import STORED_LAW
 
@@ -100,18 +98,6 @@ def test_an_exception_in_the_run_is_one_line_and_the_bag_is_whole(
 
 
 @pytest.mark.parametrize("fault", KINDS)
-@pytest.mark.parametrize(("option", "text", "method"), [("--plant", PLANT, "Plant.step"), ("--k-pma", LAW, "Law.step")])
-def test_an_exception_at_the_first_tick_is_a_mistake_told_before_the_run(
-    call: Call, module: Callable[..., str], tmp_path: Path, fault: str, option: str, text: str, method: str
-) -> None:
-    name = module(text, tick=0, fault=fault)
-    code, out, err = call(*command(option, f"{name}:{method.partition('.')[0]}"))
-    assert code == 2 and out == "" and err.count("\n") == 1, err
-    assert fault in err and f"({method}, {name}.py:" in err
-    assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.parametrize("fault", KINDS)
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -132,46 +118,6 @@ def test_an_exception_while_it_is_made_names_its_place(
     code, out, err = call(*command("--k-pma", f"{name}:Law"))
     assert code == 2 and out == "" and err.count("\n") == 1, err
     assert fault in err and place.format(name=name) in err
-
-
-ODD_ATTRIBUTES = [
-    'tones = ["a"]',
-    "tones = object()",
-    "parameters_hash = property(lambda self: 1 / 0)",
-    "frame_ticks = property(lambda self: {}[3], lambda self, value: None)",
-]
-
-
-@pytest.mark.parametrize("attribute", ODD_ATTRIBUTES)
-def test_attributes_of_a_plant_that_cannot_be_recorded_are_told(
-    call: Call, module: Callable[..., str], attribute: str
-) -> None:
-    body = "\nclass Plant(SimpleTelescope):\n"
-    body += "    def __init__(self):\n        super().__init__()\n        {more}\n    {own}\n"
-    own, more = ("pass", f"self.{attribute}") if attribute.startswith("tones") else (attribute, "pass")
-    name = module(body, own=own, more=more)
-    code, out, err = call(*command("--plant", f"{name}:Plant"))
-    assert code == 2 and out == "" and err.count("\n") == 1, err
-    assert "plant.frame_ticks, and tones and parameters_hash if there are any, must be values" in err
-
-
-def test_an_inherited_method_has_the_class_of_the_object_and_numpy_is_not_the_place(tmp_path: Path) -> None:
-    class Base:
-        def step(self, out: np.ndarray) -> None:
-            np.zeros(3).reshape(2)  # the line that counts
-
-    class Mine(Base):
-        pass
-
-    with pytest.raises(ValueError) as raised:
-        Mine().step(np.zeros(2))
-    error = raised.value
-    assert error.__traceback__ is not None
-    error.__traceback__ = error.__traceback__.tb_next  # as it is where the package calls it
-    line = line_of(Path(__file__).read_text(), "the line that counts")
-    assert in_one_line(error).endswith(f"(Mine.step, {Path(__file__)}:{line})") or in_one_line(error).endswith(
-        f"(Mine.step, {Path(__file__).relative_to(Path.cwd())}:{line})"
-    )
 
 
 @pytest.mark.filterwarnings("error")

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from los_design.verification.statements import relative_error
 from pointing_analysis.image.motion_blur import covariance, exposures, motion_transfer, worst_transfer
 from pointing_analysis.image.optics import Optics
-from pointing_analysis.requirements.image_guarantee import least_transfer, proven_text
-from pointing_analysis.requirements.image_summary import ImageSummary
+from pointing_analysis.requirements.image_guarantee import least_transfer
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.weights import rpe_weight
 
@@ -44,7 +42,7 @@ def test_no_exposure_has_a_larger_rms_than_the_weighted_amplitude() -> None:
     assert np.allclose(1 - ratio[(y > 0.02) & (y < 0.2)], small**2 / 20, rtol=0.02)
 
 
-@pytest.mark.parametrize("hertz", [0.7, 9.0, 21.0, 42.0, 65.0, 333.0])
+@pytest.mark.parametrize("hertz", [0.7, 42.0, 333.0])
 def test_every_exposure_of_a_tone_keeps_the_bound(hertz: float) -> None:
     """An elliptic motion whose weighted amplitude is at the level: rms and MTF of all exposures."""
     level, omega, rng = 20 * MAS, 2 * math.pi * hertz, np.random.default_rng(int(hertz))
@@ -70,23 +68,3 @@ def test_the_bound_is_attained_and_ends() -> None:
     assert found == pytest.approx(least_transfer(rms, f), abs=1e-3)
     with pytest.raises(ValueError, match="rms and frequency must not be negative, got -1 and 0"):
         least_transfer(-1.0, 0.0)
-
-
-def test_slow_and_fast_tones_are_needed() -> None:
-    assert relative_error({"slow": 3.0, "fast": 4.0, "APE": 9.0}) == 4.0
-    assert relative_error({"slow": 3.0}) is None and relative_error({}) is None
-
-
-def test_the_line_beside_the_measured_values() -> None:
-    measured = ImageSummary("", WINDOW, 500, 0.1, 0.51234, 0.8, 130.0, 0.1)
-    found = {"rms_rad": 20.33 * MAS, "exposure_s": WINDOW}
-    text = proven_text(found, OPTICS, measured)
-    assert text == (
-        "MTF of the motion, 20 ms, proven for every telescope of the family and one tone of norm 1, without noise: at "
-        "least 0.667 at 0.5 Nyquist, no bound above 0.934 Nyquist (RPE 20.33 mas); measured with noise, 99.7 %: 0.512 "
-        "at 0.5 Nyquist, 0.1 at Nyquist"
-    )
-    assert "at Nyquist (RPE 10 mas)" in proven_text({**found, "rms_rad": 10 * MAS}, OPTICS, None)
-    for nothing in (None, "text", {}, {**found, "rms_rad": -1.0}, {**found, "exposure_s": "long"}):
-        assert proven_text(nothing, OPTICS, measured) == ""
-    assert proven_text(found, None, measured) == ""

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run import stages
 from los_testbed.run.identity import identity, telescope_digest
 from los_testbed.run.input_files import with_files_beside
-from los_testbed.run.stages import Plan, perform
-from los_testbed.run.star_trade import Trade
 
-from titop_plant.structures.modal_file import write_modal_data
-from titop_plant.telescope.bodies import build_payload
 from titop_plant.telescope.load import load_telescope
 
 COOLER = """
@@ -49,13 +42,6 @@ def shaken(folder: Path, force: float) -> str:
     t = np.arange(2000) / 1000.0
     rows = (f"{a:.3f},{b:.6f}\n" for a, b in zip(t, force * np.sin(2 * np.pi * 45.0 * t)))
     (folder / "shake.csv").write_text("time (s),Fx (N)\n" + "".join(rows), "utf-8")
-    return file
-
-
-def own_payload(folder: Path) -> str:
-    """A parameter file with modal data of the payload in a file beside it."""
-    file = written(folder / "mine.toml", '[payload]\nmodal_data = "modes.toml"\n')
-    write_modal_data(build_payload(load_telescope()), folder / "modes.toml")
     return file
 
 
@@ -110,42 +96,6 @@ def test_a_campaign_does_not_go_on_with_another_disturbance(make: Any, tmp_path:
     assert folder.open(asked(0.2), True) == frozenset()
     with pytest.raises(ValueError, match=r"which holds another: telescope must be .* as there, got "):
         folder.open(asked(20.0), True)
-
-
-@pytest.mark.parametrize("make", [lambda folder: shaken(folder, 0.1), own_payload])
-def test_a_worker_has_the_files_that_the_parameter_file_names(make: Any, tmp_path: Path) -> None:
-    """They travel with the campaign: the worker's telescope is the same to the last digit."""
-    base = RunConfig(mode="inprocess", parameters=make(tmp_path / "here"))
-    content = portable(base, identity(base))
-    (tmp_path / "here").rename(tmp_path / "gone")
-    there = base_of(content)
-    assert there.parameters and not there.parameters.startswith(str(tmp_path))
-    moved = replace(base, parameters=str(tmp_path / "gone" / Path(str(base.parameters)).name))
-    assert identity(there) == identity(moved)
-    assert len(RunParts(there).sources) == len(RunParts(moved).sources)
-
-
-def test_stages_do_not_go_on_with_another_disturbance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stages, "record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    plan = Plan(
-        RunConfig(duration=1.1, mode="inprocess", parameters=shaken(tmp_path, 0.2)), tmp_path / "s", ("imbalance",), 1
-    )
-    for _ in range(2):  # the same goes on
-        with pytest.raises(KeyboardInterrupt):
-            perform(plan)
-    shaken(tmp_path, 20.0)
-    with pytest.raises(ValueError, match="--output must be a new folder or one of the same comparison"):
-        perform(plan)
-
-
-def test_a_trade_does_not_go_on_with_another_file(tmp_path: Path) -> None:
-    """The parameter file is the same, the file that it names is not."""
-    base = RunConfig(mode="inprocess", duration=1.0, parameters=shaken(tmp_path / "t", 0.1))
-    Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
-    Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
-    shaken(tmp_path / "t", 30.0)
-    with pytest.raises(ValueError, match="--output must be a new folder or one of the same trade"):
-        Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
 
 
 def test_a_copy_with_its_files_is_the_same_telescope_anywhere(tmp_path: Path) -> None:

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from los_testbed.config.run_config import RunConfig
-from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.summary.loop_curves import loop_curves
 
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import scaled
 from los_loop.nyquist import BrokenLoop, broken_loops
 from los_loop.open_loop import OpenLoop
-from pointing_analysis.read.run import Run
-from pointing_analysis.report.loop_figures import nyquist, sensitivity
-from pointing_analysis.report.model_results import ModelResults
-from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
@@ -67,24 +58,3 @@ def test_the_distance_from_the_critical_point_bounds_the_sensitivity(curve: Brok
     assert np.all(curve.sensitivity >= (1.0 - 1e-9) / nearest)
     assert 1.5 < curve.sensitivity.max() < MAX_SENSITIVITY == 2.0
     assert np.abs(np.diff(curve.loci, axis=0)).max() < 0.5 * np.abs(curve.loci).max(), "columns are curves"
-
-
-@pytest.mark.pictures
-def test_the_report_of_a_run_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The other pictures are left out."""
-    drawn = tuple(draw for draw in PICTURES if {"nyquist", "sensitivity"} & set(draw.__code__.co_names))
-    monkeypatch.setattr("pointing_analysis.report.report.PICTURES", drawn)
-    assert len(drawn) == 2
-    runs = []
-    for loop in ("fsm+pma", "isolator"):
-        run_in_process(RunConfig(mode="inprocess", duration=2.0, loop=loop, scenario="design"), tmp_path / loop)
-        runs.append(Run.open(tmp_path / loop))
-    found = loop_curves(runs)
-    assert [[curve.place for curve in curves] for curves in found] == [["mirror", "forces"], []]
-    page = render(runs, model=ModelResults(loops=found))
-    assert page.count('id="nyquist"') == page.count('id="sensitivity"') == 1
-    assert 'id="nyquist"' not in render(runs, model=ModelResults(loops=[(), ()]))
-
-
-def test_without_a_loop_there_is_no_picture() -> None:
-    assert nyquist(["a"], [()]) is None and sensitivity([], []) is None

@@ -7,16 +7,7 @@ from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
 @pytest.mark.parametrize(
     ("ticks", "mean_us", "level"),
-    [
-        (1000, 100, 0),
-        (996, 100, 0),
-        (994, 100, 1),
-        (1006, 100, 1),
-        (989, 100, 2),
-        (1000, 1500, 1),
-        (1000, 2500, 2),
-        (0, 100, 3),
-    ],
+    [(996, 100, 0), (994, 100, 1), (989, 100, 2), (1000, 1500, 1), (1000, 2500, 2), (0, 100, 3)],
 )
 def test_levels_have_the_limits_of_ros2_control(ticks, mean_us, level):
     health, execution = LoopHealth(), LatencyHistogram()

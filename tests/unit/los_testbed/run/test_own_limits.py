@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign.campaign_verdict import judged, model_verdicts, not_judged, verdicts
+from los_testbed.campaign.campaign_verdict import model_verdicts, verdicts
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
 from los_testbed.campaign.sampling import MemberParameters
@@ -22,7 +22,6 @@ from support.requirement_outputs import page_rows, screen_rows
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
-from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import METADATA, summarise
 from pointing_analysis.requirements.summary import requirements_of as recorded
 
@@ -87,14 +86,6 @@ def test_the_bag_is_judged_by_its_telescope(
     assert [r.limit for r in recorded(Run.open(own / "bag")) or ()] == [4.848e-6, 100 * MAS, 4.848e-8]
 
 
-def test_a_file_of_requirements_takes_their_place(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = own / "req.toml"
-    file.write_text('[[requirement]]\ntext = "prob(rms RPE(20 ms) < 1 arcsec) >= 0.9 at 90 % confidence"\n')
-    assert main(["analyse", str(own / "bag"), f"--requirements={file}", f"--output={own / 'r.html'}", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
-    assert (row["limit"], row["unit"], row["status"]) == (1.0, "arcsec", "compliant")
-
-
 def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     base = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", parameters=str(own / "mine.toml"))
     requirements = RunParts(base).telescope.requirements
@@ -112,28 +103,6 @@ def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     assert (columns["rpe_window_p997_mas"] > 10).any()
     total = model_verdicts(np.array([9.0, 11.0]), ["ok"] * 2, "fsm+pma", requirements)
     assert {v.requirement: v.status for v in total} == {"RPE, fine": "not enough data", "RPE, finest": "not compliant"}
-
-
-def test_a_campaign_says_what_it_does_not_judge() -> None:
-    """Simulated runs are judged by all requirements on single runs, the model by windows of one length."""
-    texts = {
-        "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence": True,
-        "prob(|APE_x| < 1 arcsec) >= 0.95 at 95 % confidence": True,
-        "prob(rms RPE(20 ms) < 40 mas) >= 0.9 at 95 % confidence": True,
-        "prob(rms RPE(250 ms) < 40 mas) >= 0.997 at 95 % confidence": True,
-        "prob(|PRE(1 s)| < 40 mas) >= 0.997 at 95 % confidence": False,
-        "prob(|PDE(1 s, 10 s)| < 40 mas) >= 0.997 at 95 % confidence": True,
-    }
-    requirements = tuple(map(parse, texts))
-    assert [str(r) for r in judged(requirements)] == [text for text, kept in texts.items() if kept]
-    assert [str(r) for r in not_judged(requirements, "fsm")] == [text for text, kept in texts.items() if not kept]
-    windows = requirements[2]  # the level of the model is that of the part of the windows that this one asks for
-    assert list(not_judged(requirements, "fsm", "model")) == [r for r in requirements if r is not windows]
-    names = metric_columns("time", requirements[:1] + requirements[2:3])
-    shares = ("ape_above_1_arcsec", "rpe_window_above_40_mas")
-    effective = tuple(f"{share}_effective" for share in shares)
-    assert names[-6:] == (*shares, "ape_p95_arcsec", "rpe_window_p9_mas", *effective)
-    assert set(names) < set(metric_columns("time", requirements))
 
 
 def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:

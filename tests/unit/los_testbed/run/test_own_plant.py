@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from los_testbed.cli import app
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.closed_loop import LoopDivergedError
-from los_testbed.run.loop.contract import ContractError, RunFailedError, check_plant
+from los_testbed.run.loop.contract import ContractError, RunFailedError
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -43,10 +42,6 @@ def wrong_shape(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray)
     truth[:] = np.zeros(3)
 
 
-def changes_command(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
-    command[3] = 1.0
-
-
 def raises(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> None:
     raise ZeroDivisionError("own mistake")
 
@@ -55,9 +50,7 @@ def raises(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> N
     ("fault", "words"),
     [
         (nan("measurement", 8), ["finite", "accel_M1[2]"]),
-        (nan("truth", 1), ["finite", "truth [1]"]),
         (wrong_shape, ["truth (2,)", "ValueError"]),
-        (changes_command, ["must not change its command"]),
         (raises, ["ZeroDivisionError", "own mistake"]),
     ],
 )
@@ -67,24 +60,6 @@ def test_a_broken_contract_is_named_before_the_run(tmp_path: Path, fault: Any, w
         run_in_process(config, tmp_path / "bag", Own(fault))
     assert all(word in str(told.value) for word in words)
     assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.parametrize("value", [None, 0, 2.5, True, "20", 1001])
-def test_frame_ticks_must_be_a_number_of_ticks(value: object) -> None:
-    plant = SimpleTelescope()
-    plant.frame_ticks = value  # type: ignore[assignment]
-    with pytest.raises(ContractError, match="frame_ticks"):
-        check_plant(plant)
-
-
-def test_missing_attributes_and_unwritten_columns_are_named() -> None:
-    with pytest.raises(ContractError, match=r"plant\.step"):
-        check_plant(SimpleNamespace(reset=print))  # type: ignore[arg-type]
-    with pytest.raises(ContractError, match="frame_ticks"):
-        check_plant(SimpleNamespace(reset=print, step=print))  # type: ignore[arg-type]
-    lazy = SimpleNamespace(frame_ticks=20, reset=lambda: None, step=lambda u, y, truth: y.fill(0.0))
-    with pytest.raises(ContractError, match="write all of truth"):
-        check_plant(lazy)  # type: ignore[arg-type]
 
 
 def test_a_plant_that_fails_leaves_a_bag_that_says_where(tmp_path: Path) -> None:
@@ -102,16 +77,6 @@ def test_a_value_that_is_not_finite_is_named_with_tick_and_port(tmp_path: Path) 
     with pytest.raises(LoopDivergedError, match=r"tick 1500 the measurement accel_M2\[0\] is nan"):
         run_in_process(config, tmp_path / "bag", Own(nan("measurement", 12), 1500))
     assert any("tick 1500" in problem for problem in summarise(Run.open(tmp_path / "bag")).problems)
-
-
-def test_a_run_that_fails_before_its_first_tick_leaves_nothing(tmp_path: Path) -> None:
-    config = RunConfig(duration=1.0, mode="inprocess", **write_controllers(tmp_path))
-    plant = Own(raises, 7)
-    plant._tick = 7  # it starts where it is; the contract is checked from its initial state
-    with pytest.raises(RunFailedError, match="tick 0"):
-        run_in_process(config, tmp_path / "bag", plant)
-    assert not (tmp_path / "bag").exists()
-    run_in_process(config, tmp_path / "bag", SimpleTelescope())  # the name is free
 
 
 MODULE = """
@@ -162,9 +127,7 @@ def test_a_plant_is_named_on_the_command_line(plant: str, module: str) -> None:
     ("plant", "words"),
     [
         ("{}:Silent", "must write all of truth"),
-        ("{}:NoSuch", "no attribute 'NoSuch'"),
         ("no_such_module:Plant", "No module named 'no_such_module'"),
-        ("math:pi", "must be a class or a function that makes one, got float"),
         ("short_name", "entry point of los_testbed.plants, got 'short_name' (LookupError: known are none)"),
     ],
 )
@@ -178,8 +141,3 @@ def test_a_plant_that_cannot_be_used_is_an_error_of_the_user(
     error = capsys.readouterr().err.strip()
     assert words in error and len(error.splitlines()) == 1
     assert not Path("bag").exists()
-
-
-def test_a_named_plant_starts_at_rest() -> None:
-    with pytest.raises(ValueError, match="start must be rest with a plant of your own, got steady"):
-        RunConfig(plant="my_module:Plant")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
-from pointing_analysis.report.report import render
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import summarise
 
@@ -53,22 +51,6 @@ def test_a_tone_has_the_relative_error_of_the_window_that_is_required(window: st
     named = [figure.name for figure in found.figures]
     assert f"RPE rms, {window} windows" in named
     assert found.as_dict()["window_s"] == WINDOWS[window]
-
-
-@pytest.mark.parametrize("window", WINDOWS)
-@pytest.mark.usefixtures("without_pictures")
-def test_the_page_names_the_window(window: str) -> None:
-    noise = series(None, np.random.default_rng(1).standard_normal((9000, 2)), unit="mas", rate=1000.0)
-    page = render([noise], requirements=(required(window),))
-    assert f"windows of {window}" in page
-    assert not re.search(r"\b20 ms", page)
-
-
-def test_the_strictest_window_counts_and_without_any_it_is_20_ms() -> None:
-    noise = series(None, np.random.default_rng(1).standard_normal((9000, 2)), unit="mas", rate=1000.0)
-    loose = parse("prob(rms RPE(500 ms) < 2 arcsec) >= 0.95 at 95 % confidence", "long")
-    assert summarise(noise, requirements=(loose, required("50 ms"))).window == 0.05
-    assert summarise(noise, requirements=()).window == summarise(noise).window == 0.02
 
 
 @pytest.fixture(scope="module", params=WINDOWS)

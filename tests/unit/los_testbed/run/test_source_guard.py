@@ -107,16 +107,6 @@ def test_a_node_whose_place_was_taken_has_it_again_with_its_first_message():
     assert (line.guard.foreign, line.guard.misused, line.guard.intruders()) == (201, 101, [C])
 
 
-def test_another_node_that_sent_beside_the_matched_one_is_not_matched_when_that_has_left():
-    line = Line()
-    line.run(2000)
-    assert line.send(B, None, after=1) == FOREIGN
-    line.run(1)
-    for _ in range(1000):
-        assert line.send(B, None, after=1) in (FOREIGN, UNMATCHED)
-        assert not line.decide(STRANGER)
-
-
 def test_a_wrong_match_is_corrected_when_the_impostor_has_left():
     line = Line()
     line.run(10)
@@ -139,21 +129,6 @@ def test_the_first_publisher_is_matched_by_its_name_or_by_its_hold_ticks():
     replayed.sort(C, 0, message(None))
     assert replayed.decide([Endpoint(C.hex(), "/telescope/replay")], 0)
     assert replayed.foreign_publishers([PLANT]) == [PLANT]
-
-
-def test_two_publishers_of_one_name_are_not_decided_on():
-    guard = SourceGuard(NODE)
-    for gid in (A, C):
-        guard.sort(gid, 0, message(None))
-    assert not guard.decide([PLANT, AGAIN], 0)
-
-
-def test_the_next_run_of_another_node_is_matched_when_the_former_one_has_left():
-    line = Line()
-    line.run(1)
-    line.send(C, None, after=1000)
-    assert not line.decide(PLANT, Endpoint(C.hex(), "/telescope/replay"))
-    assert line.decide(Endpoint(C.hex(), "/telescope/replay"))
 
 
 def test_thousands_of_publishers_cost_no_memory_and_all_their_messages_are_counted():

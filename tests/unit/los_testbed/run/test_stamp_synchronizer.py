@@ -43,15 +43,6 @@ def test_a_part_that_is_not_due_is_nan_and_not_waited_for():
     assert np.isnan(row[2:4]).all()
 
 
-def test_a_due_part_is_waited_for():
-    synchronizer = make()
-    synchronizer.put(0, sample(4 * MS, 1.0))
-    assert synchronizer.put(2, sample(4 * MS, 3.0)) is None
-    assert synchronizer.waiting
-    assert synchronizer.put(1, sample(4 * MS, 2.0)) is not None
-    assert not synchronizer.waiting
-
-
 def test_a_dropped_frame_is_a_value_and_other_nan_is_refused():
     synchronizer = make()
     synchronizer.put(0, sample(4 * MS, 1.0))
@@ -61,58 +52,6 @@ def test_a_dropped_frame_is_a_value_and_other_nan_is_refused():
     assert np.isnan(synchronizer.put(2, sample(4 * MS, 3.0))[2:4]).all()
     synchronizer.put(1, sample(6 * MS, np.inf))
     assert synchronizer.rejected["not_finite"] == 2
-
-
-def test_two_ticks_interleaved():
-    synchronizer = make()
-    synchronizer.put(0, sample(5 * MS, 1.0))
-    synchronizer.put(0, sample(7 * MS, 2.0))
-    assert synchronizer.put(2, sample(5 * MS, 3.0)).tolist()[0] == 1.0
-    assert synchronizer.put(2, sample(7 * MS, 4.0)).tolist()[0] == 2.0
-    assert synchronizer.gap == 1
-
-
-def test_a_lost_sample_costs_its_tick_only_and_is_counted():
-    synchronizer = make()
-    for stamp in (5, 9):
-        synchronizer.put(0, sample(stamp * MS, 1.0))
-        synchronizer.put(2, sample(stamp * MS, 1.0))
-    assert synchronizer.gap == synchronizer.gaps == 3
-    assert synchronizer.put(2, sample(7 * MS, 1.0)) is None
-    assert synchronizer.rejected["late"] == 1
-
-
-def test_duplicates_and_stamps_off_the_grid_are_refused():
-    synchronizer = make()
-    synchronizer.put(0, sample(5 * MS, 1.0))
-    synchronizer.put(2, sample(5 * MS, 1.0))
-    assert synchronizer.put(2, sample(5 * MS, 1.0)) is None
-    assert synchronizer.put(2, sample(7 * MS + 1, 1.0)) is None
-    assert synchronizer.put(2, b"\x00\x01") is None
-    assert dict(synchronizer.rejected) == {"late": 1, "off_grid": 1, "size": 1}
-
-
-def test_a_stamp_from_beyond_the_horizon_is_refused_and_does_no_harm():
-    synchronizer = make()
-    synchronizer.put(0, sample(5 * MS, 1.0))
-    synchronizer.put(2, sample(5 * MS, 1.0))
-    synchronizer.now = 60 * MS - HORIZON_NS
-    assert synchronizer.put(0, sample(7001 * MS, 1.0)) is None
-    assert synchronizer.rejected["future"] == 1
-    synchronizer.put(0, sample(7 * MS, 1.0))
-    assert synchronizer.put(2, sample(7 * MS, 1.0)) is not None
-
-
-def test_holding_starts_anew_even_with_older_stamps():
-    synchronizer = make()
-    synchronizer.put(0, sample(5 * MS, 1.0))
-    synchronizer.put(2, sample(5 * MS, 1.0))
-    for i in range(3):
-        row = synchronizer.put(i, sample(HOLD_STAMP, 0.0))
-    assert row is not None and synchronizer.stamp == HOLD_STAMP
-    synchronizer.put(0, sample(3 * MS, 1.0))
-    assert synchronizer.put(2, sample(3 * MS, 1.0)) is not None
-    assert synchronizer.gap == 0
 
 
 def test_a_single_hold_message_does_not_change_an_incomplete_tick():
@@ -134,14 +73,6 @@ def test_nothing_of_an_incomplete_tick_is_left_when_its_slot_is_used_again():
     assert synchronizer.put(0, sample(69 * MS, 2.0)).tolist()[:2] == [2.0, -2.0]
 
 
-def test_a_frame_of_an_incomplete_tick_is_not_the_frame_of_another():
-    synchronizer = make(camera_every=3)
-    synchronizer.put(1, sample(3 * MS, 1.0))
-    synchronizer.put(0, sample(67 * MS, 2.0))
-    row = synchronizer.put(2, sample(67 * MS, 3.0))
-    assert row[:2].tolist() == [2.0, -2.0] and np.isnan(row[2:4]).all()
-
-
 def test_an_old_tick_does_not_push_a_newer_one_out_of_its_slot():
     synchronizer = make()
     synchronizer.put(0, sample(69 * MS, 2.0))
@@ -158,32 +89,6 @@ def test_64_ticks_may_be_under_way_at_once():
         assert synchronizer.put(2, sample(tick * MS, 0.0)).tolist()[0] == tick
         assert (synchronizer.gap, synchronizer.gaps, synchronizer.stamp) == (0, 0, tick * MS)
         assert synchronizer.waiting is (tick < 64)
-
-
-def test_messages_that_cannot_be_decoded_are_counted_by_reason():
-    synchronizer = make()
-    whole = sample(5 * MS, 1.0)
-    for data in (whole[:-9], whole[:12], whole[:11], b"", b"\xff" + whole[1:]):
-        assert synchronizer.put(0, data) is None
-    assert sum(synchronizer.rejected.values()) == 5 and synchronizer.rejected["encoding"] >= 1
-    assert not synchronizer.waiting
-    synchronizer.put(0, whole)
-    assert synchronizer.put(2, sample(5 * MS, 2.0)).tolist()[0] == 1.0
-
-
-def test_a_rejected_message_counts_once_for_each_reason():
-    synchronizer = make()
-    for _ in range(2):
-        synchronizer.put(0, sample(5 * MS, np.nan))
-        synchronizer.put(0, sample(5 * MS + 1, 1.0))
-    assert dict(synchronizer.rejected) == {"not_finite": 2, "off_grid": 2}
-    complete(synchronizer, 5)
-    for _ in range(2):
-        synchronizer.put(0, sample(5 * MS, 1.0))
-        synchronizer.put(0, sample(4 * MS, 1.0))
-        synchronizer.now = 6 * MS - HORIZON_NS
-        synchronizer.put(0, sample(7 * MS, 1.0))
-    assert dict(synchronizer.rejected) == {"not_finite": 2, "off_grid": 2, "late": 4, "future": 2}
 
 
 def complete(synchronizer, tick):
@@ -305,14 +210,6 @@ def test_irregular_frames_are_counted_by_name_and_said_in_words():
     )
 
 
-def test_a_frame_whose_tick_lacks_other_samples_is_used_at_the_next_tick():
-    synchronizer, _ = own_time()
-    tick(synchronizer, 39)
-    synchronizer.put(1, sample(40 * MS, 5.0))
-    synchronizer.put(0, sample(40 * MS, 1.0))  # the gauge is lost
-    assert tick(synchronizer, 41)[2:4].tolist() == [5.0, -5.0]
-
-
 @pytest.mark.parametrize("offset", [-300_000, 300_000, 499_000])
 def test_stamps_of_acquisition_beside_the_grid_count_for_their_tick(offset):
     synchronizer, _ = own_time()
@@ -321,14 +218,6 @@ def test_stamps_of_acquisition_beside_the_grid_count_for_their_tick(offset):
         assert tick(synchronizer, k, offset=offset + (k > 40) * int(rng.integers(-90_000, 90_000))) is not None
         assert synchronizer.stamp == k * MS
     assert synchronizer.gaps == 0 and synchronizer.off_grid[0] == 50 and not synchronizer.rejected
-
-
-def test_a_silent_sensor_is_named():
-    synchronizer, _ = own_time()
-    tick(synchronizer, 40)
-    for k in range(41, 440):
-        synchronizer.put(0, sample(k * MS, 1.0))
-    assert synchronizer.silent() == [(2, 399 * MS)]
 
 
 def test_a_sensor_whose_values_are_not_finite_is_not_called_silent():
@@ -405,14 +294,6 @@ def test_a_grid_of_frames_that_goes_on_beside_the_first_one_is_the_grid(moved):
         stamp = number * 20 * MS + (2 * MS if number in moved else 0)
         camera.note(stamp, stamp, stamp, stamp)
     assert 0 < camera.counts["off_phase"] <= 6
-
-
-def test_frames_beside_the_grid_that_do_not_agree_stay_beside_it():
-    _, camera = own_time()
-    for number in range(300):
-        stamp = number * 20 * MS + (2 * MS * (number % 4) if number % 2 else 0)
-        camera.note(stamp, stamp, stamp, stamp)
-    assert camera.counts["off_phase"] == 150
 
 
 def test_an_old_frame_is_corrected_by_the_mirror_s_way_since_its_own_tick():
