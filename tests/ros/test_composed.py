@@ -11,16 +11,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 from bystander import Bystander, middleware
-from los_testbed import api
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
 from los_testbed.nodes.remote_control import remote_control
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.modes import EXERCISE_S
-from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_faults import when_running
 from ros_runs import private_domain
@@ -130,18 +127,6 @@ def test_a_slow_law_runs_in_lockstep_where_no_mode_is_asked_for(tmp_path, monkey
     assert parameters["mode"] == "lockstep"
     assert parameters["mode_choice"].startswith("auto: ")
     assert "ticks were answered late (limit 0.5 %)" in parameters["mode_choice"]
-
-
-def test_a_script_is_told_of_a_machine_that_is_too_slow(tmp_path, monkeypatch):
-    """Nothing was run, so nothing is evaluated."""
-    (tmp_path / "slow_law.py").write_text(SLOW_LAW)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    given = {"duration": 0.3, "domain": private_domain(), "k_pma": "slow_law:Slow", "exercise": 0.5}
-    with pytest.raises(RunError, match="the run, which did not start") as raised:
-        api.run("bag", mode="realtime", **given)
-    assert raised.value.code == ExitCode.MISSED_TICKS and not (tmp_path / "bag").exists()
 
 
 def test_the_trial_does_not_change_the_run(tmp_path):

@@ -194,29 +194,6 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
         assert compare(after, replay.drive(after, replay.controllers(after), lambda done, total: None)).identical
 
 
-@pytest.mark.slow
-def test_a_plant_that_dies_again_and_again_ends_the_run_with_whole_bags(tmp_path):
-    def kill_for_ever(runner):
-        killed: set[Any] = set()
-        ticks, end = 300, time.monotonic() + 60
-        while len(killed) < 4:
-            assert time.monotonic() < end, f"{len(killed)} plants ran long enough to be killed"
-            pid = runner.processes["plant"]
-            if pid not in killed and runner.ticks_done > ticks:  # not while it starts: that would end the run at once
-                os.kill(pid, signal.SIGKILL)
-                killed.add(pid)
-                ticks = runner.ticks_done + 400
-            time.sleep(0.02)
-
-    with pytest.raises(RunError, match=r"plant ended unexpectedly \(signal 9\)") as error:
-        run_with_fault(tmp_path, 300, kill_for_ever, 20.0)
-    assert error.value.code == 1
-    for name in ("bag", "bag-2", "bag-3", "bag-4"):
-        run = Run.open(tmp_path / name)
-        assert not run.problems
-        assert len(run["truth/los"]) > 200
-
-
 WRONG = ("limit", "not_finite")
 
 

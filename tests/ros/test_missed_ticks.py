@@ -3,13 +3,10 @@
 import os
 import subprocess
 import sys
-from functools import partial
 
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.processes.node_launch import EVENTS_VARIABLE, environment, node_command, parameter_file
-from ros_runs import config_for
 from simple_telescope import write_controllers
 
 from pointing_analysis.read.run import Run
@@ -46,24 +43,3 @@ def test_more_missed_ticks_than_the_limit_are_no_success(tmp_path, limit, code):
         assert line.startswith("los-testbed: missed ticks must be at most 0.5 % (--max-missed), got "), line
         assert line.endswith(f"the bag is whole: {tmp_path / 'bag'}")
     assert not Run.open(tmp_path / "bag").problems
-
-
-@pytest.mark.parametrize(("limit", "code"), [(0.5, 4), (100.0, 0)])
-def test_a_plant_that_was_started_alone_judges_its_ticks(tmp_path, limit, code):
-    """No node answers in time: the laws of the others wait in each step."""
-    (tmp_path / "slow.py").write_text(SLOW)
-    config = config_for(tmp_path, duration=0.5, k_fsm="slow:Slow", max_missed=limit, wait_for_recorder=False)
-    variables = {**environment(config.domain, tmp_path), "PYTHONPATH": str(tmp_path)}
-    del variables[EVENTS_VARIABLE]
-    parameter_file(config, tmp_path / "run.yaml")
-    given = ["--ros-args", "--params-file", str(tmp_path / "run.yaml")]
-    start = partial(subprocess.Popen, stderr=subprocess.PIPE, env=variables, cwd=tmp_path, text=True)
-    laws = start([*node_command("estimator_controller"), *given])
-    plant = start([*node_command("plant"), *given])
-    try:
-        told = plant.communicate(timeout=240)[1]
-    finally:
-        laws.terminate()
-        laws.communicate(timeout=60)
-    assert plant.returncode == code, told
-    assert ("los_testbed plant: missed ticks must be at most 0.5 % (--max-missed), got " in told) == (code == 4)

@@ -58,15 +58,6 @@ def drained(made, stamp, *senders):
     return made._another_run()
 
 
-def test_an_answer_that_is_taken_before_its_tick_is_no_other_run():
-    """The plant's topics were looked at just before the first tick, the observer's just after it."""
-    made, plant, followers = recorder()
-    assert not drained(made, HOLD, *plant, *followers)
-    assert not drained(made, TICK_NS, *followers)
-    assert not drained(made, TICK_NS, *plant)
-    assert all(track.distinct == 1 for track in made.tracks)
-
-
 def test_a_plant_that_holds_after_its_run_is_another_run():
     made, plant, followers = recorder()
     for tick in range(1, 4):

@@ -3,8 +3,6 @@
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.config.topics import SENSORS
-from los_testbed.nodes.support.unread_topics import bypassed_in_words
 from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -52,20 +50,3 @@ def test_a_remap_of_one_node_alone_is_told_with_both_names(tmp_path, node, told)
     with pytest.raises(RunError, match=r"got no message on /telescope/\w+/command.*; ") as error:
         runner.run()
     assert told in str(error.value)
-
-
-def test_a_remap_past_which_the_message_of_all_samples_goes_is_a_warning():
-    import rclpy
-
-    context = rclpy.Context()
-    rclpy.init(context=context, args=["--ros-args", "-r", "m1/accel:=bench/m1"])
-    node = rclpy.create_node("plant", namespace="/telescope", context=context)
-    try:
-        told = bypassed_in_words(node, SENSORS, "/telescope/loop/commands")
-        assert told.startswith(
-            "/telescope/m1/accel is /telescope/bench/m1, but the loop uses /telescope/loop/commands: "
-        )
-        assert not bypassed_in_words(node, SENSORS[-1:], "/telescope/loop/commands")
-    finally:
-        node.destroy_node()
-        context.shutdown()

@@ -18,7 +18,6 @@ from std_srvs.srv import Trigger
 from user_node import UserNode
 
 from pointing_analysis.read.run import Run
-from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros
 PLAIN_TICKS = 500
@@ -137,13 +136,3 @@ def test_the_bag_from_before_the_reset_is_whole_and_names_the_changes(served, pl
     assert names == ["noise", "reset"]
     assert np.array_equal(run["truth/los"].values[:300], plain["truth/los"].values[:300])
     assert plain["fsm/command"].values[-100:, :2].any() and not run["fsm/command"].values[-100:, :2].any()
-
-
-def test_statistics_after_a_reset_are_those_of_the_second_run(served):
-    run = Run.open(served[1].bag)
-    ticks = (run["truth/los"].stamp[-1] - run["truth/los"].stamp[0]) // TICK_NS + 1
-    for node in ("plant", "estimator", "controller"):
-        assert int(served[1].statistics[node]["ticks"]) == ticks, node
-    changes = json.loads(served[1].statistics["plant"]["changes"])
-    assert [change["name"] for change in changes] == ["stop"]
-    assert "changes" not in served[1].statistics["controller"]

@@ -215,28 +215,6 @@ def test_a_node_that_dies_ends_the_run_and_is_named(tmp_path):
         Runner(config, commands={"plant": PLANT, "controller": dying}).run()
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "words"),
-    [
-        *((name, "camera_rate:=30.0", "must divide") for name in ("plant", "estimator", "controller", "recorder")),
-        ("plant", "durtion:=3.0", "did you mean duration"),
-    ],
-)
-def test_a_node_started_by_hand_checks_its_parameters(tmp_path, name, given, words):
-    config = config_for(tmp_path)
-    done = subprocess.run(
-        [*node_command(name), "--ros-args", "-p", given],
-        env=environment(config.domain, tmp_path),
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
     config = config_for(tmp_path)
@@ -257,44 +235,3 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
     finally:
         process.kill()
         process.communicate()
-
-
-def test_a_loop_of_nodes_started_one_by_one(tmp_path):
-    """As over several hosts: each node from its own command, the recorder ended by hand."""
-    config = config_for(tmp_path, duration=1.0)
-    (tmp_path / "run.yaml").write_text(json.dumps(config.to_mapping()))
-    variables = environment(config.domain, tmp_path)
-    variables.pop("LOS_TESTBED_EVENTS")
-    commands = {
-        name: [
-            sys.executable,
-            "-m",
-            "los_testbed.cli.app",
-            "run",
-            "--config",
-            str(tmp_path / "run.yaml"),
-            "--only",
-            name,
-        ]
-        for name in ("estimator", "controller", "recorder")
-    }
-    parameter_file(config, tmp_path / "ros.yaml")
-    commands["plant"] = [*PLANT, "--ros-args", "--params-file", str(tmp_path / "ros.yaml")]
-    processes = {
-        name: subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        for name, command in commands.items()
-    }
-    try:
-        assert processes["plant"].wait(90) == 0
-        for name in ("estimator", "controller", "recorder"):
-            processes[name].send_signal(signal.SIGINT)
-            assert processes[name].wait(20) == 0, processes[name].stdout.read()
-    finally:
-        for process in processes.values():
-            process.kill()
-            process.communicate()
-    run = Run.open(tmp_path / "bag")
-    assert not run.problems
-    assert_plant_is_recorded(run, 1000)
-    assert_gaps_are_counted(run, "fsm/command", "controller")
-    assert run.parameters["statistics"]["plant"]["ticks"] == "1000"

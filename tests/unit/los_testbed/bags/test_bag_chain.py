@@ -76,14 +76,6 @@ def test_a_record_that_was_taken_out_breaks_the_chain(bag: Path, op: int) -> Non
     assert changed(bag, found).contradictions
 
 
-def test_a_chunk_taken_out_with_its_manifest_breaks_the_chain(bag: Path) -> None:
-    found = apart(bag)
-    first, second = places(found, OP_MANIFEST)[1:3]
-    del found[first:second]
-    run = changed(bag, found)
-    assert run.contradictions and run.losses
-
-
 def test_a_chunk_put_in_without_a_manifest_is_a_stranger(bag: Path) -> None:
     found, other = apart(bag), bag.with_name("other")
     other.mkdir()

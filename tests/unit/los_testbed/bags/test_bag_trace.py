@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import CommandLine
 from los_testbed.bags.trace import MISSED, events, write_trace
 
 from pointing_analysis.read.run import Run
@@ -41,28 +40,3 @@ def test_a_run_that_was_not_in_real_time_has_no_trace(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must be of a run in real time"):
         write_trace(Run.open(REFERENCE), tmp_path / "trace.json")
     assert not list(tmp_path.iterdir())
-
-
-REFUSED = {
-    "mode must be realtime": ("--mode", "inprocess", "--trace", "trace.json"),
-    "it is never overwritten": ("--trace", "there.json"),
-    "the folder of --trace must exist": ("--trace", "nowhere/trace.json"),
-    "must have a name": ("--trace", "."),
-    "got the name of the bag": ("--trace", "bag"),
-    "without --only": ("--trace", "trace.json", "--only", "plant"),
-}
-
-
-@pytest.mark.parametrize(("message", "arguments"), REFUSED.items())
-def test_a_trace_that_cannot_be_written_is_refused_before_the_run(
-    message: str,
-    arguments: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    call = CommandLine.below(tmp_path, monkeypatch, capsys, "run", "--output", "bag")
-    Path("there.json").write_text("mine")
-    code, _, err = call(*arguments)
-    assert code == 2 and message in err and err.count("\n") == 1, err
-    assert [file.name for file in call.here.iterdir()] == ["there.json"]

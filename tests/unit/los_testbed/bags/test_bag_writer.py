@@ -5,7 +5,6 @@ import zlib
 
 import numpy as np
 import pytest
-import yaml
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config.topics import PMA_COMMAND, TOPICS, TRUTH_LOS
@@ -76,21 +75,6 @@ def test_the_mcap_reader_agrees_and_finds_checksums_index_metadata(bag):
         table = {m.name: m.metadata for m in reader.iter_metadata()}["los_testbed"]
         assert table["seed"] == "1" and has_right_hash(table)
         assert [(a.name, a.data) for a in reader.iter_attachments()] == [("k.json", b"{}")]
-
-
-def test_metadata_yaml_is_that_of_rosbag2_version_9(bag):
-    path, stamps, _ = bag
-    text = (path / "metadata.yaml").read_text()
-    assert "&id" not in text
-    info = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert info["version"] == 9
-    assert info["storage_identifier"] == "mcap"
-    assert info["relative_file_paths"] == ["a_0.mcap"]
-    assert info["message_count"] == 300 * len(TOPICS)
-    assert info["starting_time"]["nanoseconds_since_epoch"] == stamps[0] + 7
-    assert info["duration"]["nanoseconds"] == stamps[-1] - stamps[0]
-    types = {t["topic_metadata"]["name"]: t["topic_metadata"]["type"] for t in info["topics_with_message_count"]}
-    assert types[PMA_COMMAND.path] == "sensor_msgs/msg/JointState"
 
 
 def test_a_bag_is_never_overwritten(bag):

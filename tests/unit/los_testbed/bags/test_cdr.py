@@ -93,16 +93,6 @@ def test_bulk_encoding_gives_the_bytes_of_the_single_one(topic):
         assert row.tobytes() == bytes(codec.encode(int(stamp), value))
 
 
-def _joint_state(names, position, effort):
-    return serialized(JOINT_STATE, 1_000_000_000, "", effort, names=names, position=position)
-
-
-def test_the_wrong_number_of_efforts_is_refused():
-    with pytest.raises(CodecError, match="must hold 6 efforts, got 5") as error:
-        Codec(JOINT_STATE, 6, "pma").decode(_joint_state([], [], [0.0] * 5), np.zeros(6))
-    assert error.value.reason == "size"
-
-
 @given(data=st.binary(max_size=120))
 def test_random_bytes_raise_nothing_but_a_codec_error(data):
     codec, reasons = Codec(JOINT_STATE, 6, "pma"), []

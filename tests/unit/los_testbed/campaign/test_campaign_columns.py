@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.meanings import RequirementColumns, meaning
-from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row, metric_columns
+from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row
 from los_testbed.campaign.overview import campaign_summary
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
@@ -111,16 +111,6 @@ def test_names_tell_requirements_apart_and_have_a_meaning() -> None:
 
 SHARES = ("ape_above_10_arcsec", "rpe_window_above_100_mas", "rpe_window_above_40_mas")
 """Of the reference telescope."""
-
-
-def test_columns_of_the_reference_are_those_that_folders_have() -> None:
-    """Names and order, on which the hashes of rows depend."""
-    requirements = RunParts(RunConfig()).telescope.requirements
-    assert metric_columns("time", requirements) == (
-        *COMMON_METRICS,
-        *SHARES,
-        *(f"{share}_effective" for share in SHARES),
-    )
 
 
 @pytest.fixture(scope="module")

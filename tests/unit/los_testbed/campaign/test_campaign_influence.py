@@ -72,8 +72,3 @@ def test_equal_values_are_in_one_bin(bins: int) -> None:
         assert set(place) == set(range(int(place.max()) + 1)) and place.max() < bins
         if len(set(values)) <= bins:
             assert len(set(place)) == len(set(values))
-
-
-def test_distinct_values_fill_the_bins_equally() -> None:
-    counts = np.bincount(bins_of(np.random.default_rng(2).uniform(size=1003), 20))
-    assert len(counts) == 20 and counts.min() >= 50 and counts.max() <= 51

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign.dataset import check_depth
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.reproduction import member_command
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
@@ -62,18 +61,6 @@ def member(parameters: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", list(COLUMNS))
-def test_columns_corners_and_lists_are_those_of_the_telescope(name: str, files: dict[str, str], tmp_path: Path) -> None:
-    own, parameters = MemberParameters.of(files[name]), files[name]
-    assert own.columns == COLUMNS[name]
-    corners = members("corners", 0, 0, parameters)
-    assert corners.shape == (2 ** len(own.columns), len(own.columns)) == np.unique(corners, axis=0).shape
-    drawn = members("lhs", 5, 1, parameters)
-    lines = [",".join(own.columns), *(",".join(map(repr, map(float, point))) for point in drawn)]
-    (tmp_path / "list.csv").write_text("\n".join(lines), "utf-8")
-    assert np.array_equal(members(str(tmp_path / "list.csv"), 0, 0, parameters), drawn)
-
-
-@pytest.mark.parametrize("name", list(COLUMNS))
 def test_the_command_of_a_member_gives_its_row(
     name: str, files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,18 +90,6 @@ def test_the_command_of_a_member_has_every_setting_of_the_campaign(capsys: Any, 
     assert found["rpe_mas"]["windows_p997"] == float(f"{row['rpe_window_p997_mas']:.6g}")
     plain = MemberEvaluator.of(replace(base, fsm_authority=None)).row(0, values, "time")
     assert plain["rpe_window_p997_mas"] != row["rpe_window_p997_mas"]
-
-
-@pytest.mark.parametrize(
-    ("settings", "depth", "message"),
-    [
-        ({"theta": 0.3}, "time", "theta must be absent in a campaign, got 0.3"),
-        ({"camera_dropout": 0.1}, "model", "camera_dropout must be 0.0 at depth model, got 0.1"),
-    ],
-)
-def test_settings_that_members_would_not_have_are_refused(settings: Any, depth: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message.replace(".", r"\.")):
-        check_depth(RunConfig(mode="inprocess", **settings), depth)
 
 
 @pytest.mark.parametrize("name", list(COLUMNS))

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config.members import check_ranges
-from los_testbed.config.run_config import RunConfig
-
-from titop_plant.telescope.load import load_telescope
 
 REFERENCE = MemberParameters.of()
 COLUMNS, RANGES = REFERENCE.columns, REFERENCE.limits
@@ -70,25 +65,3 @@ def test_bad_lists_are_refused(lines: str, message: str, tmp_path: Path) -> None
     (tmp_path / "list.csv").write_text(lines, "utf-8")
     with pytest.raises(ValueError, match=message):
         members(str(tmp_path / "list.csv"), 0, 1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("uniform", 0, 1), "samples must be 1 or more, got 0"),
-        (("corners", 129, 1), "samples must be at most 128, the number of corners, got 129"),
-        (("sobol", 5, 1), "sampling must be one of uniform, lhs, corners, adversarial or a CSV file, got sobol"),
-    ],
-)
-def test_bad_samplings_are_refused(arguments: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        members(*arguments)
-
-
-def test_command_of_a_member_names_its_settings_to_the_last_bit() -> None:
-    row = dict(zip(COLUMNS, members("uniform", 1, 5)[0]), seed=7)
-    words = shlex.split(REFERENCE.command(row))
-    speeds = words.index("--wheel-speed")
-    assert [float(w) for w in words[speeds + 1 : speeds + 5]] == REFERENCE.settings(row)["wheel_speed"]
-    assert float(words[words.index("--tau") + 1]) == row["tau"]
-    check_ranges(RunConfig(**REFERENCE.settings(row)), load_telescope())

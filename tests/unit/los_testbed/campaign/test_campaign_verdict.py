@@ -97,13 +97,6 @@ def test_whole_counts_are_not_rounded_up() -> None:
     assert (more["mixed"].samples, more["mixed"].exceeding) == (31, 4 / 31)
 
 
-def test_no_more_samples_are_above_than_there_are() -> None:
-    """All of 7.9 effective samples: 7 of 7, and the bounds are numbers."""
-    mixed = by_kind(verdicts(columns([3], [3], [1.0], [7.9]), ["ok"], "fsm", [APE]))["mixed"]
-    assert (mixed.samples, mixed.exceeding, mixed.upper) == (7, 1.0, 1.0)
-    assert mixed.lower == exceedance_lower(7, 7, 0.75) and mixed.status == "not compliant"
-
-
 @pytest.mark.parametrize("count", [4, 5, 20])
 def test_status_is_that_of_the_bounds(count: int) -> None:
     for above in range(count + 1):
@@ -141,21 +134,6 @@ def test_the_model_judges_windows_of_its_probability() -> None:
     ]
     assert [v.requirement for v in model_verdicts(np.ones(1), ["ok"], "fsm+pma", [RPE, *others])] == ["R"]
     assert list(not_judged([RPE, *others], "fsm+pma", "model")) == others
-
-
-def test_the_model_judges_the_part_of_the_windows_that_the_finest_requirement_names() -> None:
-    """Its level of tone and noise is that of one probability, whichever: requirements on another are not judged."""
-    finest = parse("prob(rms RPE(20 ms) < 50 mas) >= 0.95 at 95 % confidence", "finest", ["fsm+pma"])
-    wider = parse("prob(rms RPE(20 ms) < 60 mas) >= 0.997 at 95 % confidence", "wider")
-    for requirements, judged_names in (
-        ([finest], ["finest"]),
-        ([finest, wider], ["finest"]),
-        ([RPE, wider], ["R", "wider"]),
-    ):
-        found = model_verdicts(np.array([40.0, 55.0]), ["ok", "ok"], "fsm+pma", requirements)
-        assert [v.requirement for v in found] == judged_names
-        assert found[0].status == "not compliant" and found[0].value == 55.0
-    assert model_verdicts(np.array([40.0]), ["ok"], "fsm", [APE]) == []
 
 
 def population(requirement: Requirement, worst: Any, own: Any, share: Any, effective: Any) -> dict[str, Any]:

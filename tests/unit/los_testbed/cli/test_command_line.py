@@ -1,9 +1,7 @@
 """The command line: a mistake is one line and exit code 2, and leaves nothing behind."""
 
 import json
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +9,11 @@ from command_line import CommandLine
 from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
 from los_testbed.config.exit_codes import ExitCode
-from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -111,43 +107,6 @@ def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, w
     assert sorted(run.files.rglob("*")) == before
 
 
-def test_ros_missing_is_said_before_anything_happens(run, monkeypatch):
-    import importlib.util
-
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
-    code, _, err = run("run", "--mode", "realtime", *run.controllers)
-    assert code == 2
-    assert "ROS 2 is not installed" in err and "--mode inprocess" in err
-    assert err.count("\n") == 1
-    assert not list(run.here.iterdir())
-
-
-def test_without_ros_a_run_goes_on_in_one_process_where_no_mode_is_asked_for(run, monkeypatch):
-    import importlib.util
-
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
-    code, _, err = run("run", "--duration", "0.2", "--output", "bag", *run.controllers)
-    assert code == 0
-    assert "auto: ROS 2 is not installed in this environment: run in one process" in err
-    assert Run.open(Path("bag")).parameters["mode"] == "inprocess"
-
-
-def test_the_help_of_run_has_the_options_of_a_first_run_and_all_on_demand(run, monkeypatch):
-    """No option is hidden from ``--help-all``, nor from the command line."""
-    monkeypatch.setenv("COLUMNS", "100")
-    code, short, _ = run("run", "--help")
-    first = re.findall(r"^│ (--[a-z-]+)", short, re.MULTILINE)
-    assert code == 0 and {"--duration", "--loop", "--scenario", "--parameters", "--designs"} < set(first)
-    assert len(first) <= 16 and "further options (--help-all): Disturbances and sensors" in short
-    code, whole, _ = run("run", "--help-all")
-    every = set(re.findall(r"(--[a-z0-9-]+)", whole))
-    settings = {f"--{name.replace('_', '-')}" for name in RunConfig.SETTINGS}
-    assert code == 0 and settings - {"--disturbance-source", "--disturbance-files", "--mode-choice"} <= every
-    assert "further options" not in whole
-
-
 def test_a_gate_has_a_code_for_a_requirement_that_is_not_met_and_one_that_is_not_demonstrated(run, tmp_path):
     """A limit that is always kept is demonstrated for half of the time, and not for all but 1e-4 of it."""
     base = ("run", "--mode=inprocess", "--no-report", "--gate", *run.controllers)
@@ -167,18 +126,6 @@ def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):
     code, _, err = run("analyse", "absent.csv", "--quiet", "--log", str(log))
     assert code == 2 and err in log.read_text() and len(log.read_text().splitlines()) == 1
     assert run("--quiet", "analyse", "absent.csv")[0] == 2
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (["--quiet", "--verbose"], "must not be given together"),
-        (["--log", "absent/los.log"], "--log must be a writable file"),
-    ],
-)
-def test_options_of_all_commands_are_checked(run, given, message):
-    code, out, err = run("stages", *given)
-    assert code == 2 and out == "" and message in err and len(err.splitlines()) == 1
 
 
 def test_verbose_shows_where_an_error_that_no_check_has_foreseen_came_from(run, monkeypatch):

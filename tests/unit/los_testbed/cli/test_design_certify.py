@@ -126,17 +126,6 @@ def test_unknown_stages_and_figures_are_refused(capsys: pytest.CaptureFixture[st
     assert not (tmp_path / "new").exists()
 
 
-def test_outputs_that_can_not_be_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.write_text("kept")
-    assert "--output" in refused(capsys, f"--output={file}")
-    assert file.read_text() == "kept"
-    assert "--output" in refused(capsys, f"--output={file / 'below'}")
-    (tmp_path / "bounds.json").write_text("not a summary")
-    assert "bounds.json" in refused(capsys, f"--output={tmp_path}")
-    assert (tmp_path / "bounds.json").read_text() == "not a summary"
-
-
 def test_controllers_for_other_values_are_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -67,21 +67,6 @@ def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(
         assert f"los-testbed bag repair {tmp_path / 'bag'}" in done.stderr
 
 
-@pytest.mark.ros
-def test_code_of_the_user_that_ends_a_node_started_alone_is_named(tmp_path):
-    """``run --only`` is the process of the node; it ends as soon as it makes the law."""
-    pytest.importorskip("rclpy")
-    (tmp_path / "leaving.py").write_text("import os\n\ndef law():\n    os._exit(0)\n")
-    command = [sys.executable, "-m", "los_testbed.cli.app", "run", "--only=controller", "--start=rest"]
-    variables = {**os.environ, "PYTHONPATH": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [*command, "--k-pma=leaving:law"], capture_output=True, text=True, cwd=tmp_path, env=variables, timeout=600
-    )
-    assert done.returncode == 1, done.stderr
-    words = "los-testbed: the process of the run ended in user code (exit code 0): k_pma leaving:law"
-    assert done.stderr.splitlines()[-1] == words, done.stderr
-
-
 def test_an_interrupt_of_the_program_reaches_the_run(tmp_path):
     done = run_with(tmp_path, "os.kill(os.getppid(), signal.SIGTERM)", "--duration=600")
     assert done.returncode == 130

@@ -50,21 +50,6 @@ def test_an_odd_metadata_yaml_is_told_and_the_file_beside_it_read(bag: Path, inf
     assert any("metadata.yaml" in problem for problem in run.problems) == odd
 
 
-@pytest.mark.parametrize("text", ["[" * 5000, "&a [*a]", "\x00"])
-def test_metadata_yaml_that_is_none_is_told(bag: Path, text: str) -> None:
-    (bag / "metadata.yaml").write_text(text)
-    run = Run.open(bag)
-    assert len(run["truth/los"]) == 3000
-    assert any("metadata.yaml" in problem for problem in run.problems)
-
-
-def test_a_symbolic_link_in_a_bag_is_not_followed(bag: Path, tmp_path: Path) -> None:
-    (bag / "bag_0.mcap").rename(tmp_path / "outside.mcap")
-    (bag / "bag_0.mcap").symlink_to(tmp_path / "outside.mcap")
-    with pytest.raises(ValueError, match=r"a rosbag2 folder must hold .mcap files, got links to files only"):
-        Run.open(bag)
-
-
 def parameters(path: Path, **values: object) -> Path:
     los = [[1e-9 * i, 0.0] for i in range(3000)]
     return write_bag(path, {"truth/los": los}, parameters=values)
@@ -161,16 +146,6 @@ def test_odd_numbers_and_nesting_in_a_controller_name_the_file(
     (tmp_path / "odd.json").write_text(json.dumps(content).replace('"ODD"', text))
     code, _, err = call("run", "--mode=inprocess", "--k-fsm=odd.json", f"--k-pma={made / 'k_pma.json'}")
     assert code == 2 and one_line(err) and "odd.json" in err
-
-
-@pytest.mark.parametrize(
-    ("option", "name"), [("--config", "deep.yaml"), ("--parameters", "deep.toml"), ("--cases", "deep.yaml")]
-)
-def test_deep_nesting_names_the_file(call: Call, tmp_path: Path, option: str, name: str) -> None:
-    (tmp_path / name).write_text(f"a = {nested(20_000)}" if name.endswith("toml") else nested(20_000))
-    more = ["--case=x"] if option == "--cases" else []
-    code, _, err = call("run", "--mode=inprocess", f"{option}={name}", *more)
-    assert code == 2 and one_line(err) and name in err
 
 
 def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Path, tmp_path: Path) -> None:

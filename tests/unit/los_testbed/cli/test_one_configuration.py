@@ -16,30 +16,6 @@ from los_testbed.run.processes.node_launch import parameter_text
 from pointing_analysis.read.run import Run
 
 REFERENCE = Path(__file__).parents[4] / "bags" / "reference"
-FORMER = {
-    "scenario": "",
-    "theta": 0.0,
-    "tau": 0.0,
-    "wheel_speed": [],
-    "omega_1": 0.0,
-    "omega_2": 0.0,
-    "frequencies": [],
-    "wheel_acceleration": [],
-    "parameters": "",
-    "fsm_authority": 0.0,
-    "pma_authority": 0.0,
-    "plant": "",
-    "device": "",
-    "device_key": "",
-    "disturbance_source": "",
-    "disturbance_files": "",
-    "k_fsm": "",
-    "k_pma": "",
-    "output": "",
-    "domain": -1,
-    "mode_choice": "",
-}
-"""What stood for an absent value in files and bags before it was None."""
 
 OTHER = {
     "duration": 2.5,
@@ -121,7 +97,6 @@ def option_of(name: str) -> typer.core.TyperOption:
 
 def test_the_values_below_are_those_of_all_settings() -> None:
     assert set(OTHER) == set(RunConfig.SETTINGS)
-    assert set(FORMER) == {name for name, own in RunConfig.SETTINGS.items() if own.optional}
 
 
 @pytest.mark.parametrize("name", RunConfig.SETTINGS)
@@ -162,25 +137,6 @@ def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch
         pass
     found = getattr(seen["config"], name)
     assert (list(found) if isinstance(found, tuple) else found) == (words[1] if name == "parameters" else value)
-
-
-@pytest.mark.parametrize("name", FORMER)
-def test_former_words_for_absent_are_read_as_absent(name, tmp_path) -> None:
-    """In a YAML file, a ROS parameter file and a mapping; what is written for ROS and in a bag has not changed."""
-    assert RunConfig.SETTINGS[name].default is None
-    for form in ({name: FORMER[name]}, {"/**": {"ros__parameters": {name: FORMER[name]}}}, {name: None}):
-        (tmp_path / "old.yaml").write_text(yaml.safe_dump(form))
-        assert getattr(RunConfig.from_file(tmp_path / "old.yaml"), name) is None
-    assert replace(changed(name), **{name: FORMER[name]}) == replace(changed(name), **{name: None})
-    assert RunConfig().to_plain()[name] == FORMER[name]
-    text = RunConfig().to_strings()[name]
-    assert text == (FORMER[name] if isinstance(FORMER[name], str) else json.dumps(FORMER[name]))
-
-
-@pytest.mark.parametrize("given", [{"theta": 0.0, "tau": 0.5}, {"theta": 0.5, "tau": 0.0}, {"theta": 0.0, "tau": 0.0}])
-def test_of_two_angles_the_former_zero_is_the_absent_one(given) -> None:
-    config = RunConfig.from_mapping(given)
-    assert [getattr(config, name) for name in given] == [value or None for value in given.values()]
 
 
 def test_the_configuration_of_an_old_bag_is_read_and_has_its_hash() -> None:

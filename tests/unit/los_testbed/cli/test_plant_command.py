@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from command_line import CommandLine
 from los_testbed.cli.run import configure
-from los_testbed.config.members import CASES, check_ranges, named_cases, random_member
+from los_testbed.config.members import CASES, named_cases, random_member
 from los_testbed.config.run_config import RunConfig, physical_hash
 from los_testbed.parts import run_parts
 
 from titop_plant.disturbances.responses import ALL, Curve, disturbance_responses
-from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.simulation.build import PlantConfig, parameter_values
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.assembly import assembled_telescope
@@ -50,21 +49,6 @@ def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
         assert value >= inside.max() * (1.0 - 1e-12)
     narrow = Curve(np.array([1.0, 2.0, 2.001, 2.002, 4.0]), np.array([1.0, 1.0, 50.0, 1.0, 1.0]))
     np.testing.assert_allclose(narrow.columns(np.array([1.0, 1.5, 3.0, 4.0])), [1.0, 50.0, 1.0])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["plant", "--parameters=none.toml"], ["parameter file none.toml", "No such file"]),
-        (["plant", "figures", "--output=../file/x"], ["--output", "is not a folder"]),
-    ],
-)
-def test_a_mistake_is_one_line_and_exit_code_2(run, arguments, words) -> None:
-    (run.files / "file").write_text("")
-    code, out, err = run(*arguments)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    for word in words:
-        assert word in err
 
 
 @pytest.mark.parametrize(
@@ -111,22 +95,6 @@ def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the
     drawn = configure(file, [], {"theta": "0.1"}, case="wheels_fast", sample="4")
     assert (drawn.theta, drawn.tau) == (0.1, None)
     assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
-
-
-def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
-    cases = named_cases(CASES)
-    assert {"nominal", "arrays_quarter_turn", "wheels_fast", "worst"} <= set(cases)
-    for name, settings in cases.items():
-        assert settings["description"], name
-        config = configure(None, [], {"output": "x"}, case=name)
-        assert (
-            any(getattr(config, key) != getattr(RunConfig(), key) for key in PhysicalSettings.SETTINGS)
-            or name == "nominal"
-            or config.tau
-        )
-        check_ranges(config, load_telescope(config.parameters))
-    code, out, _ = run("plant", "cases")
-    assert code == 0 and all(name in out for name in cases)
 
 
 def test_the_worst_case_is_worse_than_the_other_ones() -> None:

@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import pytest
-from los_testbed.cli import app
 
 PROGRAM = """
 import os, signal, sys
@@ -43,29 +42,6 @@ def test_a_limit_of_memory_in_which_nothing_loads_is_told_before_the_imports() -
         "los-testbed: memory of a process (ulimit -v) must be at least 600000 kB for a command, got 320000: "
         "too little memory\n"
     )
-
-
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (ImportError("/x/ft2font.so: failed to map segment from shared object"), "too little memory: /x/ft2font.so"),
-        (RuntimeError("can't start new thread"), "too little memory: can't start new thread"),
-        (MemoryError(), "too little memory: an allocation failed"),
-        (OSError(12, "Cannot allocate memory"), "too little memory: "),
-        (ImportError("libfoo.so.1: cannot open shared object file"), "a package cannot be loaded: libfoo.so.1"),
-    ],
-)
-def test_too_little_memory_is_told_whatever_error_it_shows_as(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception, message: str
-) -> None:
-    def fail(**_: object) -> None:
-        raise error
-
-    monkeypatch.setattr(app, "command_line", lambda: fail)
-    with pytest.raises(SystemExit) as stop:
-        app.main(["plant"])
-    told = capsys.readouterr().err
-    assert stop.value.code == 1 and told.startswith(f"los-testbed: {message}") and told.count("\n") == 1
 
 
 def test_an_ignored_signal_stays_ignored() -> None:

@@ -48,13 +48,6 @@ def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> N
     assert code == 0 and "note: fsm: no start <is> known" in out
 
 
-def test_files_that_are_not_there(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(3)})
-    refused(call, tmp_path / "none", words=["none", "no such bag"])
-    refused(call, bag, "--requirements", tmp_path / "none.toml", "--output", "r.html", words=["none.toml"])
-    refused(call, bag, "--output", call.here / "no" / "r.html", words=["must exist"])
-
-
 def test_not_a_bag(call, tmp_path) -> None:
     (tmp_path / "text.mcap").write_text("this is no bag at all, whatever its name says")
     refused(call, tmp_path / "text.mcap", words=["text.mcap", "must begin with"])
@@ -62,17 +55,6 @@ def test_not_a_bag(call, tmp_path) -> None:
     refused(call, tmp_path / "empty", words=["rosbag2 folder"])
     (tmp_path / "los.csv").write_text("t,x,y\n0,1,2\n")
     refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --output PAGE"])
-
-
-def test_no_truth_topic(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"los_estimate": los(3)})
-    refused(call, bag, words=["truth/los", "los_estimate"])
-
-
-def test_only_start_up(call, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", {"truth/los": los(0.8)})
-    refused(call, bag, words=["longer than its start-up transient", "0.8 s"])
-    refused(call, bag, "--transient", "-1", words=["--transient must be between 0"])
 
 
 def test_two_plants(call, tmp_path) -> None:

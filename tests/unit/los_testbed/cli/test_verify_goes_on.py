@@ -56,13 +56,3 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
     whole = tmp_path / "whole.json"
     app.main([*command[:-1], str(whole)])
     assert whole.read_bytes() == file.read_bytes()
-
-
-def test_nothing_is_lost_of_a_file_that_is_no_verification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "check.json.parts").write_text("mine")
-    with pytest.raises(SystemExit) as ended:
-        app.main(
-            ["design", "verify", "--designs", str(FOLDER), "--samples", "0", "--output", str(tmp_path / "check.json")]
-        )
-    assert ended.value.code == 2 and "must be a file of kept results" in capsys.readouterr().err
-    assert (tmp_path / "check.json.parts").read_text() == "mine"

@@ -15,7 +15,6 @@ pytest.importorskip("foxglove")
 from foxglove_client import FoxgloveSession
 from los_testbed.live.foxglove_controls import NO_TOKEN, SERVICES, FoxgloveControls
 from los_testbed.live.foxglove_server import FoxgloveServer
-from los_testbed.live.frames import CHANGING
 from tornado.httpclient import HTTPClientError
 
 TOKEN = "that of the page"
@@ -57,20 +56,6 @@ def run(body: Callable[[Served], Awaitable[None]]) -> None:
     asyncio.run(once())
 
 
-def test_parameters_are_the_settings_of_the_page_and_services_its_other_controls() -> None:
-    async def body(run_: Served) -> None:
-        async with FoxgloveSession(run_.address) as viewer:
-            assert {"parameters", "services"} <= set(viewer.capabilities)
-            values = await viewer.parameters()
-            named = {f"/tele/{node}.{name}": START[name] for name, node in CHANGING.items()}
-            assert values == {"token": "", **named}
-            assert await viewer.parameters(NOISE) == {NOISE: True}
-            await viewer.call("/tele/plant/stop")
-            assert set(viewer.services) == {f"/tele/{name}" for name in SERVICES}
-
-    run(body)
-
-
 @pytest.mark.parametrize("token", [None, "another", TOKEN + "x", True])
 def test_without_the_token_nothing_is_done_and_the_reason_is_told(token: object) -> None:
     async def body(run_: Served) -> None:
@@ -99,21 +84,6 @@ def test_the_token_is_for_the_connection_that_has_set_it() -> None:
             assert (await later.call("/tele/plant/stop"))["success"] is False
             assert TOKEN not in json.dumps(await later.parameters())
         assert sorted(run_.done) == [("camera_dropout", 1), ("loop", "fsm"), ("noise", False)]
-
-    run(body)
-
-
-def test_what_the_run_refuses_keeps_its_value_and_has_its_reason() -> None:
-    async def body(run_: Served) -> None:
-        async with FoxgloveSession(run_.address) as viewer:
-            await viewer.set({"token": TOKEN})
-            assert await viewer.set({STAGE: "none"}) == {STAGE: "fsm+pma"}
-            assert await viewer.set({NOISE: [1, 2]}) == {NOISE: True}
-            assert await viewer.set({"/tele/plant.seed": 3}) == {}
-            await viewer.parameters()
-            assert f"{STAGE}: loop must be another, got none" in viewer.told
-            assert f"{NOISE}: value must be a number, a text, true or false, got list" in viewer.told
-        assert not run_.done
 
     run(body)
 

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
-from los_testbed.cli.options.live_options import check_live
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
+from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
 from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.processes.viewers import Live
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import rpe_rms
@@ -92,25 +90,3 @@ def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report(
     assert frame["stage"] == "fsm"
     assert frame["settings"] == {"noise": True, "disturbance": True, "camera_dropout": 0.1}
     assert set(frame["nodes"]) == {"controller", "estimator"}
-
-
-@pytest.mark.parametrize("port", [-1, 65535, 70000])
-def test_a_port_out_of_range_is_refused(port):
-    with pytest.raises(ValueError, match=f"--live must be a port from 0 to 65534, got {port}"):
-        check_live("realtime", Live(port=port))
-
-
-def test_the_last_exposure_comes_five_times_a_second():
-    view, topic, got = ViewerFrames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), []
-    seen: dict[str, int] = {}
-    codec = codec_for(topic)
-    for tick in range(0, 1000, 20):
-        view.put(topic.name, bytes(codec.encode(START + tick * TICK_NS, np.full(topic.size, 100.0 + tick))))
-        got.append(view.next(seen).get("image"))
-    shown = [image for image in got if image is not None]
-    assert [image["counts"][0] - 100 for image in shown] == [0, 200, 400, 600, 800]
-    assert all(image["window"] == 7 and image["counts"] == [image["counts"][0]] * 49 for image in shown)
-    assert "image" not in view.next(seen)
-    assert view.next({})["image"] == {"window": 7, "counts": [1080] * 49}  # of a viewer that comes later
-    view.clear()
-    assert "image" not in view.next({}) and "image" not in view.next(seen)

@@ -124,18 +124,6 @@ def test_units_of_another_quantity_are_refused(tmp_path: Path, header: str, mess
         of_table(tmp_path, header, [[1.0, 1e-6], [2.0, 1e-6]])
 
 
-def test_an_array_of_six_columns_may_have_both_units(tmp_path: Path) -> None:
-    """One unit of all six is that of another quantity for three of them."""
-    for unit, factor in (("N, Nm", [1.0, 1.0]), ("mN; mNm", [1e-3, 1e-3])):
-        np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit=unit)
-        (found,) = make_sources(entries_of([str(tmp_path / "a.npz")]), load_telescope(), RUN)
-        signal: Any = found.signal
-        assert np.allclose(signal.values, WRENCH * np.repeat(factor, 3))
-    np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit="N")
-    with pytest.raises(ValueError, match=r"unit of wrench\.\w must be Nm or mNm, got 'N'"):
-        make_sources(entries_of([str(tmp_path / "a.npz")]), load_telescope(), RUN)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

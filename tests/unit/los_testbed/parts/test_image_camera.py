@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImageCamera
 from los_testbed.parts.run_parts import RunParts
@@ -153,22 +152,3 @@ def test_a_run_has_its_images_in_the_bag(tmp_path: Path) -> None:
     error = np.asarray(camera.values)[2:, :2] - np.array(means)
     assert float(error.std()) == pytest.approx(noise_equivalent_angle(parts.star_camera), rel=0.3)
     assert json.loads(json.dumps(run.parameters["camera"]))["magnitude"] == 14.0
-
-
-@pytest.mark.parametrize(
-    ("text", "options", "message"),
-    [
-        ('[sensors]\ncamera = "image"\n[camera]\nwindow = 4\n', [], "camera.window must be an odd number from 7 to 63"),
-        ('[sensors]\ncamera = "image"\n', ["--camera-rate", "100"], "camera.exposure must be at most the 0.01 s"),
-    ],
-)
-def test_a_camera_that_cannot_be_used_is_one_line(
-    text: str, options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = tmp_path / "bag"
-    arguments = ["run", "--mode", "inprocess", "--parameters", user(tmp_path, text), "--output", str(bag), *options]
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
-    assert not bag.exists()

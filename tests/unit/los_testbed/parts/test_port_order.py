@@ -11,7 +11,6 @@ import control
 import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.user_blocks import LAWS, make_law, read_law
 from scipy import io
 
@@ -68,21 +67,3 @@ def test_the_law_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ki
         io.savemat(tmp_path / "law.mat", {"K": content} if kind == "struct" else content)
         law = read_law("k_fsm", tmp_path / "law.mat", in_order=style == "none")
     np.testing.assert_allclose(answers(law), answers(STORED), rtol=1e-9)
-
-
-def test_without_names_the_message_says_both_ways(tmp_path: Path) -> None:
-    content = {"A": STORED.A, "B": STORED.B, "C": STORED.C, "D": STORED.D, "Ts": 1e-3}
-    io.savemat(tmp_path / "law.mat", content)
-    config = RunConfig.from_mapping({"k_fsm": str(tmp_path / "law.mat")})
-    with pytest.raises(ValueError, match="inputs must have names") as caught:
-        _ = RunParts(config).k_fsm
-    message = str(caught.value)
-    for part in (
-        "law.mat",
-        "'accel_Ip(1)' in InputName",
-        "'accel_Ip[0]' in inputs",
-        "--ports-in-order",
-        "camera_los[2]",
-    ):
-        assert part in message
-    assert "\n" not in message

@@ -30,30 +30,17 @@ INSTANTS, SHARES = 0.5 * (MIDDLE + 1.0), 0.5 * WEIGHT
 
 @dataclass(frozen=True)
 class Law:
-    """What a source must do, on one of its axes.
-
-    Parameters
-    ----------
-    write : callable
-        Writes the files into a folder, the values multiplied by a factor and with a prefix before their unit, and
-        returns the name of the file that the run is given.
-    axis : int
-    power : float
-        Mean square [N^2, Nm^2].
-    impulse : float
-        Largest [Ns, Nms]; of pulses, whose momentum is meant, what they have.
-    scatter : float
-        Relative, of the power.
-    per_unit : float
-        Power of the factor and of the prefix with which values grow: of a density 2.
-    """
+    """What a source must do, on one of its axes; its files are written with values times a factor and a prefix."""
 
     write: Callable[[Path, float, str], str]
     axis: int
     power: float
+    """Mean square [N^2, Nm^2]."""
     impulse: float
+    """Largest [Ns, Nms]; of pulses, whose momentum is meant, what they have."""
     scatter: float = 1e-3
     per_unit: float = 1.0
+    """Power of the factor and of the prefix with which values grow: of a density 2."""
 
 
 def table(header: str, rows: FloatArray, scaled: slice) -> Callable[[Path, float, str], str]:

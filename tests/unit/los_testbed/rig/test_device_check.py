@@ -193,12 +193,3 @@ def test_the_command_ends_with_a_table_json_and_code(bench, capsys):
     bench.wiring = Wiring("")
     assert main(["device", "check", "my:Rig"]) == 0
     assert "no fault: directions, gains, delays and noise agree with the model" in capsys.readouterr().out
-
-
-def test_a_silent_rig_is_exit_code_6(bench, capsys):
-    bench.loss = 1.0
-    with pytest.raises(SystemExit) as stop:
-        main(["device", "check", "my:Rig"])
-    assert stop.value.code == ExitCode.DEVICE
-    assert capsys.readouterr().err.splitlines()[-1].startswith("los-testbed: device my:Rig: no sample for 1000 ms")
-    assert bench.calls[-2:] == ["safe", "close"]

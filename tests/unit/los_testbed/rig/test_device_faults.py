@@ -196,19 +196,6 @@ def test_a_rig_is_free_again_when_its_host_died_before_its_first_command(rig):
     supervisor.end()
 
 
-def test_a_host_that_waits_for_its_run_keeps_its_rig(rig, monkeypatch):
-    driver = UdpRig()
-    driver.open(rig.config)
-    monkeypatch.setattr("los_testbed.rig.driver.OPEN_S", 0.01)
-    end = time.monotonic() + 2.0
-    while time.monotonic() < end:  # longer than a host that has left is waited for
-        time.sleep(0.02)
-        driver.read(time.monotonic_ns())
-    with pytest.raises(RuntimeError, match="no answer"):
-        UdpRig().open(rig.config)
-    driver.close()
-
-
 class Broken:
     """A device whose methods fail."""
 

@@ -10,8 +10,6 @@ import pytest
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
-from los_testbed.rig import motions
-from los_testbed.rig.motions import record
 from los_testbed.rig.supervisor import EVERY_TICK, FROZEN_FRAMES, FROZEN_TICKS, Supervisor, refused_in_words
 
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
@@ -145,19 +143,6 @@ def test_the_end_says_whether_mirror_and_forces_are_at_zero(failing, reading, sa
     found = supervisor.statistics()
     assert found["device_state"] == (ERROR if said else FINALIZED)
     assert all(f"{name} failed" in found["device_fault"] for name in failing)
-
-
-def test_a_check_by_test_motions_does_not_pass_where_the_rig_is_not_made_safe(monkeypatch):
-    monkeypatch.setattr(motions, "TICKS", 20)
-
-    class Stuck(Rig):
-        def safe(self):
-            raise OSError("the driver of the mirror does not answer")
-
-    device = Stuck()
-    with pytest.raises(DeviceError, match=f"{NOT_ZERO}: safe failed: OSError: the driver of the mirror"):
-        record(watched(device), np.zeros(COMMANDS))
-    assert device.called[-1] == "close"
 
 
 def ticks_until_frozen(device, port, values, command=lambda k: 0.0, ticks=1000):

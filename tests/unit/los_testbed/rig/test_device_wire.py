@@ -113,13 +113,6 @@ def test_the_counts_do_not_know_where_the_numbers_begin_anew(steps):
     assert (far.lost, far.reordered, far.refused) == (near.lost, near.reordered, near.refused)
 
 
-def test_a_sender_of_more_packets_than_32_bits_count_is_read_on():
-    reader = Reader(KEY)
-    numbers = [2**32 - 2, 2**32 - 1, 2**32, 2**32 + 1, 2**32 + 3]
-    assert [reader.read(encode(Kind.FAST, n, 5, VALUES, KEY)).sequence for n in numbers] == numbers
-    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 0, {})
-
-
 def test_a_rig_on_another_machine_needs_a_key(tmp_path):
     assert address_of("127.0.0.1:47800") == ("127.0.0.1", 47800)
     assert secret_of(RunConfig(), other_machine("127.0.0.1")) == bytes(8)

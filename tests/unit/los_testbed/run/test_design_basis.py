@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli import app as cli
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator
 from los_testbed.run.metadata import run_metadata
@@ -107,16 +106,6 @@ def test_another_sensitivity_is_refused_where_it_closes_a_loop(tmp_path: Path, l
         assert "los_sensitivity 0.1" in line and "los_sensitivity 0.2" in line
 
 
-def test_a_force_controller_for_another_sensitivity_is_refused_too(tmp_path: Path) -> None:
-    _, k_pma = load_designs("implemented")
-    basis = {**k_pma.design_basis, "los_sensitivity": 0.2}
-    replace(k_pma, design_basis=basis).to_file(tmp_path / "k_pma.json")
-    config = RunConfig(k_pma=str(tmp_path / "k_pma.json"))
-    with pytest.raises(ValueError, match=r"K_PMA, implemented: fsm\.los_sensitivity"):
-        build_controller(config)
-    assert RunParts(replace(config, loop="fsm")).check() == (), "its loop is open"
-
-
 def test_the_mirror_law_takes_its_gain_from_the_observer(tmp_path: Path) -> None:
     """From the file; where the file says nothing, from the telescope."""
     files, user = write_controllers(tmp_path), str(sensitive(tmp_path / "user.toml"))
@@ -146,21 +135,6 @@ def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path
     assert run_metadata(RunParts(config))["fsm_authority"] == "0.002"
     assert RunParts(replace(config, fsm_authority=1e-3)).basis.authority == (1e-3, 12.0)
     assert json.loads(run_metadata(RunParts(replace(config, pma_authority=5.0)))["pma_authority"]) == 5.0
-
-
-def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bag = tmp_path / "bag"
-    arguments = ["run", "--mode=inprocess", "--duration=1.5", "--no-report", f"--output={bag}", "--loop=fsm"]
-    assert cli.main([*arguments, "--set", "fsm_authority=0.004"]) == 0
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert err.startswith("warning: K_FSM, implemented was designed for fsm_authority 0.0053")
-    parameters = Run.open(bag).parameters
-    assert parameters["controller_warnings"] == err.removeprefix("warning: ").strip()
-    assert parameters["fsm_authority"] == 0.004
-    assert parameters["los_sensitivity"] == 0.1
-    assert parameters["rate_hz"] == 1000
-    assert parameters["parameters_hash"] == REFERENCE.design_basis.parameters_hash
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import copy
 import json
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -117,21 +116,3 @@ def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest
     other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)
     assert not is_older(other) and with_requirements(other) is other
     assert REMARK.startswith("the bag holds no requirements")
-
-
-def test_files_of_others_have_no_limits_until_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    rows = np.random.default_rng(1).standard_normal((9000, 2))
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="x,y", comments="")
-    given = ["analyse", str(tmp_path / "a.csv"), "--los=x,y", "--unit=arcsec", "--rate=1000"]
-    assert main([*given, f"--output={tmp_path / 'r.html'}", "--json"]) == 0
-    told = capsys.readouterr()
-    (table,) = screen_rows(told.err)
-    assert all(row[2:] == ["", "", ""] for row in table if row[0] != "samples lost")
-    assert told.err.count("no requirements are known for this recording") == 1 and "--requirements FILE" in told.err
-    content: dict[str, Any] = json.loads(told.out.splitlines()[-1])
-    assert content["requirements"] == [] and content["requirements_known"] is False
-    page = (tmp_path / "r.html").read_text()
-    assert "no requirements are known" in page.lower() and "compliant" not in page

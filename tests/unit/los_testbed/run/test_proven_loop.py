@@ -205,16 +205,6 @@ def test_words_of_proof_beside_another_run_are_not_confirmed(
     assert confirmed(Run.open(bag)) == set()
 
 
-@pytest.mark.parametrize("name", ["k_fsm.json", "run.yaml"])
-def test_words_of_proof_are_not_confirmed_without_controllers_or_settings(
-    proven: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    run = Run.open(proven)
-    left = {key: data for key, data in run.attachments.items() if key != name}
-    monkeypatch.setattr(Run, "attachments", property(lambda self: left))
-    assert confirmed(run) == set()
-
-
 def test_words_of_proof_are_not_confirmed_of_other_controllers(proven: Path) -> None:
     run = Run.open(proven)
     law = json.loads(run.attachments["k_fsm.json"])

@@ -107,17 +107,6 @@ def test_a_node_whose_place_was_taken_has_it_again_with_its_first_message():
     assert (line.guard.foreign, line.guard.misused, line.guard.intruders()) == (201, 101, [C])
 
 
-def test_a_wrong_match_is_corrected_when_the_impostor_has_left():
-    line = Line()
-    line.run(10)
-    assert line.send(C, 10) == FOREIGN
-    line.run(10)
-    for k in range(600):
-        line.send(C, 20 + k, after=1)
-        line.decide(AGAIN)
-    assert line.send(C, 620, after=1) == OURS
-
-
 def test_the_first_publisher_is_matched_by_its_name_or_by_its_hold_ticks():
     late = SourceGuard(NODE)
     late.sort(A, 0, message(5))

@@ -117,20 +117,3 @@ def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.Capt
     assert json.loads((folder / "trade.json").read_text()) == rows
     assert (folder / "trade.png").read_bytes().startswith(b"\x89PNG")
     assert len((folder / "trade.md").read_text().splitlines()) == 4
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--rates", "30"], "must divide 1000 Hz"),
-        (["--magnitudes", "120"], "camera.magnitude must be above -30 and below 99, got 120.0"),
-    ],
-)
-def test_a_mistake_is_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["image", "trade", *arguments, "--duration", "1", "--output", str(tmp_path / "trade")])
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
-    assert not (tmp_path / "trade").exists()
