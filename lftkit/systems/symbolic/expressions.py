@@ -24,6 +24,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.delta import Value, chosen_values
 from lftkit.systems.operand import constant_matrix
 from lftkit.systems.ports import Port
+from lftkit.systems.symbolic.fractions import Fraction
 from lftkit.systems.symbolic.realisation import Affine, rank_factors, realised
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement, Element, element_table
@@ -61,6 +62,7 @@ class Expression:
     elements: tuple[Element, ...] = ()
     inner: int = 0
     dt: float = 0.0
+    fraction: Fraction | None = None
 
     __array_ufunc__ = None
 
@@ -145,8 +147,17 @@ class Expression:
             self.dynamics,
             self.inner,
         )
-        made = realised(affine, self.elements, ports_for(inputs, columns), ports_for(outputs, rows), self.dt)
-        return made.named(name)
+        ports = ports_for(inputs, columns), ports_for(outputs, rows)
+        fraction = self.fraction if self.fraction is not None and self.fraction.is_proper else None
+        try:  # numbers alone have no occurrences to save, and the fraction is more accurate than a shifted s
+            found = realised(affine, self.elements, *ports, self.dt, shift=fraction is None or bool(self.elements))
+        except ValueError:
+            if fraction is None:
+                raise
+            from lftkit.systems.symbolic.canonical import controllable_form
+
+            return controllable_form(fraction, self.elements, self.dt).system(inputs, outputs, name)
+        return found.named(name)
 
     def at(self, values: Mapping[str, Value] | None = None, **named: Value) -> System:
         """:meth:`lftkit.System.at` of the system."""
@@ -163,37 +174,37 @@ class Expression:
     # arithmetic
 
     def __add__(self, other: Any) -> Any:
-        return _combined(self, other, operator.add, _sum)
+        return _combined(self, other, operator.add, _plus)
 
     def __radd__(self, other: Any) -> Any:
-        return _combined(other, self, operator.add, _sum)
+        return _combined(other, self, operator.add, _plus)
 
     def __sub__(self, other: Any) -> Any:
-        return _combined(self, other, operator.sub, lambda a, b: _sum(a, _scaled(b, -1.0)))
+        return _combined(self, other, operator.sub, lambda a, b: _plus(a, -b))
 
     def __rsub__(self, other: Any) -> Any:
-        return _combined(other, self, operator.sub, lambda a, b: _sum(a, _scaled(b, -1.0)))
+        return _combined(other, self, operator.sub, lambda a, b: _plus(a, -b))
 
     def __neg__(self) -> Expression:
-        return _scaled(self, -1.0)
+        return _with_fraction(_scaled(self, -1.0), self, constant(-np.eye(1)), Fraction.times)
 
     def __mul__(self, other: Any) -> Any:
-        return _combined(self, other, operator.mul, _product)
+        return _combined(self, other, operator.mul, _times)
 
     def __rmul__(self, other: Any) -> Any:
-        return _combined(other, self, operator.mul, _product)
+        return _combined(other, self, operator.mul, _times)
 
     def __matmul__(self, other: Any) -> Any:
-        return _combined(self, other, operator.matmul, _series)
+        return _combined(self, other, operator.matmul, _times_matrix)
 
     def __rmatmul__(self, other: Any) -> Any:
-        return _combined(other, self, operator.matmul, _series)
+        return _combined(other, self, operator.matmul, _times_matrix)
 
     def __truediv__(self, other: Any) -> Any:
-        return _combined(self, other, operator.truediv, lambda a, b: _product(a, b.inverse()))
+        return _combined(self, other, operator.truediv, lambda a, b: _times(a, b.inverse()))
 
     def __rtruediv__(self, other: Any) -> Any:
-        return _combined(other, self, operator.truediv, lambda a, b: _product(a, b.inverse()))
+        return _combined(other, self, operator.truediv, lambda a, b: _times(a, b.inverse()))
 
     def __pow__(self, exponent: int) -> Expression:
         if not isinstance(exponent, int | np.integer):
@@ -203,7 +214,7 @@ class Expression:
         base = self if exponent > 0 else self.inverse()
         result = base
         for _ in range(abs(int(exponent)) - 1):
-            result = _series(base, result)
+            result = _times_matrix(base, result)
         return result
 
     def inverse(self) -> Expression:
@@ -224,7 +235,7 @@ class Expression:
         whole = _placed([(self, place, place)], (n + 2 * rows, n + 2 * rows), n + rows, self.dt)
         S = whole.constant.copy()
         S[: n + rows, n + rows :], S[n + rows :, : n + rows] = corner, below
-        return replace(whole, constant=S)
+        return replace(whole, constant=S, fraction=self.fraction and self.fraction.inverse())
 
     @property
     def T(self) -> Expression:
@@ -261,6 +272,29 @@ def _combined(
     return rule(a, b)
 
 
+def _with_fraction(
+    result: Expression,
+    a: Expression,
+    b: Expression,
+    rule: Callable[[Fraction, Fraction], Fraction | None],
+) -> Expression:
+    """The result of an operation with the fraction that those of its operands make."""
+    known = a.fraction is not None and b.fraction is not None and result.shape == (1, 1)
+    return replace(result, fraction=rule(a.fraction, b.fraction) if known else None)  # type: ignore[arg-type]
+
+
+def _plus(a: Expression, b: Expression) -> Expression:
+    return _with_fraction(_sum(a, b), a, b, Fraction.plus)
+
+
+def _times(a: Expression, b: Expression) -> Expression:
+    return _with_fraction(_product(a, b), a, b, Fraction.times)
+
+
+def _times_matrix(a: Expression, b: Expression) -> Expression:
+    return _with_fraction(_series(a, b), a, b, Fraction.times)
+
+
 def as_expression(value: Any) -> Expression | None:
     """A number, a matrix (nested lists or an array, also of expressions) or an expression; None: anything else."""
     if isinstance(value, Expression):
@@ -275,7 +309,8 @@ def as_expression(value: Any) -> Expression | None:
 
 def constant(gain: FloatArray, dt: float = 0.0) -> Expression:
     """A matrix of numbers."""
-    return Expression(np.asarray(gain, dtype=float), dt=dt)
+    given = np.asarray(gain, dtype=float)
+    return Expression(given, dt=dt, fraction=Fraction.of(given.item()) if given.shape == (1, 1) else None)
 
 
 def _period(parts: Sequence[Expression]) -> float:

@@ -61,20 +61,29 @@ def rank_factors(M: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def realised(
-    e: Affine, elements: Sequence[Element], inputs: tuple[Port, ...], outputs: tuple[Port, ...], dt: float
+    e: Affine,
+    elements: Sequence[Element],
+    inputs: tuple[Port, ...],
+    outputs: tuple[Port, ...],
+    dt: float,
+    *,
+    shift: bool = True,
 ) -> System:
     """The system of ``y = (D - C E^-1 B) u``.
 
     Raises
     ------
     ValueError
-        It is not proper, or has no value at the nominal elements.
+        It is not proper, or has no value at the nominal elements; without `shift` also where s occurs more often than
+        there are states.
     """
     factored = _factored(_eliminated(e), elements)
     try:
         matrices = _direct(factored)
         made = System(*matrices, inputs, outputs, dt=dt, channels=factored.channels, elements=tuple(elements))
     except ValueError:
+        if not shift:
+            raise
         made = _shifted(factored, elements, inputs, outputs, dt)
     return minimal_realisation(made).system
 
@@ -195,7 +204,7 @@ def _shifted(
     r = small.occurrences().get(sigma.name, 0)
     M11, M12, M21, M22 = small.D[:r, :r], small.D[:r, r:], small.D[r:, :r], small.D[r:, r:]
     proper = "expression must be proper: no derivative of its input" + ", nor of an element's output" * bool(elements)
-    advice = ", as ((s + q) / (s + m))**2 in place of (s + q)**2 / (s + m)**2" * bool(elements)
+    advice = "; form each fraction before a matrix, or a product with dynamics, is made of them" * bool(elements)
     inverse = lft.solve_loop(M11, np.hstack([np.eye(r), M12]), proper + advice)
     A, B = shift * np.eye(r) + inverse[:, :r], -inverse[:, r:]
     return System(

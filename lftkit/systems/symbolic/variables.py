@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lftkit.support.scalars import is_number
 from lftkit.systems.symbolic.expressions import OPERATOR, Expression
+from lftkit.systems.symbolic.fractions import Fraction
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -65,15 +68,16 @@ def dynamic(name: str, outputs: int = 1, inputs: int = 1, *, bound: float = 1.0,
     """Any stable system of gain at most `bound` (`ultidyn` in MATLAB), nominal 0: :class:`DynamicElement`."""
     element = DynamicElement(name, outputs, inputs, bound, description)
     if outputs == inputs == 1:
-        return _scalar(element, 0.0)
+        return replace(_scalar(element, 0.0), fraction=None)  # its output has no derivative
     return Expression(np.zeros((outputs, inputs)), {}, ((name, np.eye(outputs), np.eye(inputs)),), (element,))
 
 
 def _scalar(element: Element, nominal: float) -> Expression:
-    return Expression(np.array([[float(nominal)]]), {element.name: np.eye(1)}, (), (element,))
+    fraction = Fraction.of(1.0, names=(element.name,))
+    return Expression(np.array([[float(nominal)]]), {element.name: np.eye(1)}, (), (element,), fraction=fraction)
 
 
-s = Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)})
+s = Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, fraction=Fraction.of(1.0, 1))
 """The Laplace variable: differentiation."""
 
 
@@ -87,4 +91,4 @@ def z(dt: float) -> Expression:
     """
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt must be positive, got {dt}")
-    return Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=float(dt))
+    return Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=float(dt), fraction=Fraction.of(1.0, 1))

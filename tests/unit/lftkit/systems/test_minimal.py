@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, connect, real, s, state_space, static_gain
+from lftkit import Port, RealParameter, System, connect, real, s, state_space, static_gain, z
 from lftkit.systems.minimal import minimal_realisation
 
 POINT = {"k": 1.1, "m": 0.3}
@@ -125,11 +125,43 @@ def test_the_order_of_factors_of_a_lead_and_a_notch_does_not_matter():
         assert systems[0].at(q=1.3)(2j) == pytest.approx(other(2j, q=1.3), rel=1e-10)
 
 
-def test_a_derivative_of_an_element_s_output_is_said_to_be_one():
+def textbook_fractions():
+    """Of which s occurs more often than there are states, with their orders."""
+    J1, J2, c, k = (
+        real("J1", 10.0, percent=5),
+        real("J2", 2.0, percent=10),
+        real("c", 0.4, 0.2, 0.8),
+        real("k", 200, percent=30),
+    )
+    D1, D2, q = J1 * s**2 + c * s + k, J2 * s**2 + c * s + k, c * s + k
+    wide = (s - 5e-4) * (s + 1e-4) * (s + 0.01) * (s + 0.2) * (s + 1) * (s + 100) ** 2
+    ahead = z(0.1)
+    return [
+        (D2 / (D1 * D2 - q**2), 4),
+        (q / (D1 * D2 - q**2), 4),
+        ((s + k) ** 2 / (s + c) ** 2, 2),
+        ((1 + k * s) / (1 + c * s) - 1 / (s + k) + k / (s + c) ** 2, 4),
+        (2.0 * (s + 0.02) * (s + 0.05) * (s + 5) * (s + 10) / wide, 7),
+        (-((ahead + k) ** 2) / (ahead**2 + c * ahead + 0.5), 2),
+    ]
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_proper_fraction_has_a_system(number):
+    fraction, order = textbook_fractions()[number]
+    made, rng = fraction.system(), np.random.default_rng(number)
+    assert made.order == order
+    for _ in range(5):
+        values = {e.name: rng.uniform(e.lower, e.upper) for e in fraction.elements}
+        point = 3.0 * complex(*rng.normal(size=2))
+        assert made.at(values)(point) == pytest.approx(fraction(point, values), rel=1e-7)
+
+
+def test_a_fraction_that_is_not_proper_is_refused():
     q, m = real("q", 2.0, 1.0, 3.0), real("m", 2.0, 1.0, 3.0)
-    assert ((s + q) / (s + m) * ((s + q) / (s + m))).system()(2.0) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="nor of an element's output"):
-        ((s + q) ** 2 / (s + m) ** 2).system()
+    for fraction in (s**2 / (s + 1), (s + q) ** 3 / (s + m) ** 2):
+        with pytest.raises(ValueError, match="must be proper"):
+            fraction.system()
 
 
 @pytest.mark.parametrize("seed", range(8))
