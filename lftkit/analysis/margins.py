@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy import linalg, optimize
 
-from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import HInfNorm, hinf_norm, is_stable
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
@@ -211,10 +212,18 @@ class _Signs:
         except (ValueError, ArithmeticError, linalg.LinAlgError):
             return complex(math.inf, math.inf)
 
+    @cached_property
+    def _values(self) -> list[tuple[complex, float]]:
+        """The responses between, each with the part of it that may be rounding."""
+        A = balanced(*self.loop.matrices[:3])[0]
+        points = np.exp(1j * self.between * self.loop.dt) if self.loop.dt else 1j * self.between
+        parts = [linalg.svdvals(point * np.eye(len(A)) - A) if len(A) else np.ones(1) for point in points]
+        noise = [max(NOISE, EPS * float(sizes[0] / max(sizes[-1], 1e-300))) for sizes in parts]
+        return [(self.value(omega), part) for omega, part in zip(self.between, noise)]
+
     def crossings(self, sign: Callable[[complex], float], left: Callable[[complex], float]) -> list[float]:
         """Frequencies at which `sign` of the response changes with nothing `left` [rad/s], rising."""
-        values = [self.value(omega) for omega in self.between]
-        signs = [sign(v) if np.isfinite(v) and abs(sign(v)) > NOISE * abs(v) else 0.0 for v in values]
+        signs = [sign(v) if np.isfinite(v) and abs(sign(v)) > noise * abs(v) else 0.0 for v, noise in self._values]
         known = [i for i, value in enumerate(signs) if value]
         found = []
         for low, high in pairwise(known):
