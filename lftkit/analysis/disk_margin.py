@@ -95,24 +95,44 @@ def margin_of_shifted(shifted: Matrices, dt: float, skew: float) -> DiskMargin:
         return NONE
     worst = hinf_norm(*shifted, dt=dt or None)
     size = 1.0 / worst.value if worst.value > 0.0 else math.inf
-    low, high = _gains(size, skew)
-    return DiskMargin(size, (low, high), _phase(low, high), worst.omega, _edge(shifted, worst.omega, dt, skew))
+    edge = _edge(shifted, worst.omega, dt, skew)
+    return DiskMargin(size, disk_gains(size, skew), disk_phase(size, skew), worst.omega, edge)
 
 
-def _gains(size: float, skew: float) -> tuple[float, float]:
-    """Real factors at the ends of the disk; zero and infinity where it reaches the axis or beyond."""
-    low = (2.0 - (1.0 - skew) * size) / (2.0 + (1.0 + skew) * size)
-    rest = 2.0 - (1.0 + skew) * size
-    return max(low, 0.0), (2.0 + (1.0 - skew) * size) / rest if rest > 0.0 else math.inf
+def disk_gains(size: float, skew: float = 0.0) -> tuple[float, float]:
+    """Real factors at the ends of the disk; zero and infinity where it reaches the axis or beyond.
+
+    Examples
+    --------
+    A margin of 2/3 without skew allows gains from a half to two:
+
+    >>> low, high = disk_gains(2.0 / 3.0)
+    >>> round(low, 9), round(high, 9)
+    (0.5, 2.0)
+    """
+    if math.isinf(size):
+        return 0.0, math.inf
+    below, above = 2.0 + (1.0 + skew) * size, 2.0 - (1.0 + skew) * size
+    low = max((2.0 - (1.0 - skew) * size) / below, 0.0) if below > 0.0 else 0.0
+    return low, (2.0 + (1.0 - skew) * size) / above if above > 0.0 else math.inf
 
 
-def _phase(low: float, high: float) -> float:
-    """Largest angle of the points of the unit circle inside the disk between two real factors [deg]."""
-    if math.isinf(high):
-        cosine = low
-    else:
-        cosine = (1.0 + low * high) / (low + high)
-    return 180.0 if cosine <= -1.0 else math.degrees(math.acos(min(cosine, 1.0)))
+def disk_phase(size: float, skew: float = 0.0) -> float:
+    """Angle [deg] at which the unit circle leaves the disk ``(2 + (1 - skew) d) / (2 - (1 + skew) d)``, |d| < size.
+
+    180 where it does not leave it.
+
+    Examples
+    --------
+    >>> round(disk_phase(2.0), 6)
+    90.0
+    """
+    if math.isinf(size):
+        return 180.0
+    # |d| of the factor exp(j phi) is 2 |f - 1| / |(1 - skew) + (1 + skew) f|
+    square = size**2
+    cosine = (4.0 - square * (1.0 + skew**2)) / (4.0 + square * (1.0 - skew**2))
+    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
 
 def _edge(shifted: Matrices, omega: float, dt: float, skew: float) -> complex:

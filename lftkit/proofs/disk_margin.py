@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.analysis.disk_margin import DiskMargin, margin_of_shifted
+from lftkit.analysis.disk_margin import DiskMargin, disk_gains, disk_phase, margin_of_shifted
 from lftkit.analysis.margins import sensitivity as closed_sensitivity
 from lftkit.arrays import Matrices
 from lftkit.proofs.options import BoundOptions
@@ -39,7 +39,7 @@ class DiskMarginBounds:
     gain_margins : (low, high)
         Gains by which the loop of every member may be multiplied, from `lower`.
     phase_margin : float
-        Phase [rad] by which it may be turned, either way, from `lower`.
+        Phase [deg] by which it may be turned, either way, from `lower`.
     gain_bounds : ProvenBounds
         What was proven, with its proof: of the norm of ``S + (skew - 1) / 2``, one over the margin; of several loops
         at once of the margin itself, with dynamics ``d0, d1, ...`` at its point.
@@ -96,8 +96,7 @@ def worst_case_disk_margin(
     bounds = worst_case_gain(shifted, box, options=options)
     lower = 1.0 / bounds.upper if bounds.upper > 0.0 else math.inf
     upper = 1.0 / bounds.lower if bounds.lower > 0.0 else math.inf
-    gains = disk_gains(lower, skew)
-    return DiskMarginBounds(lower, upper, gains, disk_phase(lower, skew), bounds)
+    return DiskMarginBounds(lower, upper, disk_gains(lower, skew), disk_phase(lower, skew), bounds)
 
 
 @dataclass(frozen=True)
@@ -191,38 +190,3 @@ def sensitivity(loop: System, offset: float) -> System:
     inner = np.hstack([loop.D[:q, :q] + np.outer(loop.D[:q, q], by_w), loop.D[:q, q:] * by_r])
     D = np.vstack([inner, np.append(by_w, by_r + offset)])
     return replace(loop, A=A, B=B, C=C, D=D)
-
-
-def disk_gains(margin: float, skew: float = 0.0) -> tuple[float, float]:
-    """Real factors (low, high) that bound the set ``(2 + (1 - skew) d) / (2 - (1 + skew) d)``, |d| < margin, about 1.
-
-    Examples
-    --------
-    A margin of 2/3 without skew allows gains from a half to two:
-
-    >>> low, high = disk_gains(2.0 / 3.0)
-    >>> round(low, 9), round(high, 9)
-    (0.5, 2.0)
-    """
-    if math.isinf(margin):
-        return -math.inf, math.inf
-    above, below = 2.0 - (1.0 + skew) * margin, 2.0 + (1.0 + skew) * margin
-    low = (2.0 - (1.0 - skew) * margin) / below if below > 0.0 else -math.inf
-    return low, (2.0 + (1.0 - skew) * margin) / above if above > 0.0 else math.inf
-
-
-def disk_phase(margin: float, skew: float = 0.0) -> float:
-    """Phase [rad] at which the unit circle leaves the set of :func:`disk_gains`; pi where it does not.
-
-    Examples
-    --------
-    >>> round(math.degrees(disk_phase(2.0)), 6)
-    90.0
-    """
-    if math.isinf(margin):
-        return math.pi
-    # |d| of the factor exp(j phi): d = 2 (f - 1) / ((1 - skew) + (1 + skew) f)
-    square, product = margin**2, 1.0 - skew**2
-    # 8 (1 - c) = margin^2 ((1 - skew)^2 + (1 + skew)^2 + 2 (1 - skew^2) c)
-    cosine = (8.0 - square * (2.0 + 2.0 * skew**2)) / (8.0 + 2.0 * square * product)
-    return math.acos(min(1.0, max(-1.0, cosine)))
