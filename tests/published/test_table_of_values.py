@@ -1,4 +1,4 @@
-"""Each value of the table of docs/lftkit/norms.md, computed, agrees with all digits that are printed."""
+"""Each value of docs/lftkit/published_values.md, computed, agrees with all digits that are printed."""
 
 from __future__ import annotations
 
@@ -8,98 +8,119 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpmath import mp
-from scipy.signal import cont2discrete
+from mpmath import mp, mpc, mpf
+from published.values import margins, norms, robustness, synthesis
 
-from lftkit import System, h2_norm, hankel_singular_values, hinf_norm, linf_norm, nu_gap, s
-from lftkit.analysis.riccati import riccati
-from lftkit.arrays import Matrices
+from lftkit import h2_norm, s
 from lftkit.synthesis import h2syn
 
-PAGE = Path(__file__).parents[2] / "docs" / "lftkit" / "norms.md"
-ROWS = dict(re.findall(r"^\| ([^|]+?) \| ([-\d. ]+?) \|", PAGE.read_text("utf-8"), re.MULTILINE))
-LAG = tuple(np.array([[x]]) for x in (-1.0, 1.0, 1.0, 0.0))
-THREE = (
-    np.array(
-        [
-            [-1.017041847539126, -0.224182952826418, 0.042538079149249],
-            [-0.310374015319095, -0.516461581407780, -0.119195790221750],
-            [-1.452723568727942, 1.7995860837102088, -1.491935830615152],
-        ]
+PAGE = (Path(__file__).parents[2] / "docs" / "lftkit" / "published_values.md").read_text("utf-8")
+SAME, OTHERS = PAGE.split("## Values that differ")
+ROWS = dict(re.findall(r"^\| ([^|]+?) \| ([-\d. ]+?) \|", SAME, re.MULTILINE))
+DIFFERENT = {
+    name: (printed, here)
+    for name, printed, here in re.findall(r"^\| ([^|]+?) \| ([-\d.]+) \| ([-\d.]+) \|", OTHERS, re.MULTILINE)
+}
+COMPUTED = {**norms.COMPUTED, **margins.COMPUTED, **robustness.COMPUTED, **synthesis.COMPUTED}
+RESONANT = margins.system(margins.RESONANT)
+TRIPLE = margins.system((s + 0.1) ** 2 / (s**3 * (s + 1)))
+"""Quantities of both tables: what this library says, and the same with 40 digits, a closed form or a proven value."""
+
+
+def crossing(loop: Callable[[object], object], sign: Callable[[object], object], near: float) -> object:
+    """Frequency at which the sign of a response is zero, with 40 digits."""
+    return mp.findroot(lambda omega: sign(loop(mpc(0, omega))), mpf(near))
+
+
+def angle(loop: Callable[[object], object], near: float) -> float:
+    """Phase margin [deg] at the crossing of the gain 1 near a frequency, with 40 digits."""
+    omega = crossing(loop, lambda value: abs(value) - 1, near)
+    return float(mp.degrees(mp.arg(-loop(mpc(0, omega)))))
+
+
+def example_21(p: object) -> object:
+    num = mpf("0.002") * (p + mpf("0.02")) * (p + mpf("0.05")) * (p + 5) * (p + 10)
+    den = (p - mpf("0.0005")) * (p + mpf("0.0001")) * (p + mpf("0.01")) * (p + mpf("0.2")) * (p + 1) * (p + 100) ** 2
+    return num / den
+
+
+def resonant(p: object) -> object:
+    num = mpf("8.75") * (4 * p**2 + mpf("0.4") * p + 1)
+    return num / ((100 * p + 1) * (p**2 + mpf("0.22") * p + 1) * (p**2 / 100 + mpf("0.008") * p + 1))
+
+
+def second_margin() -> float:
+    omega = crossing(example_21, lambda value: value.imag / abs(value), 0.024341)
+    return float(-1 / example_21(mpc(0, omega)).real)
+
+
+def integrators(p: object) -> object:
+    return (p + mpf("0.1")) ** 2 / (p**3 * (p + 1))
+
+
+def lag_gain() -> float:
+    return -float(h2syn(synthesis.example_19_1(), "y", "u").controller.C[0, 1])
+
+
+COMPLEX, DISKS = "robust stability, two complex gains", "H-infinity optimum, four disks"
+TRIANGULAR = "disk margin of the spinning satellite with a triangular gain, both loops"
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+EXACT: dict[str, tuple[Callable[[], float], Callable[[], float]]] = {
+    "H2 norm, lag with hold, 0.1 s": (
+        lambda: h2_norm(*norms.held(norms.LAG), dt=0.1),
+        lambda: float(mp.sqrt(mp.tanh(mpf(1) / 20))),
     ),
-    np.array(
-        [
-            [0.312858596637428, -0.164879019209038],
-            [-0.864879917324456, 0.627707287528727],
-            [-0.030051296196269, 1.093265669039484],
-        ]
+    "further crossing of a lag with two resonances, phase at 1.0919 rad/s": (
+        lambda: margins.joined(margins.phase(RESONANT, 2))[0],
+        lambda: angle(resonant, 1.0919),
     ),
-    np.array(
-        [
-            [1.109273297614398, 0.077359091130425, -1.113500741486764],
-            [-0.863652821988714, -1.214117043615409, -0.006849328103348],
-        ]
+    "phase margin of a lag with two resonances": (
+        lambda: margins.joined(margins.phase(RESONANT))[0],
+        lambda: angle(resonant, 0.085),
     ),
-    np.zeros((2, 2)),
-)
-
-
-def held(matrices: Matrices) -> Matrices:
-    A, B, C, D, _ = cont2discrete(matrices, 0.1)
-    return A, B, C, D
-
-
-def hankel(number: int) -> float:
-    given = System([[1.0, -2.0], [3.0, -4.0]], [[5.0], [7.0]], [[6.0, 8.0]], [[9.0]], [("u", 1)], [("y", 1)])
-    return float(hankel_singular_values(given)[number])
-
-
-def optimal() -> System:
-    """``z = x + u, y = x + w`` of a lag with ``w + u``."""
-    ports = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    return h2syn(System([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]], *ports), "y", "u").controller
-
-
-def at_rest() -> float:
-    K = optimal()
-    return float((K.D - K.C @ np.linalg.inv(K.A) @ K.B)[0, 0])
-
-
-def entries() -> tuple[float, ...]:
-    X = riccati(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.diag([1.0, 2.0]), np.eye(1))
-    assert X is not None
-    return float(X[0, 0]), float(X[0, 1]), float(X[1, 1])
-
-
-def gap() -> float:
-    return nu_gap((1 / (s - 0.001)).system("u", "y"), (1 / (s + 0.001)).system("u", "y")).value
-
-
-COMPUTED: dict[str, Callable[[], float | tuple[float, ...]]] = {
-    "H2 norm, lag": lambda: h2_norm(*LAG),
-    "H2 norm, lag with hold, 0.1 s": lambda: h2_norm(*held(LAG), dt=0.1),
-    "H-infinity norm, unstable lag": lambda: linf_norm(-LAG[0], -LAG[1], *LAG[2:]).value,
-    "H-infinity norm, three states": lambda: hinf_norm(*THREE, rtol=1e-12).value,
-    "H2 norm, three states": lambda: h2_norm(*THREE),
-    "H-infinity norm, three states with hold, 0.1 s": lambda: hinf_norm(*held(THREE), dt=0.1, rtol=1e-12).value,
-    "H2 norm, three states with hold, 0.1 s": lambda: h2_norm(*held(THREE), dt=0.1),
-    "first Hankel singular value, two states": lambda: hankel(0),
-    "second Hankel singular value, two states": lambda: hankel(1),
-    "pole of the H2-optimal controller": lambda: float(optimal().A[0, 0]),
-    "gain at rest of the H2-optimal controller": at_rest,
-    "entries of the Riccati solution, double integrator": entries,
-    "nu-gap, poles at 0.001 and -0.001": gap,
+    "frequency at which 2 / (s + 1)^3 has the gain 1": (
+        lambda: margins.joined(margins.phase(margins.system(2 / (s + 1) ** 3)))[1],
+        lambda: float(np.sqrt(np.cbrt(4.0) - 1.0)),
+    ),
+    "example 21, gain 1000, second gain margin": (
+        lambda: margins.joined(margins.gain(margins.system(1000 * margins.EXAMPLE_21), 1))[0],
+        lambda: 1e-3 * second_margin(),
+    ),
+    "phase margin of 2 s / (s + 1)": (
+        lambda: margins.joined(margins.phase(margins.system(2 * s / (s + 1))))[0],
+        lambda: -120.0,
+    ),
+    "gain margin of 0.8 / (s + 1)^3": (
+        lambda: margins.joined(margins.gain(margins.system(0.8 / (s + 1) ** 3)))[0],
+        lambda: 10.0,
+    ),
+    "phase margin of 2 / (s + 1)^3": (
+        lambda: margins.joined(margins.phase(margins.system(2 / (s + 1) ** 3)))[0],
+        lambda: angle(lambda p: 2 / (p + 1) ** 3, 0.766),
+    ),
+    "phase margin of (s + 0.1)^2 / (s^3 (s + 1))": (
+        lambda: margins.joined(margins.phase(TRIPLE))[0],
+        lambda: angle(integrators, 0.795),
+    ),
+    "example 21, gain 1, second gain margin": (
+        lambda: margins.joined(margins.gain(margins.system(margins.EXAMPLE_21), 1))[0],
+        second_margin,
+    ),
+    "frequency at which 1 / (s (s + 1)) has the gain 1": (
+        lambda: margins.joined(margins.phase(margins.system(1 / (s * (s + 1)))))[1],
+        lambda: float(np.sqrt(GOLDEN)),
+    ),
+    "gain of the H2-optimal controller, example 19.1": (lag_gain, lambda: 2.0 + np.sqrt(5.0)),
 }
 
 
-def test_the_held_lag_has_its_exact_norm() -> None:
-    """(1 - a)^2 / (1 - a^2) with a = exp(-dt); the table's source differs from it in the ninth digit."""
-    with mp.workdps(40):
-        assert h2_norm(*held(LAG), dt=0.1) == pytest.approx(float(mp.sqrt(mp.tanh(mp.mpf(1) / 20))), rel=1e-14)
-
-
-def test_the_table_and_the_test_have_the_same_rows() -> None:
+def test_the_tables_and_the_tests_have_the_same_rows() -> None:
     assert ROWS.keys() == COMPUTED.keys()
+    assert DIFFERENT.keys() == EXACT.keys() | {COMPLEX, TRIANGULAR, DISKS}
+
+
+def test_there_are_150_values() -> None:
+    assert sum(len(printed.split()) for printed in ROWS.values()) + len(DIFFERENT) >= 150
 
 
 @pytest.mark.parametrize("name", COMPUTED)
@@ -109,4 +130,25 @@ def test_all_printed_digits_agree(name: str) -> None:
     assert len(printed) == len(found)
     for digits, value in zip(printed, found):
         unit = 10.0 ** -len(digits.partition(".")[2])
-        assert value == pytest.approx(float(digits), rel=1e-12, abs=min(unit, 1e-6) if "." not in digits else unit)
+        assert value == pytest.approx(float(digits), rel=1e-12, abs=unit * (1.0 + 1e-9) if unit < 1.0 else 1e-6)
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_what_differs_is_right_here(name: str) -> None:
+    """The value with 40 digits is that of the library, is printed beside the other one, and is not the other one."""
+    printed, here = DIFFERENT[name]
+    with mp.workdps(40):
+        exact = EXACT[name][1]()
+    assert EXACT[name][0]() == pytest.approx(exact, rel=1e-8)
+    digits = len(here.partition(".")[2])
+    assert f"{exact:.{digits}f}" == here and abs(float(printed) - exact) > 10.0 ** -len(printed.partition(".")[2])
+
+
+def test_what_is_proven_contradicts_the_other_value() -> None:
+    printed, here = map(float, DIFFERENT[COMPLEX])
+    assert printed < here <= robustness.two_complex_gains() + 5e-5
+    printed, here = map(float, DIFFERENT[TRIANGULAR])
+    lower, upper = robustness.triangular()
+    assert printed < 0.3758 <= lower <= here <= upper
+    printed, here = map(float, DIFFERENT[DISKS])
+    assert synthesis.optimum_of_four_disks() == pytest.approx(here, abs=6e-5) and here < printed
