@@ -17,24 +17,24 @@ MOST_TERMS = 2000
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class ElementPolynomial:
     """Sum of terms with their numbers."""
 
     terms: Mapping[Term, float] = field(default_factory=dict)
 
-    def __add__(self, other: Polynomial) -> Polynomial:
+    def __add__(self, other: ElementPolynomial) -> ElementPolynomial:
         found = dict(self.terms)
         for term, number in other.terms.items():
             found[term] = found.get(term, 0.0) + number
-        return Polynomial({term: number for term, number in found.items() if number})
+        return ElementPolynomial({term: number for term, number in found.items() if number})
 
-    def __mul__(self, other: Polynomial) -> Polynomial:
+    def __mul__(self, other: ElementPolynomial) -> ElementPolynomial:
         found: dict[Term, float] = {}
         for (power, names), number in self.terms.items():
             for (more, others), factor in other.terms.items():
                 term = power + more, tuple(sorted(names + others))
                 found[term] = found.get(term, 0.0) + number * factor
-        return Polynomial({term: number for term, number in found.items() if number})
+        return ElementPolynomial({term: number for term, number in found.items() if number})
 
     @property
     def degree(self) -> int:
@@ -50,14 +50,14 @@ class Polynomial:
 class Fraction:
     """Numerator over denominator."""
 
-    numerator: Polynomial
-    denominator: Polynomial
+    numerator: ElementPolynomial
+    denominator: ElementPolynomial
 
     @classmethod
     def of(cls, number: float, power: int = 0, names: tuple[str, ...] = ()) -> Fraction:
         """A number times a power of s and elements."""
         terms = {(power, names): float(number)} if number else {}
-        return cls(Polynomial(terms), Polynomial({(0, ()): 1.0}))
+        return cls(ElementPolynomial(terms), ElementPolynomial({(0, ()): 1.0}))
 
     @property
     def is_proper(self) -> bool:
@@ -80,6 +80,6 @@ class Fraction:
         return Fraction(self.denominator, self.numerator) if self.numerator.terms else None
 
 
-def _kept(numerator: Polynomial, denominator: Polynomial) -> Fraction | None:
+def _kept(numerator: ElementPolynomial, denominator: ElementPolynomial) -> Fraction | None:
     few = max(len(numerator.terms), len(denominator.terms)) <= MOST_TERMS
     return Fraction(numerator, denominator) if few else None
