@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign.campaign_verdict import CampaignVerdict, model_verdicts, not_judged, verdicts
+from los_testbed.campaign.campaign_verdict import CampaignVerdict, model_verdicts, not_judged, refused, verdicts
 from los_testbed.campaign.meanings import RequirementColumns
 
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
@@ -215,3 +215,26 @@ def test_a_metric_that_is_not_known_does_not_comply(text: str) -> None:
     found = verdicts(columns, ["ok"] * 2, "fsm", [r])
     assert [v.exceeding for v in found] == [0.5, 0.5, 0.1] and found[1].status == "not enough data"
     assert [v.exceeding for v in verdicts({}, ["ok"] * 2, "fsm", [r])] == [1.0, 1.0, 1.0]
+
+
+def test_what_runs_cannot_be_judged_by_is_said_of_their_stage() -> None:
+    """With the reason, from the windows that fit a run of so many ticks."""
+    refusals = refused([APE, RPE], 19, None)
+    assert refusals == {RPE: "the run must be at least as long as the window of 0.02 s, got 0.019 s"}
+    assert refused([APE, RPE], 20, None) == {}
+    assert not_judged([APE, RPE], "fsm+pma", "time", refusals) == refusals
+    assert not_judged([APE, RPE], "fsm", "time", refusals) == {}
+    assert RPE not in not_judged([APE, RPE], "fsm+pma", "model", refusals)
+
+
+def test_a_member_at_its_limit_is_beyond_it() -> None:
+    for own in (2.0, math.nextafter(2.0, 0)):
+        found = by_kind(verdicts(columns([1, 1], [1, own], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
+        assert found["temporal"].exceeding == (own >= 2.0) / 2
+
+
+def test_no_more_samples_are_above_than_there_are() -> None:
+    """All of 7.9 effective samples: 7 of 7, and the bounds are numbers."""
+    mixed = by_kind(verdicts(columns([3], [3], [1.0], [7.9]), ["ok"], "fsm", [APE]))["mixed"]
+    assert (mixed.samples, mixed.exceeding, mixed.upper) == (7, 1.0, 1.0)
+    assert mixed.lower == exceedance_lower(7, 7, 0.75) and mixed.status == "not compliant"
