@@ -251,3 +251,17 @@ def test_a_bag_without_settings_and_manifests_says_that_it_had_them(bag: Path) -
     assert not before.problems and before.parameters["mode"] == "inprocess"
     run = changed(bag, [record for record in apart(bag) if record[0] not in (OP_METADATA, OP_MANIFEST)])
     assert any("was recorded with a metadata record" in text for text in run.problems), run.problems
+
+
+def test_the_end_may_not_be_missing(bag: Path) -> None:
+    found = apart(bag)
+    del found[end_of(bag)]
+    assert any("end of the chain is missing" in text for text in changed(bag, found).contradictions)
+
+
+def test_a_chunk_taken_out_with_its_manifest_breaks_the_chain(bag: Path) -> None:
+    found = apart(bag)
+    first, second = places(found, OP_MANIFEST)[1:3]
+    del found[first:second]
+    run = changed(bag, found)
+    assert run.contradictions and run.losses

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.bags.repair import repair_bag
 from los_testbed.config.exit_codes import ExitCode
 from support.forged_bags import forge
 
@@ -52,3 +53,10 @@ def test_a_budget_takes_no_such_bag(bag: Path, call: Callable[..., tuple[int, st
     (bag.parent / "budget.toml").write_text(text + source)
     code, _, err = call("budget", bag.parent / "budget.toml")
     assert code == 2 and "bag must agree with its own digests" in err and err.count("\n") == 1
+
+
+def test_the_repaired_bag_repeats_it(bag: Path) -> None:
+    forge(bag)
+    result = repair_bag(bag, bag.parent / "new")
+    assert result.contradictions == Run.open(bag).contradictions == Run.open(bag.parent / "new").contradictions
+    assert any("truth/los: 1000 of 3000 recorded messages are lost" in text for text in result.sentences())

@@ -229,3 +229,11 @@ def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
             return int(line.split()[1]), plain
 
     assert asyncio.run(once()) == (101, 0)
+
+
+def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_name():
+    access = Access("0.0.0.0")
+    assert access.host("192.0.2.5:8765")
+    assert access.host(os.uname().nodename)
+    assert not access.host("rebound.example:8765")
+    assert Access("testbed.example").host("testbed.example:8766")

@@ -171,3 +171,9 @@ def test_what_makes_no_keys_is_refused(tmp_path, capsys, options, words):
         app.main(["keys", str(tmp_path / "store"), *options])
     assert ended.value.code == 2 and words in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_reports_and_replies_come_from_their_node_only(name):
+    for sent in (f"rt/telescope/{name}/diagnostics", f"rr/telescope/{name}/set_parametersReply"):
+        assert [node for node in ENCLAVES if may(sent_by(node, SPACE), sent)] == [name]

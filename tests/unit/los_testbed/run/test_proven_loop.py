@@ -17,6 +17,7 @@ from los_testbed.run.metadata import final_metadata, run_metadata
 from los_testbed.run.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
 from los_testbed.run.summary.local_proofs import confirmed, with_confirmed
 from los_testbed.run.summary.summary import judged, remarks_of
+from simple_telescope import SimpleTelescope
 from support.forged_bags import with_metadata
 
 from pointing_analysis.read.run import Run
@@ -211,3 +212,21 @@ def test_words_of_proof_are_not_confirmed_of_other_controllers(proven: Path) -> 
     law["D"] = (2.0 * np.array(law["D"])).tolist()
     other = run.changed(run.parameters, {"k_fsm.json": json.dumps(law).encode()})
     assert confirmed(other) == set()
+
+
+@pytest.mark.parametrize("name", ["k_fsm.json", "run.yaml"])
+def test_words_of_proof_are_not_confirmed_without_controllers_or_settings(
+    proven: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    run = Run.open(proven)
+    left = {key: data for key, data in run.attachments.items() if key != name}
+    monkeypatch.setattr(Run, "attachments", property(lambda self: left))
+    assert confirmed(run) == set()
+
+
+def test_a_plant_of_a_program_has_none(tmp_path: Path) -> None:
+    """`run_in_process` takes an object that no setting names."""
+    run_in_process(RunConfig(duration=0.2, mode="inprocess"), tmp_path / "bag", plant=SimpleTelescope())
+    found = Run.open(tmp_path / "bag").parameters
+    assert found["proof"] == "no proof of this run: plant is an object of a program"
+    assert not found["proof_rpe"] and not found["proof_noise"]

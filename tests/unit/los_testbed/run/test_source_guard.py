@@ -193,3 +193,20 @@ def test_lines_of_the_list_that_are_cut_or_malformed_are_left_out(tmp_path):
         stream.write(line[5:])
     assert members.standing("/t", NODE, A) == OPEN
     assert Members("").standing("/t", NODE, A) == OPEN
+
+
+def test_another_node_that_sent_beside_the_matched_one_is_not_matched_when_that_has_left():
+    line = Line()
+    line.run(2000)
+    assert line.send(B, None, after=1) == FOREIGN
+    line.run(1)
+    for _ in range(1000):
+        assert line.send(B, None, after=1) in (FOREIGN, UNMATCHED)
+        assert not line.decide(STRANGER)
+
+
+def test_two_publishers_of_one_name_are_not_decided_on():
+    guard = SourceGuard(NODE)
+    for gid in (A, C):
+        guard.sort(gid, 0, message(None))
+    assert not guard.decide([PLANT, AGAIN], 0)
