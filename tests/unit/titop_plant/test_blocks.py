@@ -209,6 +209,18 @@ def test_attitude_law_is_stable_on_a_rigid_body() -> None:
         attitude_control(J, axes[:, :2], bandwidth=0.06, damping=0.7)
 
 
+@pytest.mark.parametrize(
+    "axis", [[0.3, 0.4, 1.0], [1.0, 0.0, 0.0], [1e-5, 0.0, 1.0], [0.0, 0.0, 2.0], [0.0, 0.0, -2.0]]
+)
+def test_a_wheel_frame_is_a_rotation_with_z_along_the_axis_and_a_horizontal_x(axis: list[float]) -> None:
+    R, across = spin_frame(axis), np.cross([0.0, 0.0, 1.0], axis)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert linalg.det(R) == pytest.approx(1.0)
+    np.testing.assert_allclose(R @ axis / linalg.norm(axis), [0.0, 0.0, 1.0], atol=1e-12)
+    assert R[0, 2] == pytest.approx(0.0, abs=1e-15)
+    assert R[0] @ across > 0.0 if across.any() else R[0].tolist() == [1.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("nominal", [0.0, 130.0])
 def test_wheel_equals_newton_and_euler(nominal: float) -> None:
     """All ports at once, for random motion, torque and imbalance."""
