@@ -11,6 +11,7 @@ from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
 from los_testbed.rig.supervisor import EVERY_TICK, FROZEN_FRAMES, FROZEN_TICKS, Supervisor, refused_in_words
+from los_testbed.rig.wire import Kind, Reader, encode
 
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
@@ -205,3 +206,18 @@ def test_a_run_begins_with_counts_of_zero_and_its_own_samples():
     assert supervisor.read(now)
     assert supervisor.acquired_ns == now, "no sample of the run before is left"
     assert supervisor.age.maximum_us < 1e6
+
+
+def test_packets_of_before_the_run_that_come_late_are_in_no_count():
+    key = bytes(8)
+    reader = Reader(key)
+
+    def read(number):
+        return reader.read(encode(Kind.FAST, number, number, np.zeros(1), key))
+
+    read(1), read(5), reader.read(b"")
+    assert reader.lost == 3 and reader.refused["size"] == 1
+    reader.begin_counts()
+    assert read(3) is not None and reader.statistics() == {}
+    read(8), read(7)
+    assert reader.statistics() == {"packets_lost": "1", "packets_reordered": "1"}
