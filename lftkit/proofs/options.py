@@ -25,7 +25,8 @@ class BoundOptions:
         Show a progress line.
     method : {"cells", "axis"}, optional
         Cells of parameters and frequency, or scalings over the frequency axis. By default cells up to
-        :data:`lftkit.proofs.robustness.FEW_STATES` states, and where the other cannot be used: it needs uncertain
+        :data:`lftkit.proofs.robustness.FEW_STATES` states (of stability the first
+        :data:`lftkit.proofs.robustness.FEW_CELLS` of them), and where the other cannot be used: it needs uncertain
         elements, and a nominal member in the box that is stable with separate poles.
 
     Raises

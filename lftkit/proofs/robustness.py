@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.performance import PerformanceProblem
 from lftkit.proofs.state_space.bounds import (
-    WHOLE,
     DiskGainByCells,
     GainByCells,
     ProvenBounds,
     checked_band,
     intervals_of,
     require_nominal,
-    stability_by_cells,
 )
+from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disks import disks_of, real_first
+from lftkit.proofs.state_space.stability import StabilityByCells
 from lftkit.support.threads import one_thread
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
 FEW_STATES = 7
 """Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
+FEW_CELLS = 60
+"""Cells after which stability is proven over the frequency axis, where no method was asked for and it can be used."""
 
 
 def worst_case_gain(
@@ -149,7 +153,15 @@ def robust_stability(
     require_nominal(chosen, ends)
     over_axis = _over_axis(chosen, ends, options.method)
     with one_thread():
-        return (stability_over_axis if over_axis else stability_by_cells)(chosen, ends, largest, options)
+        if over_axis:
+            return stability_over_axis(chosen, ends, largest, options)
+        cells = StabilityByCells(chosen, ends, largest, options)
+        both = options.method is None and not chosen.dt and options.max_tests > FEW_CELLS and axis_takes(chosen, ends)
+        found = cells.run(FEW_CELLS if both else None)
+        if not both or found.status != "out_of_time":
+            return found
+        rest = replace(options, wall_limit=max(cells.until - time.monotonic(), 1e-3))
+        return stability_over_axis(chosen, ends, largest, rest, (cells.factor, cells.worst))
 
 
 def _check_largest(largest: float) -> None:

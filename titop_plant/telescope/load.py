@@ -93,7 +93,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     found = Telescope({**merged, **plant})
     if plant:
         try:
-            found.plant  # noqa: B018  # read and checked before anything else is done with the telescope
+            _ = found.plant  # read and checked before anything else is done with the telescope
         except ValueError as error:
             raise file.error(PLANT, f"must name a plant that fits: {error}") from None
     return found

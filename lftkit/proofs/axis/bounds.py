@@ -20,8 +20,9 @@ from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
-from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_level, named_member, smallest_unstable
+from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
+from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
 from lftkit.proofs.state_space.search import Member, climbed, member_gain, scaled_box, worst_member
@@ -231,14 +232,23 @@ def _improved(system: System, box: list[Interval], band: Interval, seed: int, me
     return member if member.gain > worst.gain else worst
 
 
-def stability_over_axis(system: System, box: list[Interval], largest: float, options: BoundOptions) -> ProvenBounds:
-    """Factor of the box that stays stable, up to `largest`; system, box and errors as for :func:`gain_over_axis`."""
+def stability_over_axis(
+    system: System,
+    box: list[Interval],
+    largest: float,
+    options: BoundOptions,
+    known: tuple[float, Member] | None = None,
+) -> ProvenBounds:
+    """Factor of the box that stays stable, up to `largest`; system, box and errors as for :func:`gain_over_axis`.
+
+    `known`: the smallest factor with an unstable member, and the member, where that was searched already.
+    """
     until, gap, seed = time.monotonic() + options.wall_limit, options.gap, options.seed
     nominal = np.array([p.nominal for p in system.parameters])
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):
         return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
-    factor, worst = smallest_unstable(system, box, largest, seed)
+    factor, worst = known or smallest_unstable(system, box, largest, seed)
     point = named_member(system, worst)
     aim = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     left: tuple[Cell, ...] = ()

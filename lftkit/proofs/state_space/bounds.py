@@ -6,48 +6,39 @@ inequality fails is bisected where that helps most, and looked into for a member
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
-from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
+from lftkit.proofs.state_space.cells import Cell
+from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached
+from lftkit.proofs.state_space.cover import WHOLE, Cover, posed_cells
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
-from lftkit.proofs.state_space.disks import disks_of, dynamics_with, scaled_radii, without_disks
-from lftkit.proofs.state_space.proof import Proof, finished, proven_cell, stable_member, statement
+from lftkit.proofs.state_space.disks import disks_of, dynamics_with, without_disks
+from lftkit.proofs.state_space.proof import Proof, finished, stable_member, statement
 from lftkit.proofs.state_space.search import (
     Member,
     climbed,
     member_gain,
-    scaled_box,
     smallest_unstable_factor,
     worst_member,
 )
-from lftkit.proofs.trusted.cells import Inequality, frequencies
+from lftkit.proofs.trusted.cells import frequencies
 from lftkit.support.progress import Progress
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter
 from lftkit.uncertainty.parameters import RealParameter
 
-WHOLE = (0.0, np.inf)
 SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
 """Level for a gain of zero: its inverse square is finite, and it is not far below the gains into and out of the
 system."""
 SHARE = 0.9
 """Part of the gap at which a proof aims."""
-ATTEMPTS = 12
-"""Factors of the box that are tried for stability, each 0.7 of the one before unless an unstable member was found."""
-RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
-"""Factors of the level at which cells that are left over are tried."""
 
 
 @dataclass(frozen=True)
@@ -128,88 +119,6 @@ def least_level(system: System) -> float:
 
 
 @dataclass
-class _Cover:
-    """Cells that are proven and cells that are open."""
-
-    test: CellTest
-    inequality: Inequality
-    open: list[tuple[float, int, Cell]]
-    proven: list[dict[str, Any]] = field(default_factory=list)
-    number: Any = field(default_factory=itertools.count)
-
-    @classmethod
-    def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> _Cover:
-        part = static_part(system) if static else over_axis(system)
-        radii = {disk["name"]: disk["radius"] for disk in claim["plant"].get("disks", [])}
-        gain = claim["claim"]["property"] == "gain" and not static
-        cover = cls(CellTest(part, gain, radii), Inequality(claim, static), [])
-        cover.push(0.0, cell)
-        return cover
-
-    def push(self, rank: float, cell: Cell) -> None:
-        heapq.heappush(self.open, (rank, next(self.number), cell))
-
-    def prove(self, cell: Cell, level: float, until: float) -> int | None:
-        """None if the cell is proven and kept, else the axis to bisect."""
-        try:
-            result = self.test.solve(cell, level, until)
-        except SingularCellError:
-            return len(cell.intervals)
-        if result.scalings is not None:
-            content = proven_cell(cell, result.scalings)
-            with suppress(ValueError, ArithmeticError):  # a number out of range: the cell stays open
-                if self.inequality.ratio(content, level) >= 1.0:
-                    self.proven.append(content)
-                    return None
-        return result.axis
-
-    def run(
-        self, level: Callable[[], float], failed: Callable[[Cell], bool], until: float, tests: int, bar: Progress
-    ) -> bool:
-        """Prove and bisect until nothing is open (True), time or tests are used up, or `failed` says stop."""
-        for _ in range(tests):
-            if not self.open:
-                break
-            bar.report(len(self.proven), len(self.proven) + len(self.open), best=level())
-            if time.monotonic() > until:
-                return False
-            rank, _, cell = heapq.heappop(self.open)
-            axis = self.prove(cell, level(), until)
-            if axis is None:
-                continue
-            for half in cell.split(axis, self.test.reference):
-                self.push(rank + 1.0, half)
-            if failed(cell):
-                return False
-        return not self.open
-
-    def leftover(self, level: float, until: float) -> float:
-        """Try the open cells at higher levels; the level at which all are proven, infinite if some are not."""
-        highest = level
-        for factor in RAISED:
-            waiting, self.open = self.open, []
-            for rank, number, cell in waiting:
-                if time.monotonic() > until or self.prove(cell, factor * level, until) is not None:
-                    self.open.append((rank, number, cell))
-                else:
-                    highest = factor * level
-            if not self.open:
-                return highest
-        return np.inf
-
-
-def _posed(
-    system: System, claim: dict[str, Any], box: Sequence[tuple[float, float]], until: float, tests: int
-) -> list[dict[str, Any]] | None:
-    """Cells that show that members are well posed, of a system in discrete time; None if they do not cover the box."""
-    if not system.dt:
-        return []
-    cover = _Cover.of(system, claim, Cell(tuple(box), WHOLE), static=True)
-    with Progress("well-posed members", False) as bar:
-        return cover.proven if cover.run(lambda: 1.0, lambda cell: False, until, tests, bar) else None
-
-
-@dataclass
 class GainByCells:
     """Worst-case gain of a system with sorted channels; `box`: intervals in the order of its parameters.
 
@@ -234,7 +143,7 @@ class GainByCells:
         if self._violated():
             return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.over)
-        cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.over))
+        cover = Cover.of(self.system, claim, Cell(tuple(self.box), self.over))
         with Progress("worst-case gain", self.options.progress) as bar:
             closed = cover.run(self._target, self._failed, start + 0.8 * wall_limit, max_tests, bar)
         if np.isinf(self.worst.gain):
@@ -249,7 +158,7 @@ class GainByCells:
         point = np.array([0.5 * (low + high) for low, high in self.box])
         whole = self.over == WHOLE
         stable = stable_member(self.system, claim, point) if whole else None
-        posed = _posed(self.system, claim, self.box, start + wall_limit, max_tests)
+        posed = posed_cells(self.system, claim, self.box, start + wall_limit, max_tests)
         if posed is None or (whole and stable is None):
             return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.over),))
         claim["claim"]["level"] = upper
@@ -299,59 +208,6 @@ class DiskGainByCells(GainByCells):
         return self._search.gain_near(cell.middle(), 0.5 * (low + high) if np.isfinite(high) else 2.0 * low)
 
 
-def stability_by_cells(
-    system: System, box: list[tuple[float, float]], largest: float, options: BoundOptions
-) -> ProvenBounds:
-    """Factor of the box that stays stable, up to `largest`, of a system with sorted channels.
-
-    Raises
-    ------
-    ValueError
-        A box without the nominal values.
-    """
-    require_nominal(system, box)
-    until, gap, max_tests = time.monotonic() + options.wall_limit, options.gap, options.max_tests
-    nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
-    first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
-    if np.isinf(first.gain):
-        return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
-    factor, worst = smallest_unstable(axis, box, largest, options.seed)
-    target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
-    proof, lower = None, 0.0
-    left: tuple[Cell, ...] = ()
-    with Progress("robust stability", options.progress) as bar:
-        for _ in range(ATTEMPTS):
-            if time.monotonic() > until:
-                break
-            ends, radii = scaled_box(system, box, target), scaled_radii(system, target)
-            claim = statement(system, "stability", ends, None, WHOLE, radii)
-            cover = _Cover.of(system, claim, Cell(tuple(ends), WHOLE))
-            found: list[Member] = []
-
-            def unstable(cell: Cell, found: list[Member] = found) -> bool:
-                member = member_gain(axis, cell.middle(), WHOLE, gain=False)
-                if np.isinf(member.gain):
-                    found.append(member)
-                return bool(found)
-
-            closed = cover.run(lambda: 1.0, unstable, 0.3 * time.monotonic() + 0.7 * until, max_tests, bar)
-            left = tuple(cell for *_, cell in cover.open)
-            if found:
-                worst = found[0]
-                factor = factor_of(system, box, worst.point)
-                target = factor / (1.0 + SHARE * gap)
-                continue
-            stable = stable_member(system, claim, nominal) if closed else None
-            posed = _posed(system, claim, ends, until, max_tests) if stable is not None else None
-            if stable is not None and posed is not None:
-                proof, lower = finished(claim, cover.proven, stable, posed), target
-                break
-            target *= 0.7
-    status = "closed" if proof is not None and (np.isinf(factor) or factor <= (1.0 + gap) * lower) else "out_of_time"
-    worst, left = reached(system, worst), cells_of_system(system, () if proof else left)
-    return ProvenBounds(lower, factor, named_member(system, worst), worst.frequency, proof, status, left)
-
-
 def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
     """Smallest factor of the box that is found to have an unstable member, infinite if none was, and the member."""
     factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
@@ -366,16 +222,6 @@ def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: flo
 def cells_of_system(system: System, cells: Sequence[Cell]) -> tuple[Cell, ...]:
     """Cells with frequencies in rad/s."""
     return tuple(Cell(cell.intervals, frequencies(cell.band, system.dt)) for cell in cells)
-
-
-def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray) -> float:
-    """Factor of the scaled box on whose surface the point is."""
-    factors = [0.0]
-    for parameter, (low, high), value in zip(system.parameters, box, point):
-        offset = value - parameter.nominal
-        side = (low if offset < 0.0 else high) - parameter.nominal
-        factors.append(offset / side if offset else 0.0)
-    return float(max(factors))
 
 
 def named_member(system: System, member: Member) -> dict[str, Any]:

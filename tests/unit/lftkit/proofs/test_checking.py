@@ -36,11 +36,14 @@ PROVERS = (
     "state_space.bounds",
     "state_space.cells",
     "state_space.corners",
+    "state_space.cover",
     "state_space.disk_search",
     "state_space.disks",
     "state_space.proof",
     "state_space.scalar_barrier",
+    "state_space.scaling_search",
     "state_space.search",
+    "state_space.stability",
 )
 
 
