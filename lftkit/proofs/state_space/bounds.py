@@ -17,7 +17,7 @@ from scipy import linalg
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached
-from lftkit.proofs.state_space.cover import WHOLE, Cover, posed_cells
+from lftkit.proofs.state_space.cover import WHOLE, CellCover, posed_cells
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import disks_of, dynamics_with, without_disks
 from lftkit.proofs.state_space.proof import Proof, finished, stable_member, statement
@@ -143,7 +143,7 @@ class GainByCells:
         if self._violated():
             return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.over)
-        cover = Cover.of(self.system, claim, Cell(tuple(self.box), self.over))
+        cover = CellCover.of(self.system, claim, Cell(tuple(self.box), self.over))
         with Progress("worst-case gain", self.options.progress) as bar:
             closed = cover.run(self._target, self._failed, start + 0.8 * wall_limit, max_tests, bar)
         if np.isinf(self.worst.gain):

@@ -26,7 +26,7 @@ RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
 
 
 @dataclass
-class Cover:
+class CellCover:
     """Cells that are proven and cells that are open."""
 
     test: CellTest
@@ -36,7 +36,7 @@ class Cover:
     number: Any = field(default_factory=itertools.count)
 
     @classmethod
-    def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> Cover:
+    def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> CellCover:
         """One open cell; `static`: of the channels without states."""
         part = static_part(system) if static else over_axis(system)
         radii = {disk["name"]: disk["radius"] for disk in claim["plant"].get("disks", [])}
@@ -104,6 +104,6 @@ def posed_cells(
     """Cells that show that members are well posed, of a system in discrete time; None if they do not cover the box."""
     if not system.dt:
         return []
-    cover = Cover.of(system, claim, Cell(tuple(box), WHOLE), static=True)
+    cover = CellCover.of(system, claim, Cell(tuple(box), WHOLE), static=True)
     with Progress("well-posed members", False) as bar:
         return cover.proven if cover.run(lambda: 1.0, lambda cell: False, until, tests, bar) else None

@@ -19,7 +19,7 @@ from lftkit.proofs.state_space.bounds import (
 )
 from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.circle import over_axis, reached
-from lftkit.proofs.state_space.cover import WHOLE, Cover, posed_cells
+from lftkit.proofs.state_space.cover import WHOLE, CellCover, posed_cells
 from lftkit.proofs.state_space.disks import scaled_radii
 from lftkit.proofs.state_space.proof import Proof, finished, stable_member, statement
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box
@@ -90,7 +90,7 @@ class StabilityByCells:
         """Proof of a factor, or an unstable member that was found, and the cells that are open."""
         ends, radii = scaled_box(self.system, self.box, target), scaled_radii(self.system, target)
         claim = statement(self.system, "stability", ends, None, WHOLE, radii)
-        cover = Cover.of(self.system, claim, Cell(tuple(ends), WHOLE))
+        cover = CellCover.of(self.system, claim, Cell(tuple(ends), WHOLE))
         found: list[Member] = []
 
         def unstable(cell: Cell) -> bool:
