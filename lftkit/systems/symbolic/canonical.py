@@ -2,39 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
-from lftkit.systems.symbolic.expressions import OPERATOR, Expression, constant, matrix
 from lftkit.systems.symbolic.fractions import Fraction
-from lftkit.uncertainty.elements import DynamicElement, Element
 
 
-def controllable_form(fraction: Fraction, elements: Sequence[Element], dt: float) -> Expression:
+def controllable_form(
+    fraction: Fraction, operator: Any, elements: Mapping[str, Any], matrix: Callable[[Any], Any]
+) -> Any:
     """An expression of the same function in which s occurs as often as the degree n of the denominator.
 
-    With ``xi`` and its first n derivatives: ``D xi = u, y = N xi``. `fraction` is proper.
+    With ``xi`` and its first n derivatives: ``D xi = u, y = N xi``.
+
+    Parameters
+    ----------
+    fraction : Fraction
+        Proper.
+    operator : Expression
+        s or z.
+    elements : mapping of str to Expression
+    matrix : callable
+        From rows of expressions and numbers to an expression.
     """
     n = fraction.denominator.degree
-    scalars = [e for e in elements if not isinstance(e, DynamicElement)]  # others have no fraction
-    named = {e.name: Expression(np.array([[e.nominal]]), {e.name: np.eye(1)}, (), (e,)) for e in scalars}
     denominator, numerator = (
-        [_coefficient(polynomial.coefficient(power), named) for power in range(n + 1)]
+        [_coefficient(polynomial.coefficient(power), elements) for power in range(n + 1)]
         for polynomial in (fraction.denominator, fraction.numerator)
     )
-    chain = Expression(-np.eye(n, n + 1, 1), {OPERATOR: np.eye(n, n + 1)}, dt=dt)
-    equations = matrix([[chain], [matrix([denominator])]]) if n else matrix([denominator])
-    found: Expression = matrix([numerator]) @ equations.inverse() @ constant(np.eye(n + 1)[:, -1:])
-    return found
+    chain = [[operator if j == i else -1.0 * (j == i + 1) for j in range(n + 1)] for i in range(n)]
+    return matrix([numerator]) @ matrix([*chain, denominator]).inverse() @ np.eye(n + 1)[:, -1:]
 
 
-def _coefficient(terms: Mapping[tuple[str, ...], float], named: Mapping[str, Expression]) -> Expression:
-    """Sum of products of elements."""
-    total = constant(np.zeros((1, 1)))
+def _coefficient(terms: Mapping[tuple[str, ...], float], elements: Mapping[str, Any]) -> Any:
+    """Sum of products of elements: an expression, or a number."""
+    total: Any = 0.0
     for names, number in terms.items():
-        product = constant(np.array([[number]]))
+        product: Any = number
         for name in names:
-            product = product * named[name]
+            product = product * elements[name]
         total = total + product
     return total

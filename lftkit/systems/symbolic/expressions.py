@@ -24,6 +24,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.delta import Value, chosen_values
 from lftkit.systems.operand import constant_matrix
 from lftkit.systems.ports import Port
+from lftkit.systems.symbolic.canonical import controllable_form
 from lftkit.systems.symbolic.fractions import Fraction
 from lftkit.systems.symbolic.realisation import Affine, rank_factors, realised
 from lftkit.systems.system import System
@@ -154,9 +155,11 @@ class Expression:
         except ValueError:
             if fraction is None:
                 raise
-            from lftkit.systems.symbolic.canonical import controllable_form
-
-            return controllable_form(fraction, self.elements, self.dt).system(inputs, outputs, name)
+            scalars = [e for e in self.elements if not isinstance(e, DynamicElement)]  # others have no fraction
+            named = {e.name: Expression(np.array([[e.nominal]]), {e.name: np.eye(1)}, (), (e,)) for e in scalars}
+            operator_ = Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=self.dt)
+            made: Expression = controllable_form(fraction, operator_, named, matrix)
+            return replace(made, fraction=None).system(inputs, outputs, name)
         return found.named(name)
 
     def at(self, values: Mapping[str, Value] | None = None, **named: Value) -> System:
