@@ -127,12 +127,12 @@ def disk_phase(size: float, skew: float = 0.0) -> float:
     >>> round(disk_phase(2.0), 6)
     90.0
     """
-    if math.isinf(size):
-        return 180.0
     # |d| of the factor exp(j phi) is 2 |f - 1| / |(1 - skew) + (1 + skew) f|
     square = size**2
-    cosine = (4.0 - square * (1.0 + skew**2)) / (4.0 + square * (1.0 - skew**2))
-    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+    slope = 4.0 + square * (1.0 - skew**2)
+    if math.isinf(size) or slope <= 0.0:
+        return 180.0
+    return math.degrees(math.acos(max(-1.0, (4.0 - square * (1.0 + skew**2)) / slope)))
 
 
 def _edge(shifted: Matrices, omega: float, dt: float, skew: float) -> complex:

@@ -102,6 +102,16 @@ def test_the_disk_margin_is_that_of_the_largest_gain(skew: float) -> None:
     assert 0.0 < found.phase_margin <= math.degrees(math.pi - 3.0 * math.atan(crossing))
 
 
+@pytest.mark.parametrize("skew", [-3.0, -1.0, 0.0, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("size", [0.2, 0.9, 1.5, 2.5, 8.0])
+def test_the_phase_of_a_disk_is_where_the_unit_circle_leaves_it(skew: float, size: float) -> None:
+    angle = np.linspace(0.0, np.pi, 200001)
+    factor = np.exp(1j * angle)
+    outside = 2.0 * np.abs(factor - 1.0) >= size * np.abs((1.0 - skew) + (1.0 + skew) * factor)
+    leaves = angle[np.argmax(outside)] if outside.any() else np.pi
+    assert disk_phase(size, skew) == pytest.approx(np.degrees(leaves), abs=2e-3)
+
+
 @pytest.mark.parametrize("skew", [-1.0, -0.5, 0.0, 0.7, 1.0])
 def test_margins_of_a_disk_are_its_ends(skew: float) -> None:
     for margin in (0.1, 0.5, 0.9):
