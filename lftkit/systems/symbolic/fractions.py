@@ -6,14 +6,17 @@ are states, as in ``D2 / (D1 D2 - q^2)``, the linear system is singular, and the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 Term = tuple[int, tuple[str, ...]]
 """Power of s, and names of elements, each as often as its power, in order."""
 
-MOST_TERMS = 2000
-"""Of a polynomial: above it the fraction is given up."""
+MOST_TERMS = 10_000
+"""Of a product, before equal ones are summed: above it the fraction is given up."""
+RANK = 1e-13
+"""Part of the largest of the terms that are summed below which their sum is rounding."""
 
 
 @dataclass(frozen=True)
@@ -23,18 +26,14 @@ class ElementPolynomial:
     terms: Mapping[Term, float] = field(default_factory=dict)
 
     def __add__(self, other: ElementPolynomial) -> ElementPolynomial:
-        found = dict(self.terms)
-        for term, number in other.terms.items():
-            found[term] = found.get(term, 0.0) + number
-        return ElementPolynomial({term: number for term, number in found.items() if number})
+        return _summed([*self.terms.items(), *other.terms.items()])
 
     def __mul__(self, other: ElementPolynomial) -> ElementPolynomial:
-        found: dict[Term, float] = {}
-        for (power, names), number in self.terms.items():
-            for (more, others), factor in other.terms.items():
-                term = power + more, tuple(sorted(names + others))
-                found[term] = found.get(term, 0.0) + number * factor
-        return ElementPolynomial({term: number for term, number in found.items() if number})
+        return _summed(
+            ((power + more, tuple(sorted(names + others))), number * factor)
+            for (power, names), number in self.terms.items()
+            for (more, others), factor in other.terms.items()
+        )
 
     @property
     def degree(self) -> int:
@@ -44,6 +43,16 @@ class ElementPolynomial:
     def coefficient(self, power: int) -> dict[tuple[str, ...], float]:
         """What stands before a power of s: products of elements with their numbers."""
         return {names: number for (own, names), number in self.terms.items() if own == power}
+
+
+def _summed(terms: Iterable[tuple[Term, float]]) -> ElementPolynomial:
+    """The polynomial of terms that may be equal; what is left of those that cancel is rounding."""
+    total: dict[Term, float] = {}
+    largest: dict[Term, float] = {}
+    for term, number in terms:
+        total[term] = total.get(term, 0.0) + number
+        largest[term] = max(largest.get(term, 0.0), abs(number))
+    return ElementPolynomial({term: number for term, number in total.items() if abs(number) > RANK * largest[term]})
 
 
 @dataclass(frozen=True)
@@ -65,21 +74,25 @@ class Fraction:
         return 0 <= self.denominator.degree >= self.numerator.degree
 
     def plus(self, other: Fraction) -> Fraction | None:
-        """Sum; over the same denominator where there is one."""
+        """Sum; over the same denominator where there is one. None where there are too many terms."""
         if self.denominator == other.denominator:
-            return _kept(self.numerator + other.numerator, self.denominator)
+            return Fraction(self.numerator + other.numerator, self.denominator)
+        if not self._short(other):
+            return None
         crossed = self.numerator * other.denominator + other.numerator * self.denominator
-        return _kept(crossed, self.denominator * other.denominator)
+        return Fraction(crossed, self.denominator * other.denominator)
 
     def times(self, other: Fraction) -> Fraction | None:
-        """Product."""
-        return _kept(self.numerator * other.numerator, self.denominator * other.denominator)
+        """Product; None where there are too many terms."""
+        if not self._short(other):
+            return None
+        return Fraction(self.numerator * other.numerator, self.denominator * other.denominator)
+
+    def _short(self, other: Fraction) -> bool:
+        """Whether products of their polynomials have few terms."""
+        longest = (max(len(f.numerator.terms), len(f.denominator.terms)) for f in (self, other))
+        return math.prod(longest) <= MOST_TERMS
 
     def inverse(self) -> Fraction | None:
         """Denominator over numerator; None of zero."""
         return Fraction(self.denominator, self.numerator) if self.numerator.terms else None
-
-
-def _kept(numerator: ElementPolynomial, denominator: ElementPolynomial) -> Fraction | None:
-    few = max(len(numerator.terms), len(denominator.terms)) <= MOST_TERMS
-    return Fraction(numerator, denominator) if few else None

@@ -157,6 +157,14 @@ def test_a_proper_fraction_has_a_system(number):
         assert made.at(values)(point) == pytest.approx(fraction(point, values), rel=1e-7)
 
 
+def test_what_is_left_of_terms_that_cancel_is_no_pole():
+    """0.1 + 0.2 - 0.3 is 5e-17."""
+    k = real("k", 2.0, 1.0, 3.0)
+    none = 0.1 * s + 0.2 * s - 0.3 * s
+    assert ((s + k) ** 2 / (none * s**2 + (s + 1) ** 2)).system().order == 2
+    assert ((none * s + s + 3) ** 2 / (s + 1) ** 2).system().order == 2
+
+
 def test_a_fraction_that_is_not_proper_is_refused():
     q, m = real("q", 2.0, 1.0, 3.0), real("m", 2.0, 1.0, 3.0)
     for fraction in (s**2 / (s + 1), (s + q) ** 3 / (s + m) ** 2):
