@@ -155,10 +155,8 @@ class Expression:
         except ValueError:
             if fraction is None:
                 raise
-            scalars = [e for e in self.elements if not isinstance(e, DynamicElement)]  # others have no fraction
-            named = {e.name: Expression(np.array([[e.nominal]]), {e.name: np.eye(1)}, (), (e,)) for e in scalars}
-            operator_ = Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=self.dt)
-            made: Expression = controllable_form(fraction, operator_, named, matrix)
+            named = {e.name: scalar(e) for e in self.elements}
+            made: Expression = controllable_form(fraction, variable(self.dt), named, matrix)
             return replace(made, fraction=None).system(inputs, outputs, name)
         return found.named(name)
 
@@ -314,6 +312,19 @@ def constant(gain: FloatArray, dt: float = 0.0) -> Expression:
     """A matrix of numbers."""
     given = np.asarray(gain, dtype=float)
     return Expression(given, dt=dt, fraction=Fraction.of(given.item()) if given.shape == (1, 1) else None)
+
+
+def variable(dt: float = 0.0) -> Expression:
+    """The variable s, or z of a sampling period [s]."""
+    return Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=dt, fraction=Fraction.of(1.0, 1))
+
+
+def scalar(element: Element) -> Expression:
+    """An element of one row and column; that of dynamics has no fraction, as its output has no derivative."""
+    fixed = not isinstance(element, DynamicElement)
+    nominal = float(element.nominal) if not isinstance(element, DynamicElement) else 0.0
+    fraction = Fraction.of(1.0, names=(element.name,)) if fixed else None
+    return Expression(np.array([[nominal]]), {element.name: np.eye(1)}, (), (element,), fraction=fraction)
 
 
 def _period(parts: Sequence[Expression]) -> float:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from lftkit.support.scalars import is_number
-from lftkit.systems.symbolic.expressions import OPERATOR, Expression
-from lftkit.systems.symbolic.fractions import Fraction
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
+from lftkit.systems.symbolic.expressions import Expression, scalar, variable
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
 
 
@@ -55,29 +52,24 @@ def real(
         scale = abs(nominal) / 100.0 if percent is not None else 1.0
         lower, upper = nominal + ends[0] * scale, nominal + ends[1] * scale
     element = RealParameter(name, float(nominal), float(lower), float(upper), unit, description)
-    return _scalar(element, element.nominal)
+    return scalar(element)
 
 
 def complex_gain(name: str, nominal: float, radius: float, *, unit: str = "1", description: str = "") -> Expression:
     """A constant complex number within `radius` of `nominal` (`ucomplex` in MATLAB): :class:`ComplexParameter`."""
     element = ComplexParameter(name, nominal, radius, unit, description)
-    return _scalar(element, element.nominal)
+    return scalar(element)
 
 
 def dynamic(name: str, outputs: int = 1, inputs: int = 1, *, bound: float = 1.0, description: str = "") -> Expression:
     """Any stable system of gain at most `bound` (`ultidyn` in MATLAB), nominal 0: :class:`DynamicElement`."""
     element = DynamicElement(name, outputs, inputs, bound, description)
     if outputs == inputs == 1:
-        return replace(_scalar(element, 0.0), fraction=None)  # its output has no derivative
+        return scalar(element)
     return Expression(np.zeros((outputs, inputs)), {}, ((name, np.eye(outputs), np.eye(inputs)),), (element,))
 
 
-def _scalar(element: Element, nominal: float) -> Expression:
-    fraction = Fraction.of(1.0, names=(element.name,))
-    return Expression(np.array([[float(nominal)]]), {element.name: np.eye(1)}, (), (element,), fraction=fraction)
-
-
-s = Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, fraction=Fraction.of(1.0, 1))
+s = variable()
 """The Laplace variable: differentiation."""
 
 
@@ -91,4 +83,4 @@ def z(dt: float) -> Expression:
     """
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt must be positive, got {dt}")
-    return Expression(np.zeros((1, 1)), {OPERATOR: np.eye(1)}, dt=float(dt), fraction=Fraction.of(1.0, 1))
+    return variable(float(dt))
