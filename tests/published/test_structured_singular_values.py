@@ -7,23 +7,6 @@ import pytest
 
 from lftkit.proofs import check_mu, complex_block, full_block, mu, real_block
 
-SLICOT_AB13MD = np.array(
-    [
-        [-1 + 6j, 2 - 3j, 3 + 8j, 3 + 8j, -5 - 9j, -6 + 2j],
-        [4 + 2j, -2 + 5j, -6 - 7j, -4 + 11j, 8 - 7j, 12 - 1j],
-        [5 - 4j, -4 - 8j, 1 - 3j, -6 + 14j, 2 - 5j, 4 + 16j],
-    ]
-    * 2
-)
-
-
-def test_the_example_of_slicot_ab13md() -> None:
-    """Upper bound 41.74753408; a perturbation reaches it."""
-    structure = [real_block(), real_block(), full_block(2), complex_block(), complex_block()]
-    bounds = mu(SLICOT_AB13MD, structure, rtol=1e-8)
-    assert bounds.upper == pytest.approx(41.74753408, rel=1e-8)
-    assert bounds.lower == pytest.approx(41.74753408, rel=1e-8)
-
 
 def test_four_scalars_whose_upper_bound_is_not_reached() -> None:
     """Packard and Doyle, Automatica 29 (1993), 71-109: the best scalings D give 1, mu itself is about 0.87."""

@@ -102,7 +102,8 @@ def hankel(number: int) -> float:
     return float(hankel_singular_values(given)[number])
 
 
-def slicot_reduction() -> Values:
+def slicot_reduction() -> System:
+    """Seven states of SLICOT's documentation of AB09AD."""
     A = np.array(
         [
             [-0.04165, 0.0, 4.92, -4.92, 0.0, 0.0, 0.0],
@@ -116,8 +117,7 @@ def slicot_reduction() -> Values:
     )
     B = np.zeros((7, 2))
     B[1, 0] = B[5, 1] = 12.5
-    given = System(A, B, np.eye(7)[[0, 3, 4]], np.zeros((3, 2)), [("u", 2)], [("y", 3)])
-    return tuple(hankel_singular_values(given))
+    return System(A, B, np.eye(7)[[0, 3, 4]], np.zeros((3, 2)), [("u", 2)], [("y", 3)])
 
 
 def entries(A: list[list[float]], B: list[list[float]], Q: np.ndarray, R: float) -> Values:
@@ -225,7 +225,7 @@ COMPUTED: dict[str, Callable[[], Values]] = {
         [[-3.0, 2.0], [1.0, 1.0]], [[0.0], [1.0]], np.array([[1.0, -1.0], [-1.0, 1.0]]), 3.0
     ),
     "H-infinity norm and peak, three modes": slicot_modes,
-    "Hankel singular values, seven states": slicot_reduction,
+    "Hankel singular values, seven states": lambda: tuple(hankel_singular_values(slicot_reduction())),
     "peak of 90 / (s^2 + 1.5 s + 90)": lambda: tight((90 / (s**2 + 1.5 * s + 90)).system().matrices).value,
     "peak in dB of (10 s + 21) / (s^2 + 1.4 s + 26)": lambda: (
         20.0 * float(np.log10(tight(((10 * s + 21) / (s**2 + 1.4 * s + 26)).system().matrices).value))
