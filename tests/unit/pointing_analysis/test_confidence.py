@@ -180,3 +180,16 @@ def test_bounds_cover_on_500_runs(pole: float, p: float) -> None:
     if pole < 0.9:  # they cover by being right, not by being infinite
         assert np.median([b.upper for b in bounds]) < 1.2 * true
         assert np.median([b.lower for b in bounds]) > 0.8 * true
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 10), (3, 50), (10, 1000), (0, 998)])
+def test_clopper_pearson_is_the_binomial_tail_turned_round(k: int, n: int) -> None:
+    upper, lower = confidence.exceedance_upper(k, n, 0.95), confidence.exceedance_lower(k, n, 0.95)
+    assert stats.binom.cdf(k, n, upper) == pytest.approx(0.05, rel=1e-9)
+    if k:
+        assert stats.binom.sf(k - 1, n, lower) == pytest.approx(0.05, rel=1e-9)
+    else:
+        assert lower == 0
+    test = stats.binomtest(k, n).proportion_ci(0.90, method="exact")  # two-sided 90 %: 5 % on either side
+    assert (lower, upper) == (pytest.approx(test.low), pytest.approx(test.high))
+    assert confidence.exceedance_upper(n, n, 0.95) == 1.0

@@ -159,3 +159,20 @@ def test_lines_that_cannot_be_told_apart_are_fitted_as_one() -> None:
     found = spectra.lines(e, DT, 2 * np.pi * np.array([20.0, 20.3]), WINDOW)
     assert [line.merged for line in found] == [2]
     assert len(spectra.lines(tone(20.0, n=10_000), DT, 2 * np.pi * np.array([20.0, 20.3]), WINDOW)) == 2
+
+
+def test_windows_with_missing_samples_are_skipped_and_counted() -> None:
+    e = np.random.default_rng(1).standard_normal((1000, 2))
+    holed = e.copy()
+    holed[[105, 106, 130]] = np.nan
+    w, full = metrics.windows(holed, DT, WINDOW), metrics.windows(e, DT, WINDOW)
+    assert (w.skipped, len(w.mean)) == (2, 48)
+    keep = [i for i in range(50) if i not in (5, 6)]
+    assert np.array_equal(w.mean, full.mean[keep])
+    assert np.array_equal(w.start, 20 * np.array(keep))
+    instant, complete = (metrics.rpe_instant(x, DT, WINDOW, "centred") for x in (holed, e))
+    touched = np.zeros(len(instant), bool)
+    for hole in (105, 106, 130):
+        touched[hole - 19 : hole + 1] = True
+    assert np.array_equal(np.isnan(instant[:, 0]), touched)
+    assert np.allclose(instant[~touched], complete[~touched], atol=1e-12)

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config.exit_codes import ExitCode
-from support.forged_bags import forge
+from support.forged_bags import forge, places
 
+from pointing_analysis.read.mcap.records import OP_MANIFEST
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
@@ -60,3 +62,13 @@ def test_the_repaired_bag_repeats_it(bag: Path) -> None:
     result = repair_bag(bag, bag.parent / "new")
     assert result.contradictions == Run.open(bag).contradictions == Run.open(bag.parent / "new").contradictions
     assert any("truth/los: 1000 of 3000 recorded messages are lost" in text for text in result.sentences())
+
+
+def test_exchanged_manifests_refute_nothing(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    found = taken_apart(file.read_bytes())
+    first, second, *_ = places(found, OP_MANIFEST)
+    found[first], found[second] = found[second], found[first]
+    file.write_bytes(put_together(found, True))
+    run = Run.open(bag)
+    assert not run.losses and len(run["truth/los"]) == 3000
