@@ -183,7 +183,8 @@ def _search(
     """Given starts, the best controller of one order less (found likewise), batches of random starts.
 
     Beside the one of lower order stand reduced full-order controllers. Before the lower orders there is a look at the
-    order that is asked for: at few states and soft gains from random starts, else from the reduced controllers.
+    order that is asked for, in half of the time left: at few states and soft gains from random starts, else from the
+    reduced controllers.
     """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
@@ -194,9 +195,10 @@ def _search(
     if direct:
         own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
     else:
-        own = run_starts(problem, given_starts(reduced, options.seed), lambda _: (), *common)
-    if own.ended or not own.complete:
-        return StartSearch(first.results + own.results, own.complete, own.ended)
+        half = limits_of(options, 0.5 * (time.monotonic() + deadline))
+        own = run_starts(problem, given_starts(reduced, options.seed), lambda _: (), half, *common[1:])
+    if own.ended:
+        return StartSearch(first.results + own.results, own.complete, True)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
     points = [*nested, *(reduced if direct else ())]
     if direct and own.results and own.best.rank[0] < 2:

@@ -292,3 +292,13 @@ def test_the_order_that_is_asked_for_is_looked_at_first() -> None:
     structure = state_space([plant.outputs[1]], [plant.inputs[1]], 1)
     result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(target=10.0))
     assert result.status == "target" and len(result.starts) == 1
+
+
+@pytest.mark.parametrize("kind", ["soft gains", "a hard limit"])
+def test_out_of_time_is_said_when_the_time_is_over(kind: str) -> None:
+    """Not when a part of it is that one order was given: the orders below it have the rest."""
+    plant, limit = PLANTS["HE1"](), 4.0
+    ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
+    needs = [HinfGain("w", "z")] + [ControllerPoles(min_decay=1e-3, hard=True)] * (kind != "soft gains")
+    result = tune([plant], needs, state_space([ports["y"]], [ports["u"]], 3), options=TuningOptions(wall_limit=limit))
+    assert result.status != "out_of_time" or result.seconds > 0.95 * limit
