@@ -9,6 +9,7 @@ import numpy as np
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from titop_plant.interface import (
     COMMANDS,
@@ -118,7 +119,7 @@ class FsmPmaController:
         fade_ticks: int = FADE_TICKS,
     ) -> None:
         if loop not in STAGES:
-            raise ValueError(f"loop must be one of {', '.join(STAGES)}, got {loop!r}")
+            raise InputError(f"loop must be one of {', '.join(STAGES)}, got {loop!r}")
         positive = {
             "los_sensitivity": los_sensitivity,
             "fsm_authority": fsm_authority,
@@ -127,7 +128,7 @@ class FsmPmaController:
         }
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive and finite, got {value}")
+                raise InputError(f"{name} must be positive and finite, got {value}")
         k_pma.require((*K_PMA_INPUTS, *sensors), (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT)
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
@@ -150,7 +151,7 @@ class FsmPmaController:
             Another shape.
         """
         if np.shape(state) != self._start.shape:
-            raise ValueError(f"state must have shape {self._start.shape}, got {np.shape(state)}")
+            raise InputError(f"state must have shape {self._start.shape}, got {np.shape(state)}")
         self._start = np.array(state, dtype=float)
 
     def switch(self, loop: str) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lftkit.analysis.nu_gap import NuGap, nu_gap
     from lftkit.analysis.passivity import PassivityIndex, passivity_index
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
+    from lftkit.errors import InputError
     from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values
     from lftkit.reduction.coprime import ncfmr
     from lftkit.systems.connection.feedback import cascade, close_loop
@@ -65,6 +66,7 @@ __all__ = [
     "DynamicElement",
     "Expression",
     "HInfNorm",
+    "InputError",
     "LoopMargins",
     "NuGap",
     "PassivityIndex",
@@ -137,6 +139,7 @@ _MODULES = {
     "analysis.nu_gap": ("NuGap", "nu_gap"),
     "analysis.passivity": ("PassivityIndex", "passivity_index"),
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "linf_norm", "spectral_abscissa"),
+    "errors": ("InputError",),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
     "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values"),
     "reduction.coprime": ("ncfmr",),

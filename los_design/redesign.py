@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from lftkit import SampledSystem
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
@@ -129,7 +130,7 @@ def design_all(
         Another loop delay than that of the testbed, or a folder that cannot be written to.
     """
     if options.loop_delay != LOOP_DELAY:
-        raise ValueError(f"loop_delay must be that of the testbed, {LOOP_DELAY:g} s, got {options.loop_delay:g}")
+        raise InputError(f"loop_delay must be that of the testbed, {LOOP_DELAY:g} s, got {options.loop_delay:g}")
     _check_writable(folder)
     effort = _effort(options)
     with one_thread(), Workers(options.workers) as own:
@@ -261,4 +262,4 @@ def _check_writable(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise ValueError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+        raise InputError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None

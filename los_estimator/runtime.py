@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS
@@ -100,7 +101,7 @@ class LosEstimator:
         """
         for name, given, kept in zip(("state", "camera"), (state, camera), self._start):
             if np.shape(given) != kept.shape:
-                raise ValueError(f"{name} must have shape {kept.shape}, got {np.shape(given)}")
+                raise InputError(f"{name} must have shape {kept.shape}, got {np.shape(given)}")
         self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
     @property

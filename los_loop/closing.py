@@ -24,6 +24,7 @@ import numpy as np
 from lftkit import System
 from lftkit.analysis.lft_response import LftResponse, feedback
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from los_loop.spec import state_parts
@@ -165,7 +166,7 @@ def sampled_loop(
     commands = control.ports.commands
     if delays.frames and (delays.frames >= frame_ticks or control.los_sensitivity is None):
         got = f"{delays.frames} of {frame_ticks} ticks and a sensitivity of {control.los_sensitivity}"
-        raise ValueError(f"late frames must come before the next one, with a sensitivity of the mirror, got {got}")
+        raise InputError(f"late frames must come before the next one, with a sensitivity of the mirror, got {got}")
     if step is None:
         if isinstance(plant, ModalPlant):
             step = held_step(plant)

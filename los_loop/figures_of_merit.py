@@ -28,6 +28,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from lftkit.errors import InputError
 from los_loop.spec import DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR_STAGES, STAGES
 from titop_plant.telescope.error_budget import (
@@ -101,13 +102,13 @@ class FigureOfMerit:
 
     def __post_init__(self) -> None:
         if self.output not in OUTPUTS:
-            raise ValueError(f"{self.name}: output must be one of {', '.join(OUTPUTS)}, got {self.output!r}")
+            raise InputError(f"{self.name}: output must be one of {', '.join(OUTPUTS)}, got {self.output!r}")
         if self.is_noise:
             if self.output != LINE_OF_SIGHT:
-                raise ValueError(f"{self.name}: output of noise must be {LINE_OF_SIGHT}, got {self.output!r}")
+                raise InputError(f"{self.name}: output of noise must be {LINE_OF_SIGHT}, got {self.output!r}")
         elif len(self.inputs) != 1 or self.inputs[0] not in INPUTS:
             known = f"one of {', '.join(INPUTS)}, or measured ports"
-            raise ValueError(f"{self.name}: inputs must be {known}, got {self.inputs}")
+            raise InputError(f"{self.name}: inputs must be {known}, got {self.inputs}")
 
     @property
     def is_noise(self) -> bool:
@@ -265,7 +266,7 @@ def figure(name: str) -> FigureOfMerit:
     for row in FIGURES:
         if row.name == name:
             return row
-    raise ValueError(f"figure must be one of {', '.join(row.name for row in FIGURES)}, got {name!r}")
+    raise InputError(f"figure must be one of {', '.join(row.name for row in FIGURES)}, got {name!r}")
 
 
 def figures(stage: str) -> tuple[FigureOfMerit, ...]:

@@ -25,6 +25,7 @@ from scipy import linalg
 from lftkit import SampledSystem, System
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import STAGES
@@ -219,7 +220,7 @@ def _reduced(loop: ImplementedLoop, U: FloatArray, V: FloatArray, values: Mappin
     right = V.T * delta  # V' Delta (I - D Delta)^-1 U
     W = linalg.solve(M.T, right.T, check_finite=False).T @ U
     if not np.isfinite(W).all():
-        raise ValueError(f"the LFT must be well posed at {dict(values)}")
+        raise InputError(f"the LFT must be well posed at {dict(values)}")
     return np.asarray(W)
 
 

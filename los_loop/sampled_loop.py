@@ -20,6 +20,7 @@ from scipy import linalg
 
 from lftkit.analysis.real_schur import RealSchur
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from titop_plant.interface import COMMANDS, DT, HELD
 
 Made = TypeVar("Made")
@@ -48,7 +49,7 @@ class Delays:
 
     def __post_init__(self) -> None:
         if min(self.commands, self.frames) < 0:
-            raise ValueError(f"delays must be zero or more ticks, got {self.commands} and {self.frames}")
+            raise InputError(f"delays must be zero or more ticks, got {self.commands} and {self.frames}")
 
 
 NONE = Delays()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
@@ -59,7 +60,7 @@ class LoopStart:
         try:
             return cls(**{entry.name: np.array(values[entry.name], float) for entry in fields(cls)})
         except (KeyError, TypeError) as error:
-            raise ValueError(f"a start must hold {', '.join(e.name for e in fields(cls))}, got {error}") from None
+            raise InputError(f"a start must hold {', '.join(e.name for e in fields(cls))}, got {error}") from None
 
 
 def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) -> LoopStart:
@@ -81,7 +82,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     """
     radius = radius_of(model.loop.schur.eigenvalues, model.loop.frame_ticks)
     if not radius < 1.0:
-        raise ValueError(
+        raise InputError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
         )
     n, commands = model.plant.order, model.loop.commands

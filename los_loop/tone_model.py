@@ -27,6 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_loop.closing import sampled_loop
@@ -290,7 +291,7 @@ def compare_tones(
     with one_thread(), np.errstate(all="ignore"):
         record = model.record(first + len(measured))[first:]
         if not np.isfinite(record).all():
-            raise ValueError("the model of the loop diverges")
+            raise InputError("the model of the loop diverges")
         window = exposure_of_run(run)
         pairs = [lines(values, series.dt, model.omega, window, taper=True) for values in (measured, record)]
         noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])

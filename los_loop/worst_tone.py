@@ -25,6 +25,7 @@ from scipy import linalg
 
 from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
@@ -133,9 +134,9 @@ class WorstTone:
                 los,
             )
         except (KeyError, TypeError) as error:
-            raise ValueError(f"a tone must have index, omega, gain, limit, amplitude and los, got {error}") from None
+            raise InputError(f"a tone must have index, omega, gain, limit, amplitude and los, got {error}") from None
         if tone.amplitude.ndim != 1 or not tone.amplitude.size or tone.los.shape != (2,):
-            raise ValueError(f"a tone must have one amplitude for each disturbance, got {tone.amplitude.shape}")
+            raise InputError(f"a tone must have one amplitude for each disturbance, got {tone.amplitude.shape}")
         return tone
 
 
@@ -170,10 +171,10 @@ def worst_tone(
         Another index, or a loop that is not stable.
     """
     if index not in INDICES:
-        raise ValueError(f"index must be one of {', '.join(INDICES)}, got {index!r}")
+        raise InputError(f"index must be one of {', '.join(INDICES)}, got {index!r}")
     radius = radius_of(loop.schur.eigenvalues, loop.frame_ticks)  # the Schur form serves the steady start as well
     if closed and not radius < 1.0:
-        raise ValueError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
+        raise InputError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
     row = figure(index)
     modes = ToneModes.of(loop, plant)
 

@@ -25,6 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lftkit.arrays import IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, port_slices, total_size
 from titop_plant.sensors import (
     ACCELEROMETER_GROUP,
@@ -225,11 +226,11 @@ class DesignBasis:
         for name, value in self.to_mapping().items():
             if name == "parameters_hash":
                 if not isinstance(value, str):
-                    raise ValueError(f"parameters_hash must be a text, got {value!r}")
+                    raise InputError(f"parameters_hash must be a text, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ValueError(f"{name} must be a number, got {value!r}")
+                raise InputError(f"{name} must be a number, got {value!r}")
             elif not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive and finite, got {value}")
+                raise InputError(f"{name} must be positive and finite, got {value}")
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], name: str) -> DesignBasis:
@@ -243,11 +244,11 @@ class DesignBasis:
         known = [entry.name for entry in fields(cls)]
         for key in values:
             if key not in known:
-                raise ValueError(f"{name}: keys of design_basis must be among {', '.join(known)}, got {key!r}")
+                raise InputError(f"{name}: keys of design_basis must be among {', '.join(known)}, got {key!r}")
         try:
             return cls(**values)
         except ValueError as error:
-            raise ValueError(f"{name}: design_basis: {error}") from None
+            raise InputError(f"{name}: design_basis: {error}") from None
 
     def to_mapping(self) -> dict[str, Any]:
         """Stated values, as :meth:`from_mapping` takes them."""
@@ -264,7 +265,7 @@ class DesignBasis:
             One of them is not stated.
         """
         if self.fsm_authority is None or self.pma_authority is None:
-            raise ValueError(f"fsm_authority and pma_authority must be given, got {self.to_mapping()}")
+            raise InputError(f"fsm_authority and pma_authority must be given, got {self.to_mapping()}")
         return self.fsm_authority, self.pma_authority
 
     def mirror_sensitivity(self, telescope: DesignBasis) -> float:
@@ -277,7 +278,7 @@ class DesignBasis:
         """
         found = telescope.los_sensitivity if self.los_sensitivity is None else self.los_sensitivity
         if found is None:
-            raise ValueError("los_sensitivity must be given by the observer's file or by the telescope, got neither")
+            raise InputError("los_sensitivity must be given by the observer's file or by the telescope, got neither")
         return found
 
     def differences(self, other: DesignBasis) -> dict[str, tuple[Any, Any]]:
@@ -325,7 +326,7 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
         found = DesignBasis.from_mapping(controller.design_basis, controller.name).differences(telescope)
         if closed and "los_sensitivity" in found:
             own, given = found["los_sensitivity"]
-            raise ValueError(f"{controller.name}: fsm.los_sensitivity of its design must be {given:g}, got {own:g}")
+            raise InputError(f"{controller.name}: fsm.los_sensitivity of its design must be {given:g}, got {own:g}")
         if found:
             made, present = (
                 ", ".join(f"{name} {_text(pair[side])}" for name, pair in found.items()) for side in (0, 1)

@@ -6,6 +6,7 @@ import math
 
 from pydantic.dataclasses import dataclass
 
+from lftkit.errors import InputError
 from titop_plant.interface import CAMERA_RATE, NO_SCENARIO, RATE, SCENARIOS, frame_ticks
 from titop_plant.settings import ANY, STRICT, Settings, grouped, setting, settings_class
 
@@ -31,7 +32,7 @@ class PhysicalSettings(Settings):
     >>> PhysicalSettings(omega_1=-1.0)
     Traceback (most recent call last):
         ...
-    ValueError: omega_1 must be between 0 and 1000 rad/s, got -1
+    lftkit.errors.InputError: omega_1 must be between 0 and 1000 rad/s, got -1
     """
 
     scenario: str | None = setting(
@@ -109,9 +110,9 @@ class PhysicalSettings(Settings):
         frame_ticks(self.camera_rate)
         if self.theta is not None and self.tau is not None:
             both = f"{self.theta:g} rad and {self.tau:g}"
-            raise ValueError(f"one of theta or tau = tan(theta/4) must be absent, got both: {both}")
+            raise InputError(f"one of theta or tau = tan(theta/4) must be absent, got both: {both}")
         if self.frequencies is not None and (self.omega_1 is not None or self.omega_2 is not None):
-            raise ValueError("omega_1 and omega_2 must be absent where frequencies are given, got both")
+            raise InputError("omega_1 and omega_2 must be absent where frequencies are given, got both")
 
     @property
     def array_angle(self) -> float:

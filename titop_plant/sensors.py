@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from titop_plant.ports import TWIST_UNIT, accel
 
@@ -84,7 +85,7 @@ class SensorEntry:
     def __post_init__(self) -> None:
         divided_ticks(self.rate, f"rate of {self.port.name}")
         if self.port.size > 3 and self.port.unit != TWIST_UNIT:
-            raise ValueError(f"size of {self.port.name} must be 1 to 3, or 6 of a twist, got {self.port.size}")
+            raise InputError(f"size of {self.port.name} must be 1 to 3, or 6 of a twist, got {self.port.size}")
 
     @property
     def ticks(self) -> int:
@@ -124,7 +125,7 @@ def divided_ticks(rate: float, name: str) -> int:
     """
     ticks = TICKS_PER_SECOND / rate if rate > 0.0 else 0.0
     if not (math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks):
-        raise ValueError(f"{name} must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate:g} Hz")
+        raise InputError(f"{name} must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate:g} Hz")
     return round(ticks)
 
 
@@ -263,7 +264,7 @@ def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
 
     def value(entry: SensorEntry, key: str) -> Any:
         if key and key not in table:
-            raise ValueError(
+            raise InputError(
                 f"sensors.{key} of {entry.port.name} must be in the parameter file, got {', '.join(table)}"
             )
         return table[key] if key else 0.0

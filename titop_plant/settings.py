@@ -20,6 +20,8 @@ from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_v
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
 
+from lftkit.errors import InputError
+
 if TYPE_CHECKING:
     from typing_extensions import Self
 
@@ -182,14 +184,14 @@ def settings_class(kind: type[T]) -> type[T]:
     def __init__(self: Any, **values: Any) -> None:  # noqa: N807 (it replaces the one of the class)
         for name in values:
             if name not in known:
-                raise ValueError(unknown(name, known))
+                raise InputError(unknown(name, known))
         try:
             check(self, **values)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             if first["type"] == "value_error":  # of a check of the class
                 raise first["ctx"]["error"] from None
-            raise ValueError(known[str(first["loc"][0])].mistake(first["type"], first["input"])) from None
+            raise InputError(known[str(first["loc"][0])].mistake(first["type"], first["input"])) from None
 
     made.__init__ = __init__
     return kind
@@ -213,10 +215,10 @@ class Settings:
     def _check(cls, value: Any, info: ValidationInfo) -> Any:
         own = cls.SETTINGS[str(info.field_name)]
         if own.choices and value is not None and value not in own.choices:
-            raise ValueError(own.mistake("", value))
+            raise InputError(own.mistake("", value))
         if own.length and value is not None and own.low is not None and own.high is not None:
             for outside in (number for number in value if not own.low <= number <= own.high):
-                raise ValueError(own.mistake("finite_number", outside))
+                raise InputError(own.mistake("finite_number", outside))
         return value
 
     @classmethod
@@ -229,7 +231,7 @@ class Settings:
             No mapping, an unknown name (the nearest known one is proposed) or a value that does not fit.
         """
         if not isinstance(values, Mapping):
-            raise ValueError(f"settings must be names with values, got {type(values).__name__}")
+            raise InputError(f"settings must be names with values, got {type(values).__name__}")
         return cls(**{str(name): value for name, value in values.items()})
 
     def to_mapping(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from scipy import linalg
 
 from lftkit.analysis.magnitude_fit import fit_magnitude
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement
@@ -83,10 +84,10 @@ def ucover(
     responses = _responses(members, w)
     centre = G0.response(w)[:, 0, 0]
     if np.any(centre == 0.0):
-        raise ValueError(f"{G0.name}: the response must not be zero, got zero at {w[centre == 0.0][0]:g} rad/s")
+        raise InputError(f"{G0.name}: the response must not be zero, got zero at {w[centre == 0.0][0]:g} rad/s")
     envelope = (np.abs(responses - centre) / np.abs(centre)).max(axis=0)
     if not envelope.max() > 0.0:
-        raise ValueError("members must differ from the nominal system, got equal responses")
+        raise InputError("members must differ from the nominal system, got equal responses")
     weight = fit_magnitude(w, np.maximum(envelope, LEAST * envelope.max()), order, above=True, dt=G0.dt)
     return Cover(_multiplied(G0, weight, name), weight, w, envelope)
 
@@ -105,9 +106,9 @@ def _responses(members: Sequence[Any] | ArrayLike, omega: FloatArray) -> Complex
     else:
         found = np.atleast_2d(np.asarray(members, dtype=complex))
     if found.ndim != 2 or found.shape[1] != len(omega) or not len(found):
-        raise ValueError(f"members must be responses of shape (K, {len(omega)}), got {found.shape}")
+        raise InputError(f"members must be responses of shape (K, {len(omega)}), got {found.shape}")
     if not np.all(np.isfinite(found)):
-        raise ValueError("members must have finite responses, got one that is not")
+        raise InputError("members must have finite responses, got one that is not")
     return found
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 
 LIGHT_DAMPING = 0.3  # poles of a smaller damping ratio get points of their own
 UNDAMPED = 1e-10  # damping ratio below which a pole counts as undamped
@@ -88,7 +89,7 @@ def frequency_grid(
     [0.5, 0.99, 1.0, 1.01, 2.0]
     """
     if not 0.0 < low < high:
-        raise ValueError(f"low and high must be 0 < low < high, got {low} and {high}")
+        raise InputError(f"low and high must be 0 < low < high, got {low} and {high}")
     if per_decade is not None:
         points = max(2, int(np.ceil(np.log10(high / low) * per_decade)))
     p = np.ravel(np.asarray(poles, dtype=complex))

@@ -29,6 +29,7 @@ from lftkit.analysis.eigenvectors import (
 )
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
 
@@ -40,7 +41,7 @@ BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the
 FEW, LARGE = 3, 600_000  # frequencies, entries of the numerators: for fewer, or more, the factors are multiplied anew
 
 
-class PoleError(ValueError):
+class PoleError(InputError):
     """A response was asked for at a pole."""
 
 
@@ -341,7 +342,7 @@ def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = A
     """
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     if w.ndim != 1 or not np.all(np.isfinite(w)):
-        raise ValueError(f"omega must be a vector of finite numbers, got shape {w.shape}")
+        raise InputError(f"omega must be a vector of finite numbers, got shape {w.shape}")
     system.require_certain()
     system.require_continuous()
     if system.A.shape[0] == 0 or w.size == 0:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete, warped_frequency
 from lftkit.systems.system import System
@@ -69,15 +70,15 @@ def fit_magnitude(
     """
     w, gains = np.asarray(omega, dtype=float), np.asarray(magnitude, dtype=float)
     if w.ndim != 1 or w.shape != gains.shape or not len(w):
-        raise ValueError(f"omega and magnitude must be as many numbers, got shapes {w.shape} and {gains.shape}")
+        raise InputError(f"omega and magnitude must be as many numbers, got shapes {w.shape} and {gains.shape}")
     if not (np.all(np.isfinite(w)) and np.all(w > 0.0) and np.all(np.diff(w) > 0.0)):
-        raise ValueError("omega must be positive, finite and rising, got other frequencies")
+        raise InputError("omega must be positive, finite and rising, got other frequencies")
     if not (np.all(np.isfinite(gains)) and np.all(gains > 0.0)):
-        raise ValueError(f"magnitude must be positive and finite, got {gains.min()} to {gains.max()}")
+        raise InputError(f"magnitude must be positive and finite, got {gains.min()} to {gains.max()}")
     if order < 0:
-        raise ValueError(f"order must be at least 0, got {order}")
+        raise InputError(f"order must be at least 0, got {order}")
     if dt and not w[-1] < math.pi / dt:
-        raise ValueError(f"omega must be below pi / dt = {math.pi / dt:g} rad/s, got {w[-1]:g}")
+        raise InputError(f"omega must be below pi / dt = {math.pi / dt:g} rad/s, got {w[-1]:g}")
     warped = np.array([warped_frequency(x, dt) for x in w]) if dt else w
     counts = np.ones(len(w)) if weight is None else np.asarray(weight, dtype=float)
     sections = _Sections(np.log(warped), np.log(gains), counts, order)

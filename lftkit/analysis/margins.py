@@ -20,6 +20,7 @@ from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import HInfNorm, hinf_norm, is_stable
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
 from lftkit.systems.system import System
@@ -161,11 +162,11 @@ def sensitivity(loop: System) -> Matrices:
     """
     A, B, C, D = loop.matrices
     if D.shape[0] != D.shape[1]:
-        raise ValueError(f"{loop.name}: must have as many inputs as outputs, got {D.shape[1]} and {D.shape[0]}")
+        raise InputError(f"{loop.name}: must have as many inputs as outputs, got {D.shape[1]} and {D.shape[0]}")
     through = np.eye(len(D)) + D
     sizes = linalg.svdvals(through)
     if not sizes[-1] > np.finfo(float).eps * sizes[0]:
-        raise ValueError(f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency")
+        raise InputError(f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency")
     inner = linalg.inv(through)
     return A - B @ inner @ C, B @ inner, -inner @ C, inner
 

@@ -30,6 +30,7 @@ from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
 from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
 from lftkit.analysis.hinf.small_norm import COMPILED_STATES, MAX_STATES, Origin, SmallModel
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.support.scalars import is_number
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
@@ -121,9 +122,9 @@ def hinf_norm(
     (50.0025, 0.9999, True)
     """
     if certificate not in ("auto", "interval", "hamiltonian"):
-        raise ValueError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
+        raise InputError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
     if not rtol > 0:
-        raise ValueError(f"rtol must be positive, got {rtol}")
+        raise InputError(f"rtol must be positive, got {rtol}")
     dt = dt if _is_discrete(dt) else None
     if certificate == "auto" and (found := _by_compiled_code((A, B, C, D), dt, rtol)):
         return found
@@ -131,7 +132,7 @@ def hinf_norm(
     if dt is None:
         return _continuous(system, rtol, certificate)
     if certificate == "hamiltonian":
-        raise ValueError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
+        raise InputError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
     return _discrete(system, dt, rtol, certificate)
 
 
@@ -227,7 +228,7 @@ def band_gain(
     a, b, c, d = checked_matrices(A, B, C, D)
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     if not (0.0 <= band[0] < band[1] and band[0] < last):
-        raise ValueError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
+        raise InputError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
     if not len(a):
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
     if dt is not None and last < np.inf:
@@ -307,7 +308,7 @@ def _is_discrete(dt: float | None) -> bool:
     if dt is None:
         return False
     if not (is_number(dt) and 0 <= dt < np.inf):
-        raise ValueError(f"dt must be a sampling period, or None or 0 for continuous time, got {dt!r}")
+        raise InputError(f"dt must be a sampling period, or None or 0 for continuous time, got {dt!r}")
     return dt > 0
 
 

@@ -14,6 +14,7 @@ from scipy import linalg
 from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import Matrices
+from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
@@ -72,7 +73,7 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     """
     one, two = as_system(first), as_system(second)
     if one.D.shape != two.D.shape:
-        raise ValueError(f"systems must have the same size, got {one.D.shape} and {two.D.shape}")
+        raise InputError(f"systems must have the same size, got {one.D.shape} and {two.D.shape}")
     dt = common_period([one, two])
     right, other = (right_coprime_factors(_continuous(system, dt), system.name) for system in (one, two))
     flipped = right_coprime_factors(_transposed(_continuous(two, dt)), two.name)

@@ -16,6 +16,7 @@ from scipy import linalg
 from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import band_gain, hinf_norm
 from lftkit.arrays import Matrices
+from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -73,14 +74,14 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
     [1.0, 0.5]
     """
     if side not in ("input", "output"):
-        raise ValueError(f"side must be input or output, got {side!r}")
+        raise InputError(f"side must be input or output, got {side!r}")
     G = as_system(system)
     G.require_certain()
     if G.D.shape[0] != G.D.shape[1]:
-        raise ValueError(f"{G.name}: must have as many inputs as outputs, got {G.D.shape[1]} and {G.D.shape[0]}")
+        raise InputError(f"{G.name}: must have as many inputs as outputs, got {G.D.shape[1]} and {G.D.shape[0]}")
     gain = hinf_norm(*G.matrices, dt=G.dt or None)
     if not gain.value < math.inf:
-        raise ValueError(f"{G.name}: must be stable for a passivity index, got a pole that is not")
+        raise InputError(f"{G.name}: must be stable for a passivity index, got a pole that is not")
     if gain.value == 0.0:
         end = 0.0 if side == "input" else math.inf
         return PassivityIndex(end, end, 0.0)

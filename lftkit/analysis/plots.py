@@ -18,6 +18,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.system import System
 
@@ -170,10 +171,10 @@ def _members(system: System, samples: Samples, seed: int) -> list[System]:
     system.require_continuous()
     if system.certain:
         if samples != 0:
-            raise ValueError(f"samples must be 0 for a system without uncertain elements, got {samples!r}")
+            raise InputError(f"samples must be 0 for a system without uncertain elements, got {samples!r}")
         return [system]
     if isinstance(samples, int) and samples < 0:
-        raise ValueError(f"samples must be 0 or more, got {samples}")
+        raise InputError(f"samples must be 0 or more, got {samples}")
     values = system.sample_values(np.random.default_rng(seed), samples) if isinstance(samples, int) else samples
     return [system.at({}), *(system.at(v) for v in values)]
 
@@ -208,8 +209,8 @@ def _index(ports: Sequence[Port], channel: Channel, kind: str) -> int:
     name, index = (channel, 0) if isinstance(channel, str) else channel
     slices = port_slices(ports)
     if name not in slices:
-        raise ValueError(f"{kind} port must be one of {', '.join(slices)}, got {name!r}")
+        raise InputError(f"{kind} port must be one of {', '.join(slices)}, got {name!r}")
     size = slices[name].stop - slices[name].start
     if not 0 <= index < size:
-        raise ValueError(f"index of {kind} port {name} must be from 0 to {size - 1}, got {index}")
+        raise InputError(f"index of {kind} port {name} must be from 0 to {size - 1}, got {index}")
     return int(slices[name].start + index)

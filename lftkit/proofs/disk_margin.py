@@ -12,6 +12,7 @@ import numpy as np
 from lftkit.analysis.disk_margin import DiskMargin, disk_gains, disk_phase, margin_of_shifted
 from lftkit.analysis.margins import sensitivity as closed_sensitivity
 from lftkit.arrays import Matrices
+from lftkit.errors import InputError
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.robustness import robust_stability, worst_case_gain
 from lftkit.proofs.state_space.bounds import ProvenBounds
@@ -178,10 +179,10 @@ def sensitivity(loop: System, offset: float) -> System:
     q = len(loop.channels)
     if loop.D.shape != (q + 1, q + 1):
         sizes = loop.D.shape[1] - q, loop.D.shape[0] - q
-        raise ValueError(f"loop must have one input and one output, got {sizes[0]} and {sizes[1]}")
+        raise InputError(f"loop must have one input and one output, got {sizes[0]} and {sizes[1]}")
     back = 1.0 + float(loop.D[q, q])
     if back == 0.0:
-        raise ValueError("loop must be well posed under negative feedback, got a gain of -1 at infinite frequency")
+        raise InputError("loop must be well posed under negative feedback, got a gain of -1 at infinite frequency")
     # the input of the loop is u = (r - C2 x - D21 w) / (1 + D22), which is the output of S
     by_x, by_w, by_r = -loop.C[q] / back, -loop.D[q, :q] / back, 1.0 / back
     A = loop.A + np.outer(loop.B[:, q], by_x)

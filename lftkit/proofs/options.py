@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lftkit.errors import InputError
+
 METHODS = ("cells", "axis")
 
 
@@ -44,10 +46,10 @@ class BoundOptions:
 
     def __post_init__(self) -> None:
         if not self.gap > 0.0:
-            raise ValueError(f"gap must be positive, got {self.gap}")
+            raise InputError(f"gap must be positive, got {self.gap}")
         if not self.wall_limit > 0.0:
-            raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
+            raise InputError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if self.max_tests < 0:
-            raise ValueError(f"max_tests must be at least 0, got {self.max_tests}")
+            raise InputError(f"max_tests must be at least 0, got {self.max_tests}")
         if self.method is not None and self.method not in METHODS:
-            raise ValueError(f"method must be cells or axis, got {self.method!r}")
+            raise InputError(f"method must be cells or axis, got {self.method!r}")

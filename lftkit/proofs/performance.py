@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.proofs.axis.bounds import gain_over_axis
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.bounds import SHARE, DiskGainByCells, GainByCells, ProvenBounds, named_member
@@ -81,10 +82,10 @@ class PerformanceProblem:
         """
         until, gap = time.monotonic() + self.options.wall_limit, self.options.gap
         if not all(low <= at <= high for at, (low, high) in zip(self.nominal, self.box)):
-            raise ValueError("box must contain the nominal values, got another")
+            raise InputError("box must contain the nominal values, got another")
         first = member_gain(self.system, self.nominal, WHOLE)
         if np.isinf(first.gain):
-            raise ValueError(f"{self.system.name}: the nominal member must be stable, got an unstable one")
+            raise InputError(f"{self.system.name}: the nominal member must be stable, got an unstable one")
         if first.gain >= self.level:
             return self._named(0.0, 0.0, first, None, "violated")
         worst = self._least_found(largest)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.proofs.blocks.structure import real_block
 from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock
 from lftkit.proofs.state_space.bounds import intervals_of
@@ -191,7 +192,7 @@ def _response(system: System, omega: float) -> ComplexArray:
     matrix = at * np.eye(n) - system.A
     factors, pivots, _ = linalg.lapack.zgetrf(matrix)
     if not np.abs(np.diag(factors)).min() > 1e-14 * np.abs(matrix).max():
-        raise ValueError(f"the nominal member must have no pole at the frequencies, got one at {omega} rad/s")
+        raise InputError(f"the nominal member must have no pole at the frequencies, got one at {omega} rad/s")
     return np.asarray(system.C @ linalg.lapack.zgetrs(factors, pivots, system.B.astype(complex))[0] + system.D)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.performance import PerformanceProblem
@@ -166,7 +167,7 @@ def robust_stability(
 
 def _check_largest(largest: float) -> None:
     if not largest > 0.0:
-        raise ValueError(f"largest must be positive, got {largest}")
+        raise InputError(f"largest must be positive, got {largest}")
 
 
 def robust_performance(

@@ -15,6 +15,7 @@ from scipy import linalg
 
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.reduction.balancing import Balancing, balancing
 from lftkit.reduction.gramians import gramian_factor, state_parts
 from lftkit.support.scalars import as_integer
@@ -118,18 +119,18 @@ def balred(
     (2, True)
     """
     if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if (order is None) == (error is None):
-        raise ValueError(f"one of order and error must be given, got {order} and {error}")
+        raise InputError(f"one of order and error must be given, got {order} and {error}")
     if error is not None and not error >= 0.0:
-        raise ValueError(f"error must be at least 0, got {error}")
+        raise InputError(f"error must be at least 0, got {error}")
     given = as_system(system)
     A, B, C, D = given.matrices
     parts = state_parts(A, B, C, given.dt)
     weights = _weight(weight_in, "weight_in", given), _weight(weight_out, "weight_out", given)
     part = _StablePart(System(*parts.stable, D, given.inputs, given.outputs, given.name, given.dt), *weights)
     if error is not None and part.weighted:
-        raise ValueError(f"order must be given where there are weights, got error {error}")
+        raise InputError(f"order must be given where there are weights, got error {error}")
     first = part.balancings[0]
     tails = 2.0 * np.append(np.cumsum(first.hankel[::-1])[::-1], 0.0)  # by the number of states that are kept
     fixed = len(parts.other[0])
@@ -211,16 +212,16 @@ def _weight(weight: System | None, name: str, of: System) -> System | None:
     there, needed = (given.D.shape[0], of.D.shape[1]) if name == "weight_in" else (given.D.shape[1], of.D.shape[0])
     if there != needed:
         side = "outputs" if name == "weight_in" else "inputs"
-        raise ValueError(f"{name} must have {needed} {side}, got {there}")
+        raise InputError(f"{name} must have {needed} {side}, got {there}")
     if len(state_parts(*given.matrices[:3], given.dt).other[0]):
-        raise ValueError(f"{name} must be stable, got poles {given.poles()}")
+        raise InputError(f"{name} must be stable, got poles {given.poles()}")
     return given
 
 
 def _checked_order(order: int | None, least: int, given: System) -> int:
     number = as_integer(order, "order")
     if number < least:
-        raise ValueError(f"order must be at least {least}, the number of poles that are not stable, got {number}")
+        raise InputError(f"order must be at least {least}, the number of poles that are not stable, got {number}")
     return number
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.reduction.gramians import gramian_factor, state_parts
 from lftkit.systems.system import System
 
@@ -91,11 +92,11 @@ def balanced_truncation(system: System, order: int) -> System:
     system.require_certain()
     system.require_continuous()
     if not 0 <= order <= system.order:
-        raise ValueError(f"{system.name}: order must be between 0 and {system.order}, got {order}")
+        raise InputError(f"{system.name}: order must be between 0 and {system.order}, got {order}")
     A, B, C, D = system.matrices
     kept = truncated(A, B, C, order)
     if kept is None:
-        raise ValueError(f"{system.name}: must be stable with {order} states that are reached and seen, got others")
+        raise InputError(f"{system.name}: must be stable with {order} states that are reached and seen, got others")
     return System(*kept, D, system.inputs, system.outputs, system.name)
 
 

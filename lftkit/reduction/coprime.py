@@ -11,6 +11,7 @@ from typing import Any
 from scipy import linalg
 
 from lftkit.analysis.coprime_factors import right_coprime_factors
+from lftkit.errors import InputError
 from lftkit.reduction.balanced import ReducedSystem, error_bound
 from lftkit.reduction.balancing import balancing
 from lftkit.support.scalars import as_integer
@@ -58,7 +59,7 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     given = as_system(system)
     number = as_integer(order, "order")
     if number < 0:
-        raise ValueError(f"order must be at least 0, got {number}")
+        raise InputError(f"order must be at least 0, got {number}")
     A, B, C, D = continuous(given).matrices
     factors = right_coprime_factors((A, B, C, D), given.name)
     found = balancing(*factors[:3])

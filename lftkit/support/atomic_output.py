@@ -14,6 +14,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from lftkit.errors import InputError
+
 MAX_NAME = 255
 """Longest name of a file [byte]."""
 RESERVED = 32
@@ -39,33 +41,33 @@ def check_output(path: Path, what: str, *, new: bool = False, folder: bool = Fal
     try:
         _check(Path(path), what, new, folder)
     except OSError as error:
-        raise ValueError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
+        raise InputError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
 
 
 def _check(path: Path, what: str, new: bool, folder: bool) -> None:
     if "\0" in str(path) or not path.name or len(os.fsencode(path.name)) > MAX_NAME - RESERVED:
-        raise ValueError(f"{what} must have a name of at most {MAX_NAME - RESERVED} bytes, got {str(path)[:80]!r}")
+        raise InputError(f"{what} must have a name of at most {MAX_NAME - RESERVED} bytes, got {str(path)[:80]!r}")
     if path.exists() or path.is_symlink():
         if new:
-            raise ValueError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
+            raise InputError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
         if path.is_dir() != folder:
-            raise ValueError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
+            raise InputError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
         _check_kind(path, what)
     parent = path.absolute().parent
     while folder and not parent.exists():
         parent = parent.parent
     if not parent.is_dir():
-        raise ValueError(
+        raise InputError(
             f"the folder of {what} must exist, got {parent}{' is not a folder' if parent.exists() else ''}"
         )
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise ValueError(f"{what} must be in a folder that may be written to, got {parent}")
+        raise InputError(f"{what} must be in a folder that may be written to, got {parent}")
 
 
 def _check_kind(path: Path, what: str) -> None:
     """Refuse a device, a pipe, a socket: the renaming at the end would put a file in its place."""
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ValueError(f"{what} must be an ordinary file, got {path}: a device, a pipe or a socket")
+        raise InputError(f"{what} must be an ordinary file, got {path}: a device, a pipe or a socket")
 
 
 def check_space(path: Path, size: float, what: str) -> None:
@@ -81,7 +83,7 @@ def check_space(path: Path, size: float, what: str) -> None:
         parent = parent.parent
     free = shutil.disk_usage(parent).free
     if free < size:
-        raise ValueError(
+        raise InputError(
             f"{what} must fit on the disk of {parent}: needs about {size / 1e6:.0f} MB, got {free / 1e6:.0f}"
         )
 
@@ -156,7 +158,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         with named_errors(path, temporary):
             yield temporary
             if path.exists():
-                raise ValueError(f"{path} must be a new name, got one that came into being meanwhile")
+                raise InputError(f"{path} must be a new name, got one that came into being meanwhile")
             os.rename(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

@@ -11,13 +11,14 @@ import errno
 import os
 import stat
 
+from lftkit.errors import InputError
 from lftkit.support.input_limits import TEXT
 
 _PIECE = 1 << 20
 
 
-class InputFileError(OSError, ValueError):
-    """A file that is not read: no ordinary one, or too large. It is a mistake of who named it, as a ValueError is."""
+class InputFileError(OSError, InputError):
+    """A file that is not read: no ordinary one, or too large. It is a mistake of who named it."""
 
     def __str__(self) -> str:
         """The path, and why."""

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import leftovers, write_text
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
@@ -92,7 +93,7 @@ class Job:
         folder = self.record.parent
         if folder.exists() and any(folder.iterdir()):
             if not self.record.exists():
-                raise ValueError(f"{self.what} must be a new folder or one of the same {self.kind}, got {folder}")
+                raise InputError(f"{self.what} must be a new folder or one of the same {self.kind}, got {folder}")
             self.require_same(load_json(read_text(self.record), self.record))
             return True
         folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +109,7 @@ class Job:
         """
         difference = self.difference(there) if isinstance(there, dict) else f"{self.record.name} must be an object"
         if difference:
-            raise ValueError(
+            raise InputError(
                 f"{self.what} must be a new folder or one of the same {self.kind}, got {self.record.parent}, "
                 f"which holds another: {difference}"
             )
@@ -165,7 +166,7 @@ def lock(file: IO[bytes], path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ValueError(f"{path} must not be in use by another process, got one that is") from None
+        raise InputError(f"{path} must not be in use by another process, got one that is") from None
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
             raise

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, BinaryIO, TypeVar
 
+from lftkit.errors import InputError
 from lftkit.support.job import Job, lock
 from lftkit.support.workers import Workers
 
@@ -59,7 +60,7 @@ class KeptWorkers(Workers):
         try:
             self._file: BinaryIO = path.open("a+b")
         except OSError as error:
-            raise ValueError(f"{path} must be a file that can be written, got {error.strerror}") from None
+            raise InputError(f"{path} must be a file that can be written, got {error.strerror}") from None
         try:
             lock(self._file, path)
             self._begin(job.digest.encode())
@@ -101,7 +102,7 @@ class KeptWorkers(Workers):
         self._file.seek(0)
         content = self._file.read()
         if content and not content.startswith(MAGIC):
-            raise ValueError(f"{self._path} must be a file of kept results, got {content[: len(MAGIC)]!r}")
+            raise InputError(f"{self._path} must be a file of kept results, got {content[: len(MAGIC)]!r}")
         whole = list(_records(content))
         if whole and whole[0][1] == job:
             for _, record in whole[1:]:
@@ -140,5 +141,5 @@ class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """The class, if results may consist of it."""
         if (module, name) not in self._types:
-            raise ValueError(f"kept results must consist of arrays and known classes, got {module}.{name}")
+            raise InputError(f"kept results must consist of arrays and known classes, got {module}.{name}")
         return super().find_class(module, name)

@@ -20,6 +20,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import MAT_DEPTH, MAT_ELEMENTS, TABLE, UNPACKED, most_unpacked
 
@@ -34,10 +35,6 @@ MOST_DIMENSIONS, LONGEST_NAME = 32, 4096
 OLD_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}
 """Bytes of an entry by the digit P of a matrix of version 4."""
 _PIECE = 1 << 16
-
-
-class MatStructureError(ValueError):
-    """A .mat file of another structure; the message says what is wrong."""
 
 
 @dataclass
@@ -63,13 +60,13 @@ class _Stream:
             whole = b"".join(parts)
             data, self.spare = whole[:count], whole[count:]
         if len(data) < count:
-            raise MatStructureError("it is cut short")
+            raise InputError("it is cut short")
         return data
 
     def skip(self, count: int) -> None:
         if self.unpacking is None:
             if count > self.left:
-                raise MatStructureError("it is cut short")
+                raise InputError("it is cut short")
             self.file.seek(count, os.SEEK_CUR)
             self.left -= count
             return
@@ -77,7 +74,7 @@ class _Stream:
             count -= len(self.spare)
             self.spare = self._unpacked()
             if not self.spare:
-                raise MatStructureError("it is cut short")
+                raise InputError("it is cut short")
         self.spare = self.spare[count:]
 
     def _unpacked(self) -> bytes:
@@ -90,7 +87,7 @@ class _Stream:
             try:
                 found = self.unpacking.decompress(packed, _PIECE)
             except zlib.error as error:
-                raise MatStructureError(f"a compressed variable is damaged ({error})") from None
+                raise InputError(f"a compressed variable is damaged ({error})") from None
             if found or not packed or self.unpacking.eof:
                 return found
 
@@ -110,22 +107,22 @@ class _Walk:
         """One variable at the place of the file; the bytes that it has."""
         head = file.read(8)
         if len(head) < 8:
-            raise MatStructureError("it is cut short")
+            raise InputError("it is cut short")
         kind, size = map(int, struct.unpack(self.order + "II", head))
         if kind not in (MATRIX, COMPRESSED) or not 0 < size <= left - 8:
-            raise MatStructureError(f"a variable must be a matrix of at most {left - 8} bytes, got {kind} of {size}")
+            raise InputError(f"a variable must be a matrix of at most {left - 8} bytes, got {kind} of {size}")
         self.stream = _Stream(file, size, zlib.decompressobj() if kind == COMPRESSED else None)
         if kind == COMPRESSED:
             inner, _ = struct.unpack(self.order + "II", self.stream.read(8))
             if inner != MATRIX:
-                raise MatStructureError(f"a compressed variable must be a matrix, got the data type {inner}")
+                raise InputError(f"a compressed variable must be a matrix, got the data type {inner}")
         self.matrix(0)
         return 8 + size
 
     def matrix(self, depth: int) -> None:
         """What follows the tag of a matrix."""
         if depth > MAT_DEPTH:
-            raise MatStructureError(f"cells and structures must be nested at most {MAT_DEPTH} levels deep, got more")
+            raise InputError(f"cells and structures must be nested at most {MAT_DEPTH} levels deep, got more")
         flags, _ = struct.unpack(self.order + "II", self.stream.read(16)[8:])
         kind, is_complex = flags & 0xFF, bool(flags >> 11 & 1)
         if kind == OPAQUE:
@@ -152,17 +149,17 @@ class _Walk:
                 self.text()
             self.inner(count, depth, self.names())
         else:
-            raise MatStructureError(f"class of a matrix must be one that is known, got {kind}")
+            raise InputError(f"class of a matrix must be one that is known, got {kind}")
 
     def inner(self, count: int, depth: int, fields: int = 1) -> None:
         """Matrices in a matrix; an element without fields counts, too."""
         self.elements += count * max(fields, 1)
         if self.elements > MAT_ELEMENTS:
-            raise MatStructureError(f"it must have at most {MAT_ELEMENTS} cells and fields, got more")
+            raise InputError(f"it must have at most {MAT_ELEMENTS} cells and fields, got more")
         for _ in range(count * fields):
             kind, size = struct.unpack(self.order + "II", self.stream.read(8))
             if kind != MATRIX:
-                raise MatStructureError(f"a cell must be a matrix, got the data type {kind}")
+                raise InputError(f"a cell must be a matrix, got the data type {kind}")
             if size:
                 self.matrix(depth + 1)
 
@@ -172,19 +169,19 @@ class _Walk:
         (kind,) = struct.unpack(self.order + "I", head[:4])
         if small := kind >> 16:
             if small > 4:
-                raise MatStructureError(f"a small element must have at most 4 bytes, got {small}")
+                raise InputError(f"a small element must have at most 4 bytes, got {small}")
             return self.known(kind & 0xFFFF), small, head[4 : 4 + small]
         size: int = struct.unpack(self.order + "I", head[4:])[0]
         self.unpacked += size
         if self.unpacked > self.most:
-            raise MatStructureError(f"it must unpack to at most {self.most / 1e6:.0f} MB, got more")
+            raise InputError(f"it must unpack to at most {self.most / 1e6:.0f} MB, got more")
         return self.known(kind), size, None
 
     @staticmethod
     def known(kind: int) -> int:
         """The data type, if it is one of numbers or characters."""
         if kind not in SIZES:
-            raise MatStructureError(f"data type must be one of {', '.join(map(str, SIZES))}, got {kind}")
+            raise InputError(f"data type must be one of {', '.join(map(str, SIZES))}, got {kind}")
         return kind
 
     def data(self) -> tuple[int, int]:
@@ -201,7 +198,7 @@ class _Walk:
         if inside is not None:
             return kind, inside
         if size > most:
-            raise MatStructureError(f"an element must have at most {most} bytes, got {size}")
+            raise InputError(f"an element must have at most {most} bytes, got {size}")
         found = self.stream.read(size)
         self.pad(size)
         return kind, found
@@ -213,7 +210,7 @@ class _Walk:
             rest = min(rest, self.stream.left)
         try:
             self.stream.skip(rest)
-        except MatStructureError:
+        except InputError:
             if self.stream.unpacking is None:
                 raise
 
@@ -221,24 +218,24 @@ class _Walk:
         """An element of so many numbers."""
         kind, size = self.data()
         if size != count * SIZES[kind]:
-            raise MatStructureError(f"a matrix of {count} numbers must have {count * SIZES[kind]} bytes, got {size}")
+            raise InputError(f"a matrix of {count} numbers must have {count * SIZES[kind]} bytes, got {size}")
 
     def text(self) -> str:
         kind, found = self.content(LONGEST_NAME)
         if kind not in TEXTS:
-            raise MatStructureError(f"a name must be text, got the data type {kind}")
+            raise InputError(f"a name must be text, got the data type {kind}")
         return found.decode("latin-1")
 
     def integers(self, most: int) -> list[int]:
         kind, found = self.content(4 * most)
         if kind not in INT32 or len(found) % 4:
-            raise MatStructureError(f"sizes must be integers of 4 bytes, got the data type {kind}")
+            raise InputError(f"sizes must be integers of 4 bytes, got the data type {kind}")
         return list(struct.unpack(f"{self.order}{len(found) // 4}i", found))
 
     def shape(self) -> list[int]:
         found = self.integers(MOST_DIMENSIONS)
         if len(found) < 2 or min(found) < 0:
-            raise MatStructureError(f"a matrix must have two or more dimensions of 0 or more, got {found}")
+            raise InputError(f"a matrix must have two or more dimensions of 0 or more, got {found}")
         return found
 
     def names(self) -> int:
@@ -246,28 +243,28 @@ class _Walk:
         length = self.integers(1)
         kind, found = self.content(MAT_ELEMENTS)
         if len(length) != 1 or length[0] < 1 or len(found) % length[0] or kind not in TEXTS:
-            raise MatStructureError(f"names of fields must have one length, got {length} in {len(found)} bytes")
+            raise InputError(f"names of fields must have one length, got {length} in {len(found)} bytes")
         return len(found) // length[0]
 
     def sparse(self, shape: list[int], is_complex: bool) -> None:
         """Row indices, starts of the columns, values."""
         if len(shape) != 2 or shape[1] >= self.most:
-            raise MatStructureError(f"a sparse matrix must have two dimensions, got {shape}")
+            raise InputError(f"a sparse matrix must have two dimensions, got {shape}")
         rows, starts = self.indices(), self.indices()
         used = starts[: shape[1] + 1]
         if len(used) != shape[1] + 1 or used[0] != 0 or np.any(np.diff(used) < 0) or used[-1] > len(rows):
-            raise MatStructureError(f"columns of a sparse matrix must begin in order within {len(rows)} values")
+            raise InputError(f"columns of a sparse matrix must begin in order within {len(rows)} values")
         if np.any(rows[: used[-1]] < 0) or np.any(rows[: used[-1]] >= shape[0]):
-            raise MatStructureError(f"rows of a sparse matrix must be of {shape[0]}, got others")
+            raise InputError(f"rows of a sparse matrix must be of {shape[0]}, got others")
         for _ in range(1 + is_complex):
             kind, size = self.data()
             if size < used[-1] * SIZES[kind] and size < used[-1]:  # of logical values a byte each
-                raise MatStructureError(f"a sparse matrix must have {used[-1]} values, got {size} bytes")
+                raise InputError(f"a sparse matrix must have {used[-1]} values, got {size} bytes")
 
     def indices(self) -> NDArray[np.int64]:
         kind, found = self.content(min(self.most, UNPACKED))
         if kind not in INT32 or len(found) % 4:
-            raise MatStructureError(f"indices must be integers of 4 bytes, got the data type {kind}")
+            raise InputError(f"indices must be integers of 4 bytes, got the data type {kind}")
         return np.frombuffer(found, self.order + "i4").astype(np.int64)
 
 
@@ -278,7 +275,7 @@ def check_mat(path: str | os.PathLike[str]) -> None:
     ------
     OSError
         No ordinary file, or one that is too large.
-    MatStructureError
+    InputError
         Another structure than that of a .mat file of version 4 to 7.2.
     """
     size = check_file(path, TABLE)
@@ -290,10 +287,10 @@ def check_mat(path: str | os.PathLike[str]) -> None:
             return
         mark = head[126:128]
         if len(head) < 128 or mark not in (b"IM", b"MI"):
-            raise MatStructureError("its head must be that of a MATLAB file of version 5 to 7.2")
+            raise InputError("its head must be that of a MATLAB file of version 5 to 7.2")
         order = "<" if mark == b"IM" else ">"
         if struct.unpack(order + "H", head[124:126])[0] >> 8 != 1:
-            raise MatStructureError("its version must be 4 to 7.2, got another (HDF5 is read elsewhere)")
+            raise InputError("its version must be 4 to 7.2, got another (HDF5 is read elsewhere)")
         walk, at = _Walk(order, most_unpacked(size)), 128
         while at < size:
             walk.elements += 1
@@ -308,16 +305,16 @@ def _check_old(file: BinaryIO, size: int) -> None:
         count += 1
         head = file.read(20)
         if len(head) < 20 or count > MAT_ELEMENTS:
-            raise MatStructureError("it is cut short, or has too many matrices")
+            raise InputError("it is cut short, or has too many matrices")
         order = "<" if 0 <= struct.unpack("<i", head[:4])[0] <= 5000 else ">"
         kind, rows, columns, is_complex, length = struct.unpack(order + "5i", head)
         precision = kind // 10 % 10
         if not 0 <= kind <= 5000 or precision not in OLD_SIZES or kind % 10 > 2 or kind // 100 % 10:
-            raise MatStructureError(f"the type of a matrix of version 4 must be one that is known, got {kind}")
+            raise InputError(f"the type of a matrix of version 4 must be one that is known, got {kind}")
         if rows < 0 or columns < 0 or not 0 < length <= LONGEST_NAME:
-            raise MatStructureError(f"sizes of a matrix must be 0 or more, got {rows}, {columns}, {length}")
+            raise InputError(f"sizes of a matrix must be 0 or more, got {rows}, {columns}, {length}")
         data = length + rows * columns * OLD_SIZES[precision] * (2 if is_complex else 1)
         if data > size - at - 20:
-            raise MatStructureError("it is cut short")
+            raise InputError("it is cut short")
         at += 20 + data
         file.seek(at)

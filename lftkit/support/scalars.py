@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
+
 
 def is_number(value: Any) -> bool:
     """Whether the value is one real number; True and False are none."""
@@ -17,7 +19,7 @@ def is_number(value: Any) -> bool:
 def as_number(value: Any, what: str) -> float:
     """A real number, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
     if not is_number(value):
-        raise ValueError(f"{what} must be a finite real number, got {value!r}")
+        raise InputError(f"{what} must be a finite real number, got {value!r}")
     return value if isinstance(value, int | float) else float(value)
 
 
@@ -26,4 +28,4 @@ def as_integer(value: Any, what: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise ValueError(f"{what} must be an integer, got {value!r}") from None
+        raise InputError(f"{what} must be an integer, got {value!r}") from None

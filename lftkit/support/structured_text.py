@@ -12,15 +12,12 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.file_kind import kind_of_text
 from lftkit.support.input_limits import DEPTH, DIGITS, KINDS
 
 _TOML_TOKENS = re.compile(r"\"\"\"|'''|[\"'#\n]")
 _TOML_MARKS = re.compile(r"[=,\[\]{}\n]")
-
-
-class StructuredTextError(ValueError):
-    """The text cannot be read; the message names the file and says what is wrong."""
 
 
 def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> Any:
@@ -37,7 +34,7 @@ def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> A
 
     Raises
     ------
-    StructuredTextError
+    InputError
         The text is not of this kind, too large, nested too deep, or has an integer that is too long.
 
     Examples
@@ -47,11 +44,11 @@ def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> A
     >>> parse("a" + 100 * ".a" + " = 1", "x.toml", "TOML", json.loads)
     Traceback (most recent call last):
     ...
-    lftkit.support.structured_text.StructuredTextError: x.toml must be nested at most 50 levels deep, got more
+    lftkit.errors.InputError: x.toml must be nested at most 50 levels deep, got more
     """
     limit = KINDS[kind]
     if len(text) > limit.size:
-        raise StructuredTextError(f"{what} must be {kind} of at most {limit.size / 1e6:g} MB, got {len(text) / 1e6:g}")
+        raise InputError(f"{what} must be {kind} of at most {limit.size / 1e6:g} MB, got {len(text) / 1e6:g}")
     if kind == "TOML":
         _check_names(text, what)
     elif kind == "JSON":
@@ -59,16 +56,16 @@ def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> A
     try:
         content = parser(text)
         _check(content, what)
-    except StructuredTextError:
+    except InputError:
         raise
     except RecursionError:
         raise too_deep(what) from None
     except (ValueError, TypeError, OverflowError) as error:
         found = kind_of_text(text)
         if found is not None and found != kind:
-            raise StructuredTextError(f"{what} must be {kind}, got {found}") from None
+            raise InputError(f"{what} must be {kind}, got {found}") from None
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StructuredTextError(f"{what} must be {kind}: {first}") from None
+        raise InputError(f"{what} must be {kind}: {first}") from None
     return content
 
 
@@ -80,12 +77,12 @@ def load_json(text: str, what: object) -> Any:
 def check_count(values: int, what: object, kind: str) -> None:
     """Refuse more values than a text of this kind may have, before they are made."""
     if values > KINDS[kind].values:
-        raise StructuredTextError(f"{what} must be {kind} with at most {KINDS[kind].values} values, got more")
+        raise InputError(f"{what} must be {kind} with at most {KINDS[kind].values} values, got more")
 
 
-def too_deep(what: object) -> StructuredTextError:
+def too_deep(what: object) -> InputError:
     """The error of a text that is nested too deep."""
-    return StructuredTextError(f"{what} must be nested at most {DEPTH} levels deep, got more")
+    return InputError(f"{what} must be nested at most {DEPTH} levels deep, got more")
 
 
 def _check_names(text: str, what: object) -> None:
@@ -153,5 +150,5 @@ def _check(value: Any, what: object) -> None:
             elif isinstance(item, (list, tuple)):
                 below += item
             elif isinstance(item, int) and item.bit_length() > 3.33 * DIGITS:
-                raise StructuredTextError(f"{what} must have integers of at most {DIGITS} digits, got a longer one")
+                raise InputError(f"{what} must have integers of at most {DIGITS} digits, got a longer one")
         level, depth = below, depth + 1

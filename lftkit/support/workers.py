@@ -15,6 +15,8 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unused-ignore]
 
+from lftkit.errors import InputError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -50,7 +52,7 @@ class Workers:
 
     def __init__(self, count: int = 1) -> None:
         if count < 1:
-            raise ValueError(f"workers must be at least 1, got {count}")
+            raise InputError(f"workers must be at least 1, got {count}")
         self.count = count
         self._pool: ProcessPoolExecutor | None = None
         self._stop: connection.Connection | None = None

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.norms import h2_norm, hinf_norm, is_stable
+from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.synthesis.lower_bound import lower_bound_proof
 from lftkit.synthesis.standard_plant import (
@@ -132,7 +133,7 @@ def _least(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
         return best
     candidates = [found for weight in REGULARISED if (found := _best(given, generalised, weight)) is not None]
     if not candidates:
-        raise ValueError(
+        raise InputError(
             f"{given.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
             f"{REGULARISED[-1]:g} on commands and measurements too"
         )
@@ -158,19 +159,19 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     """
     given = standard_plant(plant, measured, commanded)
     if given.system.dt:
-        raise ValueError(f"{plant.name}: must be continuous for h2syn, got the period {given.system.dt:g} s")
+        raise InputError(f"{plant.name}: must be continuous for h2syn, got the period {given.system.dt:g} s")
     generalised = given.extended
     if generalised.D11.any():
-        raise ValueError(f"{plant.name}: D11 must be zero for a finite H2 norm, got a direct path")
+        raise InputError(f"{plant.name}: D11 must be zero for a finite H2 norm, got a direct path")
     for name, matrix, least in (
         ("every command must have a weight (D12 of full column rank)", generalised.D12, generalised.D12.shape[1]),
         ("every measurement must have noise (D21 of full row rank)", generalised.D21, len(generalised.D21)),
     ):
         if not has_rank(matrix, least):
-            raise ValueError(f"{plant.name}: {name}, got a matrix of lower rank")
+            raise InputError(f"{plant.name}: {name}, got a matrix of lower rank")
     full = lqg(generalised)
     if full is None:
-        raise ValueError(f"{plant.name}: must have no zeros on the imaginary axis in its weights, got some")
+        raise InputError(f"{plant.name}: must have no zeros on the imaginary axis in its weights, got some")
     controller = _controller(given, full)
     closed = given.closed(controller)
     value = float(h2_norm(*closed.matrices))
@@ -200,7 +201,7 @@ def augw(
     given = (("z1", error, "e", y.size), ("z2", effort, "u", u.size), ("z3", output, "y", y.size))
     weights = {name: weight_of(name, w, size, G.dt) for name, w, _, size in given if w is not None}
     if not weights:
-        raise ValueError("augw must have one of the weights error, effort and output, got none")
+        raise InputError("augw must have one of the weights error, effort and output, got none")
     eye = np.eye(y.size)
     split = System(  # e = w - y, to the weight and to the controller
         np.zeros((0, 0)), np.zeros((0, 2 * y.size)), np.zeros((y.size, 0)), np.hstack([eye, -eye]),
@@ -292,7 +293,7 @@ def _at_level(given: StandardPlant, generalised: ExtendedPlant, level: float) ->
     for weight in () if found is not None else REGULARISED:
         found = found or _design(given, _weighted(generalised, weight), level)
     if found is None or found.value > (1.0 + REACHED) * level:
-        raise ValueError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
+        raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
     return found
 
 

@@ -11,6 +11,7 @@ from scipy import linalg
 from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign
 from lftkit.synthesis.standard_plant import chain, only_port, weight_of
 from lftkit.systems.connection.feedback import close_loop
@@ -60,7 +61,7 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
     X = riccati(inner, B, C.T @ linalg.solve(R, C), S)
     Z = riccati(inner.T, C.T, B @ linalg.solve(S, B.T), R)
     if X is None or Z is None:
-        raise ValueError(f"{G.name}: the shaped plant must be stabilisable and detectable, got one that is not")
+        raise InputError(f"{G.name}: the shaped plant must be stabilisable and detectable, got one that is not")
     least = float(np.sqrt(1.0 + np.abs(linalg.eigvals(X @ Z)).max(initial=0.0)))
     best: tuple[float, System, System] | None = None
     for above in ABOVE:
@@ -72,7 +73,7 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:
-        raise ValueError(f"{G.name}: no level near the least one, {least:.4g}, gives a stable loop")
+        raise InputError(f"{G.name}: no level near the least one, {least:.4g}, gives a stable loop")
     value, law, closed = best
     return FullOrderDesign(chain(W2, law, W1, names=(y, u)), closed, value, least)
 

@@ -20,6 +20,7 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.magnitude_fit import fit_magnitude
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.proofs.blocks.structure import full_block
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.robustness import robust_stability
@@ -149,7 +150,7 @@ def musyn(
     True
     """
     if iterations < 1:
-        raise ValueError(f"iterations must be at least 1, got {iterations}")
+        raise InputError(f"iterations must be at least 1, got {iterations}")
     problem = _Problem.of(as_system(plant), measured, commanded)
     grid = problem.grid(omega)
     best = problem.candidate(problem.standard.system, grid)
@@ -255,10 +256,10 @@ class _Problem:
         """
         sorted_plant = plant.sorted_channels()
         if not sorted_plant.elements:
-            raise ValueError(f"{plant.name}: must have uncertain elements for musyn (hinfsyn otherwise), got none")
+            raise InputError(f"{plant.name}: must have uncertain elements for musyn (hinfsyn otherwise), got none")
         for name, count in sorted_plant.occurrences().items():
             if count > 1:
-                raise ValueError(f"element {name!r} must occur once for musyn, got {count} occurrences")
+                raise InputError(f"element {name!r} must occur once for musyn, got {count} occurrences")
         return cls(sorted_plant, measured, commanded)
 
     @cached_property

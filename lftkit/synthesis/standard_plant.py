@@ -11,6 +11,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
@@ -70,10 +71,10 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
         chosen = (names,) if isinstance(names, str) else tuple(names)
         known = {p.name: p for p in ports}
         if missing := [name for name in chosen if name not in known]:
-            raise ValueError(f"{kind} must be of {', '.join(known)}, got {', '.join(missing)}")
+            raise InputError(f"{kind} must be of {', '.join(known)}, got {', '.join(missing)}")
         rest = tuple(p for p in ports if p.name not in chosen)
         if not chosen or not rest:
-            raise ValueError(
+            raise InputError(
                 f"{plant.name}: some {kind} must be the controller's and some not, got {', '.join(chosen)}"
             )
         groups.append((tuple(known[name] for name in chosen), rest))
@@ -106,7 +107,7 @@ def _require_stabilisable(given: StandardPlant) -> None:
         for matrix, what in ((np.hstack([shifted, B]), reached), (np.hstack([shifted.T, C.T]), seen)):
             if not _has_full_row_rank(matrix):
                 where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
-                raise ValueError(
+                raise InputError(
                     f"{given.system.name}: the mode at {where} is not stable and must be {what}; of a weight, move the "
                     "pole to the left"
                 )
@@ -134,7 +135,7 @@ def of_full_rank(plant: ExtendedPlant) -> bool:
 def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]:
     """The port of a side that must have one."""
     if len(ports) != 1:
-        raise ValueError(f"{system.name}: must have one {kind} port, got {', '.join(p.name for p in ports)}")
+        raise InputError(f"{system.name}: must have one {kind} port, got {', '.join(p.name for p in ports)}")
     return (ports[0],)
 
 
@@ -158,7 +159,7 @@ def weight_of(name: str, given: System | ArrayLike, size: int, dt: float) -> Sys
         A, B, C, D = (linalg.block_diag(*[M] * size) for M in given.matrices)
         return System(A, B, C, D, (Port("in", size),), (Port("out", size),), name, given.dt)
     if given.D.shape[1] != size:
-        raise ValueError(f"{name} must have {size} inputs or one, got {given.D.shape[1]}")
+        raise InputError(f"{name} must have {size} inputs or one, got {given.D.shape[1]}")
     return System(*given.matrices, (Port("in", size),), (Port("out", len(given.D)),), name, given.dt)
 
 

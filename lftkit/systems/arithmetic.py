@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.support.scalars import is_number
 from lftkit.systems import lft
 from lftkit.systems.operand import common_period, constant_matrix, same_size
@@ -160,7 +161,7 @@ class Arithmetic:
 
     def __pow__(self: S, exponent: int) -> S:
         if not isinstance(exponent, int | np.integer) or exponent == 0:
-            raise ValueError(f"exponent must be an integer other than 0, got {exponent!r}")
+            raise InputError(f"exponent must be an integer other than 0, got {exponent!r}")
         base = self if exponent > 0 else self.inverse()
         result = base
         for _ in range(abs(int(exponent)) - 1):

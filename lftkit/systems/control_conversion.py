@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, order_for_ports, ports_of_labels
 
@@ -46,7 +47,7 @@ def ports_and_matrices(
     elif isinstance(system, control.StateSpace):
         matrices = system.A, system.B, system.C, system.D
     else:
-        raise ValueError(
+        raise InputError(
             f"system must be a control.StateSpace or control.TransferFunction, got {type(system).__name__}"
         )
     A, B, C, D = matrices
@@ -80,7 +81,7 @@ def rational(num: ArrayLike, den: ArrayLike) -> tuple[FloatArray, FloatArray, Fl
     top = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=float)), "f")
     bottom = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=float)), "f")
     if not len(bottom) or len(top) > len(bottom):
-        raise ValueError(f"transfer function must be proper, got {np.asarray(num)} / {np.asarray(den)}")
+        raise InputError(f"transfer function must be proper, got {np.asarray(num)} / {np.asarray(den)}")
     n = len(bottom) - 1
     a = bottom / bottom[0]
     b = np.concatenate([np.zeros(n + 1 - len(top)), top]) / bottom[0]
@@ -120,7 +121,7 @@ def _side(
     labels: Sequence[str], count: int, units: Mapping[str, str] | None, given: Sequence[Port] | None, kind: str
 ) -> tuple[tuple[Port, ...], Any]:
     if len(labels) != count:  # python-control keeps one of two equal labels
-        raise ValueError(f"{kind} labels must name one signal each, got {', '.join(labels)} for {count} signals")
+        raise InputError(f"{kind} labels must name one signal each, got {', '.join(labels)} for {count} signals")
     if not given:
         return ports_of_labels(labels, units, kind)
     return tuple(given), order_for_ports(labels, given, kind)

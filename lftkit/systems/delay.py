@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space, static_gain
 
@@ -38,7 +39,7 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     0.0
     """
     if not (np.isfinite(delay) and delay >= 0):
-        raise ValueError(f"delay must be zero or positive, got {delay} s")
+        raise InputError(f"delay must be zero or positive, got {delay} s")
     each: FloatArray = np.eye(size)
     if order < 1 or delay == 0.0:
         return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), each

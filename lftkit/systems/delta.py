@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.ports import total_size
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, width
@@ -33,7 +34,7 @@ def chosen_values(elements: Sequence[Element], values: Mapping[str, Value], *, b
     unknown = sorted(set(values) - set(real) - set(others))
     if unknown:
         known = ", ".join(e.name for e in elements)
-        raise ValueError(f"parameter must be one of {known or '(none)'}, got {unknown[0]!r}")
+        raise InputError(f"parameter must be one of {known or '(none)'}, got {unknown[0]!r}")
     chosen: dict[str, Value] = {}
     chosen.update(checked_values(real, {k: v for k, v in values.items() if k in real}, beyond_range=beyond_range))
     for name, element in others.items():
@@ -53,11 +54,11 @@ def _dynamics(element: DynamicElement, value: Value) -> Value:
         value = np.atleast_2d(np.asarray(value, dtype=complex))
         found = value.shape
         if found == shape and linalg.norm(value, 2) > element.bound * (1 + 1e-12):
-            raise ValueError(
+            raise InputError(
                 f"element {element.name!r} must have a gain of at most {element.bound:g}, got {linalg.norm(value, 2):g}"
             )
     if found != shape:
-        raise ValueError(f"element {element.name!r} must be {shape[0]} x {shape[1]}, got {found[0]} x {found[1]}")
+        raise InputError(f"element {element.name!r} must be {shape[0]} x {shape[1]}, got {found[0]} x {found[1]}")
     return value
 
 
@@ -107,7 +108,7 @@ def delta_system(channels: Sequence[str], elements: Sequence[Element], chosen: M
         else:
             deviation = value if isinstance(element, DynamicElement) else np.array([[value - element.nominal]])
             if np.iscomplexobj(deviation) and np.any(deviation.imag):
-                raise ValueError(f"value of {element.name!r} must be real (response takes complex ones), got {value}")
+                raise InputError(f"value of {element.name!r} must be real (response takes complex ones), got {value}")
             d = np.real(deviation).astype(float)
             a, b, c = np.zeros((0, 0)), np.zeros((0, d.shape[1])), np.zeros((d.shape[0], 0))
         n, new = len(A), len(a)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import check_file, read_text
 from lftkit.support.input_limits import SYSTEM
-from lftkit.support.structured_text import StructuredTextError, load_json
+from lftkit.support.structured_text import load_json
 from lftkit.systems.mat_files import read_mat
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -63,7 +64,7 @@ def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
     elif not isinstance(value, System):
         expression = as_expression(value)
         if expression is None:
-            raise ValueError(
+            raise InputError(
                 "system must be a System, SampledSystem, Expression, number, matrix, or a system of python-control "
                 f"or scipy.signal, got {type(value).__name__}"
             )
@@ -87,9 +88,9 @@ def from_scipy(system: Any) -> System:
     from scipy import signal
 
     if not isinstance(system, signal.lti | signal.dlti):
-        raise ValueError(f"system must be a scipy.signal lti or dlti, got {type(system).__name__}")
+        raise InputError(f"system must be a scipy.signal lti or dlti, got {type(system).__name__}")
     if system.dt is True:
-        raise ValueError("system must have a sampling period in seconds, got dt True")
+        raise InputError("system must have a sampling period in seconds, got dt True")
     ss = system.to_ss()
     A, B, C, D = (_real(np.atleast_2d(np.asarray(M))) for M in (ss.A, ss.B, ss.C, ss.D))
     if not np.any(B) and not np.any(C) and not np.any(A):  # how scipy writes a gain
@@ -102,7 +103,7 @@ def _real(matrix: Any) -> FloatArray:
     """The matrix without imaginary parts that are rounding: poles that are conjugate to the last bits leave some."""
     whole = np.asarray(matrix, dtype=complex)
     if np.any(np.abs(whole.imag) > ROUNDING * np.abs(whole).max(initial=0.0)):
-        raise ValueError("system must have real coefficients, got complex ones")
+        raise InputError("system must have real coefficients, got complex ones")
     return np.asarray(whole.real, dtype=float)
 
 
@@ -137,7 +138,7 @@ def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
         return SampledSystem.from_file(path)
     found = read_mat(path)
     if not found.dt:
-        raise ValueError(f"{path}: system must have its sampling period Ts in s, got a continuous one")
+        raise InputError(f"{path}: system must have its sampling period Ts in s, got a continuous one")
     return as_sampled(found)
 
 
@@ -179,10 +180,10 @@ def from_json(text: str) -> System:
     """
     try:
         content = load_json(text, "text")
-    except StructuredTextError as error:
-        raise ValueError(f"text must be JSON of a system: {error}") from None
+    except InputError as error:
+        raise InputError(f"text must be JSON of a system: {error}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise ValueError(f'text must have "format": "{FORMAT}" and "version": {VERSION}, got another')
+        raise InputError(f'text must have "format": "{FORMAT}" and "version": {VERSION}, got another')
     try:
         sides = [tuple(Port(**p) for p in content[key]) for key in ("inputs", "outputs")]
         elements = tuple(_element(dict(e)) for e in content["elements"])
@@ -190,15 +191,15 @@ def from_json(text: str) -> System:
         period, channels = float(content["dt"]), tuple(content["channels"])
         return System(A, B, C, D, sides[0], sides[1], content["name"], period, channels, elements)
     except KeyError as error:
-        raise ValueError(f"text must have the keys of a system, {error} is missing") from None
+        raise InputError(f"text must have the keys of a system, {error} is missing") from None
     except (TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"text must describe a system, got: {error}") from None
+        raise InputError(f"text must describe a system, got: {error}") from None
 
 
 def _element(content: dict[str, Any]) -> Element:
     kind = content.pop("kind", None)
     if kind not in _KINDS:
-        raise ValueError(f"kind of an element must be one of {', '.join(_KINDS)}, got {kind!r}")
+        raise InputError(f"kind of an element must be one of {', '.join(_KINDS)}, got {kind!r}")
     made: Element = _KINDS[kind](**content)
     return made
 
@@ -213,6 +214,6 @@ def read_system(path: str | os.PathLike[str]) -> System:
     try:
         return from_json(read_text(path))
     except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.errors import InputError
 
 
 def solve_loop(matrix: FloatArray, right: FloatArray, requirement: str) -> FloatArray:
@@ -24,7 +25,7 @@ def solve_loop(matrix: FloatArray, right: FloatArray, requirement: str) -> Float
         columns = _powers(np.abs(matrix * rows[:, None]).max(axis=0))
         found = _solution(matrix * rows[:, None] * columns, right * rows[:, None])
         if found is None:
-            raise ValueError(f"{requirement}, got a singular algebraic loop")
+            raise InputError(f"{requirement}, got a singular algebraic loop")
         found = found * columns[:, None]
     return found
 
@@ -171,6 +172,6 @@ def response(M: Matrices, point: complex) -> ComplexArray:
         warnings.simplefilter("ignore", linalg.LinAlgWarning)  # zero pivots are looked for below
         factors = linalg.lu_factor(point * np.eye(n) - M[0])
     if not np.all(np.diag(factors[0])):
-        raise ValueError(f"point must not be a pole, got {point}")
+        raise InputError(f"point must not be a pole, got {point}")
     inner = linalg.lu_solve(factors, M[1].astype(complex))
     return np.asarray(M[3] + M[2] @ inner, dtype=complex)

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import UNPACKED
 from lftkit.support.mat_structure import check_mat
@@ -46,7 +47,7 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
     from scipy import io
 
     if not systems:
-        raise ValueError("systems must be given by keyword, got none")
+        raise InputError("systems must be given by keyword, got none")
     content = {}
     for name, system in systems.items():
         system.require_real()
@@ -98,7 +99,7 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
     except (OSError, ValueError, NotImplementedError, TypeError, io.matlab.MatReadError) as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path} must be a .mat file of version 7.2 or older, got: {text}") from None
+        raise InputError(f"{path} must be a .mat file of version 7.2 or older, got: {text}") from None
     opaque = content.get("__function_workspace__") is not None
     variables = {key: value for key, value in content.items() if not key.startswith("__")}
     structs = {k: v for k, v in variables.items() if getattr(v.dtype, "names", None) and _matrices_of(_fields(v))}
@@ -109,9 +110,9 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
     if name not in structs:
         advice = " (an ss object must be saved as a struct: see read_mat)" if opaque else ""
         found = ", ".join(structs) or "none"
-        raise ValueError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
+        raise InputError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
     if structs[name].size != 1:
-        raise ValueError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
+        raise InputError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
     return _from_fields(_fields(structs[name]), name, path)
 
 
@@ -131,7 +132,7 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
         q = len(channels)
         m, p = (n - q for n in ((B.shape[1] if B.size else D.shape[1]), (C.shape[0] if C.size else D.shape[0])))
         if m < 0 or p < 0:
-            raise ValueError(
+            raise InputError(
                 f"{name} must have the {q} channels of its Blocks first, got {m + q} inputs, {p + q} outputs"
             )
         sides = []
@@ -151,9 +152,9 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
         system = System(*matrices, inputs, outputs, title, dt, channels, elements)
         return _in_own_units(system, elements) if np.all(lower.get("normalized", 1.0)) else system
     except (IndexError, TypeError) as error:
-        raise ValueError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
+        raise InputError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:
@@ -161,23 +162,23 @@ def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:
     if table is None or not np.size(table):
         return (), ()
     if getattr(table.dtype, "names", None) is None:
-        raise ValueError("Blocks must be an array of structs with Name, Nominal, Range and Occurrences, got another")
+        raise InputError("Blocks must be an array of structs with Name, Nominal, Range and Occurrences, got another")
     found, channels = [], list[str]()
     for entry in np.asarray(table).flat:
         block = {key.lower(): entry[key] for key in table.dtype.names}
         if missing := [key for key in ("name", "nominal", "range", "occurrences") if key not in block]:
-            raise ValueError(
+            raise InputError(
                 f"Blocks must have the field {missing[0].capitalize()}, got {', '.join(table.dtype.names)}"
             )
         name = "".join(_texts(block["name"]))
         ends, nominal = np.asarray(block["range"]), np.asarray(block["nominal"])
         if ends.size != 2 or nominal.size != 1 or ends.dtype.kind not in "iuf" or nominal.dtype.kind not in "iuf":
-            raise ValueError(
+            raise InputError(
                 f"block {name} must be a real parameter with Nominal and Range of two numbers, got another"
             )
         count = float(np.asarray(block["occurrences"]).flat[0])
         if count < 1 or count != int(count):
-            raise ValueError(f"Occurrences of block {name} must be a whole number above 0, got {count:g}")
+            raise InputError(f"Occurrences of block {name} must be a whole number above 0, got {count:g}")
         low, high = (float(x) for x in ends.flat)
         unit = "".join(_texts(block.get("unit"))) or "1"
         found.append(RealParameter(name, float(nominal.flat[0]), low, high, unit))
@@ -192,7 +193,7 @@ def _in_own_units(system: System, elements: Sequence[RealParameter]) -> System:
     """
     maps = {e.name: e.bilinear for e in elements}
     if fixed := [name for name, (a, _) in maps.items() if a == 0.0]:
-        raise ValueError(f"Range of block {fixed[0]} must hold more than one value, got one")
+        raise InputError(f"Range of block {fixed[0]} must hold more than one value, got one")
     q = len(system.channels)
     ab = np.array([maps[c] for c in system.channels]).reshape(q, 2)
     B, D = system.B.copy(), system.D.copy()
@@ -225,7 +226,7 @@ def _full(matrix: Any) -> Any:
     if not hasattr(matrix, "todense"):
         return np.asarray(matrix)
     if 8 * math.prod(matrix.shape) > UNPACKED:
-        raise ValueError(f"a sparse matrix must have at most {UNPACKED // 8} entries in full, got {matrix.shape}")
+        raise InputError(f"a sparse matrix must have at most {UNPACKED // 8} entries in full, got {matrix.shape}")
     return np.asarray(matrix.todense())
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import read_only
 
 
@@ -38,13 +39,13 @@ def checked_matrices(
             matrix = np.zeros(shape)
         matrix = np.atleast_2d(matrix)
         if matrix.shape != shape:
-            raise ValueError(
+            raise InputError(
                 f"matrix {key} must be {shape[0]} x {shape[1]} to fit states and ports, "
                 f"got {' x '.join(map(str, matrix.shape))}"
             )
         if not np.all(np.isfinite(matrix)):
             row, column = np.argwhere(~np.isfinite(matrix))[0]
-            raise ValueError(f"matrix {key} must be finite, got {matrix[row, column]} in entry [{row}, {column}]")
+            raise InputError(f"matrix {key} must be finite, got {matrix[row, column]} in entry [{row}, {column}]")
         given[key] = read_only(matrix)
     return given["A"], given["B"], given["C"], given["D"]
 
@@ -56,6 +57,6 @@ def real_array(key: str, value: ArrayLike) -> FloatArray:
             raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(
+        raise InputError(
             f"matrix {key} must be a rectangular array of real numbers, got {type(value).__name__}"
         ) from None

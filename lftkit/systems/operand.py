@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.scalars import is_number
 from lftkit.systems.ports import Port, total_size
 
@@ -37,7 +38,7 @@ def common_period(systems: Iterable[Timed]) -> float:
     periods = sorted({s.dt for s in systems if s.order or s.dt})
     if len(periods) > 1 and not (periods[0] and periods[-1] - periods[0] <= 1e-12 * periods[-1]):
         shown = ", ".join(f"{dt:g} s" if dt else "continuous time" for dt in periods)
-        raise ValueError(f"systems must have the same sampling period, got {shown}")
+        raise InputError(f"systems must have the same sampling period, got {shown}")
     return periods[0] if periods else 0.0
 
 
@@ -45,7 +46,7 @@ def same_size(first: Sequence[Port], second: Sequence[Port], where: str) -> None
     """Raise a ValueError with the ports and sizes of both sides where their signals differ in number."""
     if total_size(first) != total_size(second):
         sides = (", ".join(f"{p.name}[{p.size}]" for p in side) or "none" for side in (first, second))
-        raise ValueError(f"{where} must have the same number of signals, got {' and '.join(sides)}")
+        raise InputError(f"{where} must have the same number of signals, got {' and '.join(sides)}")
 
 
 def constant_matrix(value: Any) -> FloatArray | None:

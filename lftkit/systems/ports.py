@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer
 
 
@@ -39,12 +40,12 @@ class Port:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise ValueError(f"name of a port must be text, got {self.name!r}")
+            raise InputError(f"name of a port must be text, got {self.name!r}")
         if not self.name:
-            raise ValueError("name of a port must not be empty, got ''")
+            raise InputError("name of a port must not be empty, got ''")
         size = as_integer(self.size, f"size of port {self.name!r}")
         if size < 1:
-            raise ValueError(f"size of port {self.name!r} must be at least 1, got {size}")
+            raise InputError(f"size of port {self.name!r} must be at least 1, got {size}")
         object.__setattr__(self, "size", size)
 
     @property
@@ -73,7 +74,7 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     names = [p.name for p in made]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise ValueError(f"{what}: port names must be unique, got {', '.join(map(repr, twice))} twice")
+        raise InputError(f"{what}: port names must be unique, got {', '.join(map(repr, twice))} twice")
     return made
 
 
@@ -81,7 +82,7 @@ def _as_port(given: Any, what: str) -> Port:
     if isinstance(given, Port):
         return given
     if not (isinstance(given, tuple | list) and 2 <= len(given) <= 3):
-        raise ValueError(f"{what}: a port must be a Port or (name, size), got {given!r}")
+        raise InputError(f"{what}: a port must be a Port or (name, size), got {given!r}")
     return Port(*given)
 
 
@@ -123,7 +124,7 @@ def spread_columns(matrix: ArrayLike, ports: Sequence[Port], onto: Sequence[Port
     sizes = {port.name: port.size for port in onto}
     if any(sizes.get(port.name) != port.size for port in ports):
         present, allowed = (", ".join(f"{p.name}[{p.size}]" for p in which) for which in (ports, onto))
-        raise ValueError(f"inputs must be of {allowed}, got {present}")
+        raise InputError(f"inputs must be of {allowed}, got {present}")
     spread = np.zeros((len(given), total_size(onto)))
     spread[:, port_indices(onto, [port.name for port in ports], "input")] = given
     return spread
@@ -142,6 +143,6 @@ def port_indices(ports: Sequence[Port], names: Iterable[str], kind: str, of: str
     for name in names:
         if name not in slices:
             known = ", ".join(slices) or "(none)"
-            raise ValueError(f"{of + ': ' if of else ''}{kind} port must be one of {known}, got {name!r}")
+            raise InputError(f"{of + ': ' if of else ''}{kind} port must be one of {known}, got {name!r}")
         chosen.extend(range(slices[name].start, slices[name].stop))
     return np.array(chosen, dtype=np.intp)

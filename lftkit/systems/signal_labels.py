@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from lftkit.arrays import IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 
 _INDEXED = re.compile(r"(?P<port>.+)\[(?P<index>0|[1-9][0-9]*)\]", re.DOTALL)
@@ -59,12 +60,12 @@ def ports_of_labels(labels: Sequence[str], units: Mapping[str, str] | None = Non
         own = places.setdefault(name, {})
         if index in own or (name in plain and own):
             first = labels[next(iter(own.values()))]
-            raise ValueError(f"{kind} labels must name one signal each, got {first!r} and {label!r} for port {name!r}")
+            raise InputError(f"{kind} labels must name one signal each, got {first!r} and {label!r} for port {name!r}")
         own[index] = place
     for name, own in places.items():
         missing = sorted(set(range(len(own))) - set(own))
         if missing:
-            raise ValueError(
+            raise InputError(
                 f"{kind} labels of port {name!r} must have the indices 0 to {len(own) - 1}, "
                 f"got {', '.join(map(str, sorted(own)))}"
             )
@@ -93,7 +94,7 @@ def order_for_ports(labels: Sequence[str], ports: Iterable[Port], kind: str = "s
     """
     signals = [signal for port in ports for signal in port.signals]
     if len(signals) != len(labels):
-        raise ValueError(f"{kind} ports must have {len(labels)} signals in all, got {len(signals)}")
+        raise InputError(f"{kind} ports must have {len(labels)} signals in all, got {len(signals)}")
     place = {label: k for k, label in enumerate(labels)}
     for k, label in enumerate(labels):
         if label.endswith("[0]"):
@@ -103,7 +104,7 @@ def order_for_ports(labels: Sequence[str], ports: Iterable[Port], kind: str = "s
         return np.arange(len(labels), dtype=np.intp)
     if len(set(known)) < len(labels):
         unknown = next((signal for signal in signals if signal not in place), signals[-1])
-        raise ValueError(f"{kind} ports must have the signals {', '.join(labels)}, got {unknown!r}")
+        raise InputError(f"{kind} ports must have the signals {', '.join(labels)}, got {unknown!r}")
     return np.array(known, dtype=np.intp)
 
 
@@ -117,7 +118,7 @@ def labels_of_ports(ports: Sequence[Port], kind: str = "signal") -> list[str]:
     """
     for port in ports:
         if _NUMBERED.fullmatch(port.name):
-            raise ValueError(f"{kind} port must have a name without an index to become labels, got {port.name!r}")
+            raise InputError(f"{kind} port must have a name without an index to become labels, got {port.name!r}")
     return [signal for port in ports for signal in port.signals]
 
 

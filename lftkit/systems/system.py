@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
 from lftkit.systems import lft
 from lftkit.systems.arithmetic import Arithmetic
@@ -88,27 +89,27 @@ class System(Arithmetic):
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise ValueError(f"name must be text (channels= and elements= go by keyword), got {self.name!r}")
+            raise InputError(f"name must be text (channels= and elements= go by keyword), got {self.name!r}")
         for side in ("inputs", "outputs"):
             object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "dt", as_number(self.dt, f"{self.name}: dt"))
         if not (np.isfinite(self.dt) and self.dt >= 0):
-            raise ValueError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
+            raise InputError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
         q = len(self.channels)
         try:
             sizes = q + total_size(self.inputs), q + total_size(self.outputs)
             matrices = checked_matrices(self.A, self.B, self.C, self.D, *sizes)
             table = element_table(self.elements)
         except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
+            raise InputError(f"{self.name}: {error}") from None
         for key, matrix in zip("ABCD", matrices):
             object.__setattr__(self, key, matrix)
         for name, count in Counter(self.channels).items():
             if name not in table:
-                raise ValueError(f"every Delta channel must have an element, got none for {name!r}")
+                raise InputError(f"every Delta channel must have an element, got none for {name!r}")
             if count % width(table[name]):
-                raise ValueError(f"channels of {name!r} must be a multiple of {width(table[name])}, got {count}")
+                raise InputError(f"channels of {name!r} must be a multiple of {width(table[name])}, got {count}")
         used = tuple(e for e in dict.fromkeys(self.elements) if e.name in set(self.channels))
         object.__setattr__(self, "elements", used)
 
@@ -160,13 +161,13 @@ class System(Arithmetic):
         """Raise a ValueError where the system has uncertain elements."""
         if self.channels:
             found = ", ".join(e.name for e in self.elements)
-            raise ValueError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {found}")
+            raise InputError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {found}")
 
     def require_siso(self) -> None:
         """Raise a ValueError where the system has several inputs or outputs, or elements."""
         self.require_certain()
         if self.D.shape != (1, 1):
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: must have one input and one output, got {self.D.shape[1]} and {len(self.D)}"
             )
 
@@ -175,12 +176,12 @@ class System(Arithmetic):
         for e in self.elements:
             if not isinstance(e, RealParameter):
                 kind = "complex" if isinstance(e, ComplexParameter) else "dynamic"
-                raise ValueError(f"{self.name}: elements must be real, got the {kind} element {e.name!r}")
+                raise InputError(f"{self.name}: elements must be real, got the {kind} element {e.name!r}")
 
     def require_continuous(self) -> None:
         """Raise a ValueError where the system is in discrete time."""
         if self.dt:
-            raise ValueError(f"{self.name}: system must be in continuous time, got sampling period {self.dt} s")
+            raise InputError(f"{self.name}: system must be in continuous time, got sampling period {self.dt} s")
 
     def occurrences(self) -> dict[str, int]:
         """Number of repetitions of each element in Delta, in the order of `elements`."""
@@ -191,7 +192,7 @@ class System(Arithmetic):
         """Definition of a real element; a ValueError lists the existing ones."""
         found = self.element(name)
         if not isinstance(found, RealParameter):
-            raise ValueError(f"element {name!r} must be real, got {description(found)}")
+            raise InputError(f"element {name!r} must be real, got {description(found)}")
         return found
 
     def element(self, name: str) -> Element:
@@ -200,7 +201,7 @@ class System(Arithmetic):
             if element.name == name:
                 return element
         known = ", ".join(e.name for e in self.elements)
-        raise ValueError(f"parameter must be one of {known or '(none)'}, got {name!r}")
+        raise InputError(f"parameter must be one of {known or '(none)'}, got {name!r}")
 
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, shape (n,): of an uncertain system those of the nominal one."""
@@ -289,7 +290,7 @@ class System(Arithmetic):
     def __getitem__(self, key: tuple[str | Sequence[str], str | Sequence[str]]) -> System:
         """Sub-system ``system[outputs, inputs]`` by port names; all states and channels stay."""
         if not isinstance(key, tuple) or len(key) != 2:
-            raise ValueError(f"index must be [output ports, input ports], for example P['y', 'u'], got {key!r}")
+            raise InputError(f"index must be [output ports, input ports], for example P['y', 'u'], got {key!r}")
         return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
 
     def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> System:
@@ -357,7 +358,7 @@ class System(Arithmetic):
         known = {p.name for p in self.inputs + self.outputs}
         for name in ports:
             if name not in known:
-                raise ValueError(f"port must be one of {', '.join(sorted(known))}, got {name!r}")
+                raise InputError(f"port must be one of {', '.join(sorted(known))}, got {name!r}")
         for name in elements:
             self.element(name)
         return replace(
@@ -440,7 +441,7 @@ class System(Arithmetic):
         """
         matrices, ports_in, ports_out = ports_and_matrices(system, units, inputs, outputs)
         if system.dt is True:
-            raise ValueError("system must have a sampling period in seconds, got dt True")
+            raise InputError("system must have a sampling period in seconds, got dt True")
         return cls(*matrices, ports_in, ports_out, name or str(system.name), float(system.dt or 0.0))
 
     def to_control(self, name: str | None = None) -> control.StateSpace:

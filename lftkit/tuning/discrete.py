@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.sampled.image import image_of, sampled_from_image
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import AGREEMENT, certify
@@ -124,9 +125,9 @@ def _common_period(models: Sequence[System]) -> float:
     for model in models:
         model.require_certain()
         if not model.dt:
-            raise ValueError(f"{model.name}: system must be in discrete time, got one in continuous time")
+            raise InputError(f"{model.name}: system must be in discrete time, got one in continuous time")
         if model.dt != models[0].dt:
-            raise ValueError(f"{model.name}: sampling period must be {models[0].dt} s, got {model.dt} s")
+            raise InputError(f"{model.name}: sampling period must be {models[0].dt} s, got {model.dt} s")
     return float(models[0].dt)
 
 
@@ -134,7 +135,7 @@ def _law(structure: Structure, dt: float) -> AffineStructure | StructureOnImage:
     """What the descent works on: the structure itself where its image is one of the same kind, else its image."""
     required_period(structure, dt)
     if isinstance(structure, StableStateSpace):
-        raise ValueError("structure must have entries of discrete matrices, got StableStateSpace of continuous time")
+        raise InputError("structure must have entries of discrete matrices, got StableStateSpace of continuous time")
     if isinstance(structure, AffineStructure):
         free = len(structure.parameters) == structure.base.size == structure.size and structure.bounds is None
         if not structure.order or (free and not structure.base.any()):

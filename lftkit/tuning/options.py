@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lftkit.errors import InputError
+
 
 @dataclass(frozen=True)
 class TuningOptions:
@@ -68,17 +70,17 @@ class TuningOptions:
 
     def __post_init__(self) -> None:
         if self.starts < 0 or self.workers < 1 or self.iterations < 1:
-            raise ValueError(
+            raise InputError(
                 "expected starts >= 0, workers >= 1 and iterations >= 1, got "
                 f"{self.starts}, {self.workers} and {self.iterations}"
             )
         if not self.wall_limit > 0:
-            raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
+            raise InputError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if not self.parameter_limit > 0:
-            raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
+            raise InputError(f"parameter_limit must be positive, got {self.parameter_limit}")
         if not 0 <= self.gap < 1:
-            raise ValueError(f"gap must be from 0 to below 1, got {self.gap}")
+            raise InputError(f"gap must be from 0 to below 1, got {self.gap}")
         if not self.hold > 0:
-            raise ValueError(f"hold must be positive, got {self.hold}")
+            raise InputError(f"hold must be positive, got {self.hold}")
         if not 0 < self.band < 1:
-            raise ValueError(f"band must be between 0 and 1, got {self.band}")
+            raise InputError(f"band must be between 0 and 1, got {self.band}")

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
@@ -103,7 +104,7 @@ class Problem:
     ) -> None:
         check_names(requirements)
         if not models:
-            raise ValueError("a design needs at least one model, got none")
+            raise InputError("a design needs at least one model, got none")
         self.given, self.bounds = tuple(requirements), bounds_of(structure)
         self.requirements: tuple[TuningRequirement | ParameterBounds | WellPosedness, ...] = self.given
         if self.bounds is not None:
@@ -197,7 +198,7 @@ class Problem:
     def _refuse_feedthrough(self, plant: ExtendedPlant, name: str) -> None:
         x = np.random.default_rng(0).standard_normal(self.structure.size)
         if np.abs(plant.closed(self.structure.gain_matrix(x)).D).max(initial=0.0) > 1e-12:
-            raise ValueError(
+            raise InputError(
                 f"H2 requirement {name!r} has a direct feedthrough, so its norm is infinite: use a strictly proper "
                 "weight or a structure with feedthrough=False"
             )
@@ -432,9 +433,9 @@ def _check_sizes(model: System, structure: Structure) -> None:
         sizes = {p.name: p.size for p in there}
         for port in ports:
             if port.name not in sizes:
-                raise ValueError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
+                raise InputError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
             if sizes[port.name] != port.size:
-                raise ValueError(
+                raise InputError(
                     f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, "
                     f"the controller has {port.size}"
                 )

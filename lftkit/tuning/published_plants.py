@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 
@@ -45,7 +46,7 @@ def published_plant(name: str) -> System:
         No plant has this name.
     """
     if name not in _DATA:
-        raise ValueError(f"name must be one of {', '.join(_DATA)}, got {name!r}")
+        raise InputError(f"name must be one of {', '.join(_DATA)}, got {name!r}")
     return CompleibPlant(**{field.name: _DATA[name][field.name] for field in fields(CompleibPlant)}).system(name)
 
 

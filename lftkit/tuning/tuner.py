@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
@@ -117,13 +118,13 @@ def tune(
     """
     options = options or TuningOptions()
     if any(model.dt for model in models):
-        raise ValueError("models must be in continuous time, got discrete ones: tune_discrete takes them")
+        raise InputError("models must be in continuous time, got discrete ones: tune_discrete takes them")
     required_period(structure, 0.0)
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
     given = [start_checked(x, structure) for x in initial]
     if structure.size and not (given or options.starts):
-        raise ValueError("nothing to start from: give initial parameters or starts >= 1")
+        raise InputError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
     if options.lexicographic:
         run = partial(tune, ready, loop_delay=loop_delay, min_decay=min_decay)

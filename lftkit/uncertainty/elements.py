@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -41,14 +42,14 @@ class ComplexParameter:
         for key in ("nominal", "radius"):
             object.__setattr__(self, key, as_number(getattr(self, key), f"element {self.name!r}: {key}"))
         if not math.isfinite(self.nominal):
-            raise ValueError(f"element {self.name!r}: nominal must be a finite real number, got {self.nominal}")
+            raise InputError(f"element {self.name!r}: nominal must be a finite real number, got {self.nominal}")
         if not (math.isfinite(self.radius) and self.radius > 0):
-            raise ValueError(f"element {self.name!r}: radius must be positive, got {self.radius}")
+            raise InputError(f"element {self.name!r}: radius must be positive, got {self.radius}")
 
     def check(self, value: complex) -> complex:
         """Return `value`; a ValueError says that it is not in the disk (to 1e-12 of its radius)."""
         if not abs(value - self.nominal) <= self.radius * (1 + 1e-12):
-            raise ValueError(
+            raise InputError(
                 f"element {self.name!r} must be within {self.radius:g} of {self.nominal:g}, got {complex(value):g}"
             )
         return value
@@ -86,9 +87,9 @@ class DynamicElement:
             object.__setattr__(self, key, as_integer(getattr(self, key), f"element {self.name!r}: {key}"))
         object.__setattr__(self, "bound", as_number(self.bound, f"element {self.name!r}: bound"))
         if self.outputs < 1 or self.inputs < 1:
-            raise ValueError(f"element {self.name!r}: sizes must be at least 1, got {self.outputs} x {self.inputs}")
+            raise InputError(f"element {self.name!r}: sizes must be at least 1, got {self.outputs} x {self.inputs}")
         if not (math.isfinite(self.bound) and self.bound > 0):
-            raise ValueError(f"element {self.name!r}: bound must be positive, got {self.bound}")
+            raise InputError(f"element {self.name!r}: bound must be positive, got {self.bound}")
 
 
 Element = RealParameter | ComplexParameter | DynamicElement
@@ -128,7 +129,7 @@ def element_table(elements: Iterable[Element]) -> dict[str, Element]:
         known = table.setdefault(element.name, element)
         if known != element:
             kind = "parameter" if isinstance(known, RealParameter) and isinstance(element, RealParameter) else "element"
-            raise ValueError(
+            raise InputError(
                 f"{kind} {element.name!r} must have one definition, got two: {description(known)} and "
                 f"{description(element)}"
             )
@@ -137,4 +138,4 @@ def element_table(elements: Iterable[Element]) -> dict[str, Element]:
 
 def _check_name(name: str) -> None:
     if not name:
-        raise ValueError("name of an element must not be empty, got ''")
+        raise InputError("name of an element must not be empty, got ''")

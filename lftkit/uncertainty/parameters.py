@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
 
 
@@ -47,14 +48,14 @@ class RealParameter:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise ValueError("name of a parameter must not be empty, got ''")
+            raise InputError("name of a parameter must not be empty, got ''")
         for key in ("nominal", "lower", "upper"):
             object.__setattr__(self, key, as_number(getattr(self, key), f"parameter {self.name!r}: {key}"))
         bounds = (self.lower, self.nominal, self.upper)
         if not all(math.isfinite(v) for v in bounds):
-            raise ValueError(f"parameter {self.name!r}: lower, nominal and upper must be finite, got {bounds}")
+            raise InputError(f"parameter {self.name!r}: lower, nominal and upper must be finite, got {bounds}")
         if not self.lower <= self.nominal <= self.upper:
-            raise ValueError(
+            raise InputError(
                 f"parameter {self.name!r} must have lower <= nominal <= upper, "
                 f"got {self.lower} <= {self.nominal} <= {self.upper} {self.unit}"
             )
@@ -70,7 +71,7 @@ class RealParameter:
         number = float(value)
         slack = 1e-12 * max(self.upper - self.lower, abs(self.nominal))
         if not self.lower - slack <= number <= self.upper + slack:
-            raise ValueError(
+            raise InputError(
                 f"parameter {self.name!r} must be in [{self.lower:g}, {self.upper:g}] {self.unit}, got {number:g}"
             )
         return number
@@ -111,7 +112,7 @@ def checked_values(
     """
     unknown = sorted(set(values) - set(parameters))
     if unknown:
-        raise ValueError(f"parameter must be one of {', '.join(parameters) or '(none)'}, got {unknown[0]!r}")
+        raise InputError(f"parameter must be one of {', '.join(parameters) or '(none)'}, got {unknown[0]!r}")
     result = {}
     for name, parameter in parameters.items():
         value = float(values.get(name, parameter.nominal))

@@ -17,6 +17,7 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_design.figures.stage_curves import HIGHEST, LOWEST, sampled_curve
 from los_design.figures.style import STAGE_STYLES, STYLE, hertz, radians, save_figure
 from los_design.search.worst_points import WorstPoint, load_worst_points
@@ -141,9 +142,9 @@ def draw(
     known = tuple(name for name in FIGURES if designs is None or not name.endswith("nominal"))
     names = known if names is None else names
     if unknown := [name for name in names if name not in known]:
-        raise ValueError(f"names must be of {', '.join(known)}, got {unknown[0]!r}")
+        raise InputError(f"names must be of {', '.join(known)}, got {unknown[0]!r}")
     if samples < 0:
-        raise ValueError(f"samples must not be negative, got {samples}")
+        raise InputError(f"samples must not be negative, got {samples}")
     designed = DesignedTelescope.of(designs)
     output.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lftkit import SampledSystem
+from lftkit.errors import InputError
 from los_design.figures.stage_curves import NAMES, PaperStages
 from titop_plant.disturbances.responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.interface import STAGES
@@ -61,14 +62,14 @@ class PaperCase:
             A file is missing or of another form, a negative number of samples.
         """
         if samples < 0:
-            raise ValueError(f"samples must not be negative, got {samples}")
+            raise InputError(f"samples must not be negative, got {samples}")
         pairs: dict[str, Pair] = {}
         for name, ending in DESIGNS.items():
             k_fsm, k_pma = (folder / "designs" / f"{kind}{ending}.json" for kind in KINDS)
             pairs[name] = SampledSystem.from_file(k_fsm), SampledSystem.from_file(k_pma)
         file = folder / "telescope.toml"
         if not file.is_file():
-            raise ValueError(f"the folder must hold telescope.toml, got none in {folder}")
+            raise InputError(f"the folder must hold telescope.toml, got none in {folder}")
         alone = folder / "designs" / ALONE
         return cls(str(file), pairs, samples, seed, SampledSystem.from_file(alone) if alone.is_file() else None)
 

@@ -22,6 +22,7 @@ from lftkit import System
 from lftkit.analysis.batched_linalg import singular_values
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_design.figures import plant_figures
 from los_design.figures.block_diagrams import draw_diagram, fsm_synthesis, pma_synthesis
 from los_design.figures.paper_case import PaperCase
@@ -70,7 +71,7 @@ def draw(case: PaperCase, output: Path, names: Sequence[str] | None = None) -> l
         An unknown name.
     """
     if unknown := [name for name in names or () if name not in FIGURES]:
-        raise ValueError(f"names must be of {', '.join(FIGURES)}, got {unknown[0]!r}")
+        raise InputError(f"names must be of {', '.join(FIGURES)}, got {unknown[0]!r}")
     output.mkdir(parents=True, exist_ok=True)
     settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE}
     paths: list[Path] = []

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_design.figures.style import BLUE, LIMIT, ORANGE, STYLE, hertz, radians, save_figure
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.disturbances.drive_lines import fixed_lines, stepper_lines
@@ -66,13 +67,13 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     """
     for name in names or ():
         if name not in {**FIGURES, **OF_MECHANISMS}:
-            raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_MECHANISMS))}")
+            raise InputError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_MECHANISMS))}")
     both = disturbance_responses(load_telescope(parameters))
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
+        raise InputError(f"cannot make the folder {folder}: {error.strerror}") from None
     known = {**FIGURES, **OF_MECHANISMS}
     possible = {
         "arrays_turn": both.telescope.arrays_turn,

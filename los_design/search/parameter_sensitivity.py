@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from los_loop.open_loop import OpenLoop
@@ -146,7 +147,7 @@ def changed_entry(telescope: Telescope, entry: str, factor: float) -> Telescope:
     except (TypeError, ValueError):
         numbers = np.array([np.nan])
     if value is None or isinstance(value, (bool, str)) or not np.isfinite(numbers).all():
-        raise ValueError(
+        raise InputError(
             f"an entry must be TABLE.KEY of numbers in the parameter file, e.g. isolator.stiffness, got {entry}"
         )
     return telescope.changed({table: {key: (factor * numbers).tolist()}})

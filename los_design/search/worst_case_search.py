@@ -25,6 +25,7 @@ import scipy.optimize
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
@@ -126,7 +127,7 @@ class SearchOptions:
     def __post_init__(self) -> None:
         for name in ("frequencies", "points", "ascents", "iterations"):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 class Search:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
@@ -140,8 +141,8 @@ def _named(folder: Path | None) -> Iterator[dict[str, Any]]:
     """Content of a file of worst points; whatever is wrong with it is told with its path."""
     path = (folder or Path(__file__).parent) / FILE
     if not path.exists():
-        raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
+        raise InputError(f"{path} must exist: it is made by `los-testbed design all`")
     try:
         yield load_json(read_text(path), path)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path} must hold worst points as made by `los-testbed design all`, got {error!r}") from None
+        raise InputError(f"{path} must hold worst points as made by `los-testbed design all`, got {error!r}") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lftkit.errors import InputError
 from los_estimator.problem import ORDER
 from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
@@ -47,7 +48,7 @@ class DesignOptions:
 
     def __post_init__(self) -> None:
         if self.order < 0 or (self.implemented and self.order != ORDER):
-            raise ValueError(f"order must be {ORDER} with a loop delay, at least 0 without, got {self.order}")
+            raise InputError(f"order must be {ORDER} with a loop delay, at least 0 without, got {self.order}")
 
     @property
     def implemented(self) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
@@ -70,7 +71,7 @@ def choose_paper_start(
     x = parameters_of(task.blocks, [mirror, force])
     if not task.stable(x):
         name = "the Kalman observer" if observer is None else "the start"
-        raise ValueError(f"{name} must stabilise the telescope, got a loop that is not stable")
+        raise InputError(f"{name} must stabilise the telescope, got a loop that is not stable")
     return x
 
 
@@ -86,7 +87,7 @@ def _best_random(
         laws = (parameters_of(task.blocks, [mirror, _law(task, options.seed + seed, gain)]) for gain in GAINS)
         law = next((law for law in laws if all(task.stable(law, values) for values in at)), None)
         if law is None:
-            raise ValueError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
+            raise InputError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
         first = largest(problem, law)
         found = descend(ResponseSource(problem, task.stable), law, DescentOptions(STEPS, TOLERANCE, 0.0)).x
         found = found if all(task.stable(found, values) for values in at) else law

@@ -15,6 +15,7 @@ import numpy as np
 
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ControllerBlock, ResponseProblem, ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
@@ -98,7 +99,7 @@ def choose_start(
         made |= {f"{name}{WITH_DEVICES}": entries(start, DEVICE_PART) for name, start in starts.items() if start}
     found = {name: x for name, x in made.items() if stable(x)}
     if not found:
-        raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
+        raise InputError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
     return _best(task, found, 0 if options.nominal else POINTS, report)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import SampledSystem, System
+from lftkit.errors import InputError
 from lftkit.systems.ports import spread_columns
 from lftkit.tuning.nested_orders import with_decaying_states
 from los_design.synthesis.store import design_ports
@@ -57,6 +58,6 @@ def padded(system: System, order: int) -> System:
         It has more states than `order`.
     """
     if system.order > order:
-        raise ValueError(f"start must be of order {order} or lower, got {system.order}")
+        raise InputError(f"start must be of order {order} or lower, got {system.order}")
     speeds = np.geomspace(*START_POLES, order - system.order + 2)[1:-1]
     return with_decaying_states(system, speeds, seed=order)

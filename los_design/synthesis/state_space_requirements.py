@@ -13,6 +13,7 @@ import numpy as np
 import fsm_pma_controller.problem
 import los_estimator.problem
 from lftkit import Port, System, static_gain
+from lftkit.errors import InputError
 from lftkit.tuning import H2Gain, HinfGain, TuningRequirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
@@ -74,7 +75,7 @@ def _ports(row: FigureOfMerit, ports: ModuleType, disturbances: tuple[str, ...])
         for port in found:
             together = [name for name, own in noise.items() if own == port]
             if not set(together) <= set(row.inputs):
-                raise ValueError(f"{row.name}: the plant has one noise for {', '.join(together)}, got {row.inputs}")
+                raise InputError(f"{row.name}: the plant has one noise for {', '.join(together)}, got {row.inputs}")
         return found, row.output, False
     if row.is_sensitivity:
         added, applied = ports.SENSITIVITY_PORTS[row.inputs[0]]
@@ -86,7 +87,7 @@ def _weight_out(row: FigureOfMerit, telescope: Telescope) -> System | None:
     if row.band in BANDS and row.relative:
         return band_error_weight(telescope, BANDS[row.band])
     if row.band != (0.0, np.inf):
-        raise ValueError(f"{row.name}: band must be the whole axis, or that of slow or fast tones, got {row.band}")
+        raise InputError(f"{row.name}: band must be the whole axis, or that of slow or fast tones, got {row.band}")
     if row.relative:
         return relative_error_weight(telescope.weights.rpe_window).at({}).named("W_RPE")
     return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from lftkit import Port, SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import spread_columns
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import LoopPorts
@@ -27,7 +28,7 @@ def design_file(kind: str, variant: str = "implemented") -> Path:
         Unknown kind or variant.
     """
     if kind not in DESIGN_PACKAGES or variant not in VARIANTS:
-        raise ValueError(
+        raise InputError(
             f"kind and variant must be one of {', '.join(DESIGN_PACKAGES)} and one of {', '.join(VARIANTS)}, "
             f"got {kind!r} and {variant!r}"
         )
@@ -47,7 +48,7 @@ def continuous(system: SampledSystem) -> System:
     """
     matrices = system.provenance.get("continuous")
     if not isinstance(matrices, Mapping):
-        raise ValueError(f"{system.name}: the file holds no continuous controller, only the sampled one")
+        raise InputError(f"{system.name}: the file holds no continuous controller, only the sampled one")
     A, B, C, D = (np.array(matrices[key], dtype=float) for key in "ABCD")
     n, (rows, columns) = len(A), D.shape  # lists of no states have lost their other dimension
     A, B, C = A.reshape(n, n), B.reshape(n, columns), C.reshape(rows, n)
@@ -84,7 +85,7 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
         path = design_file(kind, variant)
         if not path.exists():
             flags = " --nominal" if "nominal" in variant else ""
-            raise ValueError(
+            raise InputError(
                 f"there is no {path.name}: make it with `los-testbed design {kind}{flags} --output {path}`"
             )
         result.append(SampledSystem.from_file(path))

@@ -18,6 +18,7 @@ import numpy as np
 from fsm_pma_controller.problem import sampled_controller
 from lftkit import SampledSystem, state_space
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.job import Job
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import gain_matrices
@@ -181,7 +182,7 @@ def design_pair(
 
 def _check_start(options: DesignOptions, start: SampledSystem | None) -> None:
     if start is not None and options.implemented:
-        raise ValueError("start must be left out with a loop delay, got one")
+        raise InputError("start must be left out with a loop delay, got one")
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.proofs.proof_files import arrays_of, packed, read_content, unpacked, write_content
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions
@@ -334,7 +335,7 @@ def certify_figure(
                 lower, omega, values = gain, point.omega, dict(point.parameters)
     target = level.above(lower)
     if not target > 0.0:
-        raise ValueError(f"a level, or a worst point of {name}, must be given")
+        raise InputError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
     if time.monotonic() > until:

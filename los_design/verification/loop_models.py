@@ -13,6 +13,7 @@ import numpy as np
 
 from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.trusted.proof import Interval
 from los_design.verification.error_sum import FAST, parts_of_band
@@ -106,7 +107,7 @@ def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, *
     system = loop.system
     names, q = system.channels, len(system.channels)
     if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
-        raise ValueError(f"the nominal value of {ANGLE} must be 0")
+        raise InputError(f"the nominal value of {ANGLE} must be 0")
     kept = kept_channels(system).tolist()
     rows = [*kept, *range(q, system.C.shape[0])]
     columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]

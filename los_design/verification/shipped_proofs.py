@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from lftkit.proofs.trusted.proof import ProofError
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
@@ -86,7 +87,7 @@ def write_shipped_bundle(target: Path, folder: Path | None = None) -> None:
     place = folder or FOLDER
     stored = sorted(place.glob(f"*{SUFFIX}"))
     if not stored:
-        raise ValueError(f"proofs of the shipped controllers must be in {place}, got none")
+        raise InputError(f"proofs of the shipped controllers must be in {place}, got none")
     with tempfile.TemporaryDirectory() as unpacked:
         proofs = {}
         for file in stored:

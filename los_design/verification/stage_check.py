@@ -19,6 +19,7 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
@@ -112,7 +113,7 @@ def check_stages(
         Processes; the result does not depend on them.
     """
     if not points:
-        raise ValueError("points must hold at least one parameter point, got none")
+        raise InputError("points must hold at least one parameter point, got none")
     workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], _all_frequencies()
     chunks = [slice(k, k + CHUNK) for k in range(0, len(points), CHUNK)]
     blocks = [np.arange(k, len(omega), BLOCKS) for k in range(BLOCKS)]

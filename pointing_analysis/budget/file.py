@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.source_table import read_sources
-from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource, PointingBudgetError
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource
 from pointing_analysis.budget.table_files import ENDINGS
-from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
+from pointing_analysis.files.structured_text import is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
-from pointing_analysis.requirements.requirement import Requirement, RequirementError, parse
+from pointing_analysis.requirements.requirement import Requirement, parse
 from pointing_analysis.units import ANGLES
 
 Entry = Mapping[str, Any]
@@ -88,17 +89,15 @@ def load_budget(
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         A file that cannot be read, or an entry that cannot be used.
     """
     file = Path(path)
     content = read_content(file)
     try:
         return _budget(content, file, testbed, of_testbed)
-    except PointingBudgetError:
-        raise
     except (ValueError, TypeError) as error:
-        raise PointingBudgetError(f"{file}: {error}") from None
+        raise InputError.of_file(file, error) from None
 
 
 def read_content(file: Path) -> dict[str, Any]:
@@ -106,43 +105,36 @@ def read_content(file: Path) -> dict[str, Any]:
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         A file that cannot be read.
     """
-    try:
-        if file.suffix.lower() in ENDINGS:
-            return read_sources(file)
-        return dict(load_toml(read_text(file), file))
-    except StructuredTextError as error:
-        raise PointingBudgetError(str(error)) from None
+    return read_sources(file) if file.suffix.lower() in ENDINGS else dict(load_toml(read_text(file), file))
 
 
 def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> PointingBudget:
     unknown = set(content) - TOP
     if unknown:
-        raise PointingBudgetError(
-            f"{file}: keys must be among {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}"
-        )
+        raise InputError(f"{file}: keys must be among {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
     unit, axes = content.get("unit"), tuple(content.get("axes", ("x", "y")))
     if unit not in ANGLES:
-        raise PointingBudgetError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
+        raise InputError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
     summation = content.get("summation", "distribution")
     if summation not in ("distribution", "rss"):
-        raise PointingBudgetError(f"{file}: summation must be distribution or rss, got {summation!r}")
+        raise InputError(f"{file}: summation must be distribution or rss, got {summation!r}")
     reader = _Reader(file, ANGLES[unit], len(axes), testbed)
     sources = tuple(reader.tree(content.get("sources", {}), ()))
     if not sources:
-        raise PointingBudgetError(f"{file}: sources must hold at least one source, got none")
+        raise InputError(f"{file}: sources must hold at least one source, got none")
     requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
     totals = tuple(_total(file, entry) for entry in content.get("total", ()))
     table = testbed_table(content.get("sources", {}))
     if not requirements and not totals and of_testbed is not None and table is not None:
         requirements = tuple(replace(r, of_windows=False) for r in of_testbed(table) if r.index in INDICES)
     if not requirements and not totals:
-        raise PointingBudgetError(f"{file}: must hold a list requirement or total, got neither")
+        raise InputError(f"{file}: must hold a list requirement or total, got neither")
     draws, seed = int(content.get("draws", 50_000)), int(content.get("seed", 1))
     if not 1000 <= draws <= MOST_DRAWS:
-        raise PointingBudgetError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
+        raise InputError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
     if summation == "distribution":
         _check_draws(file, draws, requirements)
     title = str(content.get("title", file.stem))
@@ -155,13 +147,9 @@ def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) ->
         needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
         if needed > MOST_DRAWS:
             most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
-            raise PointingBudgetError(
-                f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}'
-            )
+            raise InputError(f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}')
         if draws < needed:
-            raise PointingBudgetError(
-                f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}"
-            )
+            raise InputError(f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}")
 
 
 def testbed_table(table: Entry) -> Entry | None:
@@ -174,27 +162,27 @@ def testbed_table(table: Entry) -> Entry | None:
 
 def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
     if not isinstance(entry, dict) or "text" not in entry or set(entry) - {"text", "name"}:
-        raise PointingBudgetError(f"{file}: requirement must have the keys text and name, got {entry!r}")
+        raise InputError(f"{file}: requirement must have the keys text and name, got {entry!r}")
     try:
         found = parse(str(entry["text"]), str(entry.get("name", "")))
-    except RequirementError as error:
-        raise PointingBudgetError(f"{file}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
     if found.index not in INDICES:
-        raise PointingBudgetError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
+        raise InputError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
     if found.of_windows:
         instants = replace(found, of_windows=False).quantity
-        raise PointingBudgetError(
+        raise InputError(
             f"{file}: requirement must be on {instants} in a budget, which is for every instant, without rms of "
             f"windows, got {found.quantity!r}"
         )
     if axes != 2:
-        raise PointingBudgetError(f"{file}: axes must be two with requirements, got {axes}")
+        raise InputError(f"{file}: axes must be two with requirements, got {axes}")
     return found
 
 
 def _total(file: Path, entry: Any) -> TotalRule:
     if not isinstance(entry, dict) or entry.get("index") not in INDICES or set(entry) - {"index", "window", "factor"}:
-        raise PointingBudgetError(
+        raise InputError(
             f"{file}: total must have an index, {' or '.join(INDICES)}, a window and a factor, got {entry!r}"
         )
     window = _positive(file, "window", entry.get("window")) if entry["index"] == "RPE" else None
@@ -203,7 +191,7 @@ def _total(file: Path, entry: Any) -> TotalRule:
 
 def _positive(file: Path, name: str, value: Any) -> float:
     if not is_number(value) or not 0 < value < math.inf:
-        raise PointingBudgetError(f"{file}: {name} must be a positive number, got {value!r}")
+        raise InputError(f"{file}: {name} must be a positive number, got {value!r}")
     return float(value)
 
 
@@ -226,7 +214,7 @@ class _Reader:
     def tree(self, table: Entry, path: tuple[str, ...], above: tuple[Any, ...] = ()) -> Iterator[ErrorSource]:
         """All sources of a table and of the tables in it."""
         if not isinstance(table, dict):
-            raise PointingBudgetError(f"{self.file}: {' / '.join(path)} must be a table, got {table!r}")
+            raise InputError(f"{self.file}: {' / '.join(path)} must be a table, got {table!r}")
         gains = [*above, table["transfer"]] if "transfer" in table else list(above)
         if "type" not in table:
             for name, entry in table.items():
@@ -242,8 +230,8 @@ class _Reader:
             raise self.wrong(path, f"keys must be among {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
         yield from make(path, table, gains)
 
-    def wrong(self, path: tuple[str, ...], what: str, got: object) -> PointingBudgetError:
-        return PointingBudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
+    def wrong(self, path: tuple[str, ...], what: str, got: object) -> InputError:
+        return InputError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
 
     def vector(self, path: tuple[str, ...], name: str, value: Any) -> FloatArray:
         """A value for each axis; a single number applies to all."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.topic import read_only
 
@@ -58,7 +59,7 @@ def contribution(name: str, sigma: ArrayLike, *, mean: ArrayLike = 0.0, within_e
     s = np.asarray(sigma, dtype=float)
     s = np.full(3, float(s)) if s.ndim == 0 else s.copy()
     if s.ndim != 1 or not np.all(np.isfinite(s)) or np.any(s < 0):
-        raise ValueError(f"{name}: sigma must be zero or more on each axis, got {sigma!r}")
+        raise InputError(f"{name}: sigma must be zero or more on each axis, got {sigma!r}")
     m = np.broadcast_to(np.asarray(mean, dtype=float), s.shape).copy()
     return Contribution(name, read_only(s), read_only(m), within_exposure)
 
@@ -101,11 +102,11 @@ def combine(contributions: Sequence[Contribution], index: str = "APE", factor: f
     [10.0, 6.0]
     """
     if index not in ("APE", "RPE"):
-        raise ValueError(f"index must be APE or RPE, got {index!r}")
+        raise InputError(f"index must be APE or RPE, got {index!r}")
     chosen = [c for c in contributions if index == "APE" or c.within_exposure]
     sizes = {c.sigma.size for c in contributions}
     if len(sizes) != 1:
-        raise ValueError(f"contributions must have the same number of axes, got {sorted(sizes) or 'none'}")
+        raise InputError(f"contributions must have the same number of axes, got {sorted(sizes) or 'none'}")
     k = sizes.pop()
     rss = np.sqrt(sum((np.square(c.sigma) for c in chosen), np.zeros(k)))
     mean = sum((c.mean for c in chosen if index == "APE"), np.zeros(k))

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pointing_analysis.budget.sources import PointingBudgetError
+from lftkit.errors import InputError
 from pointing_analysis.budget.table_files import read_rows
 from pointing_analysis.units import ANGLES
 
@@ -38,14 +38,14 @@ def read_sources(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         Unknown or missing columns, a cell that is not a number, an unknown unit, a repeated name.
     """
     heads, rows = read_rows(path)
     if unknown := [head for head in heads if head and head not in COLUMNS]:
-        raise PointingBudgetError(f"{path}: columns must be among {', '.join(COLUMNS)}, got {unknown[0]!r}")
+        raise InputError(f"{path}: columns must be among {', '.join(COLUMNS)}, got {unknown[0]!r}")
     if missing := [head for head in ("source", "type", "unit") if head not in heads]:
-        raise PointingBudgetError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
+        raise InputError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
     content: dict[str, Any] = {"sources": {}, REQUIREMENT: []}
     for where, cells in rows:
         _take(content, cells, where)
@@ -66,10 +66,10 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
         _set(content, name, cells.get("text", ""), where)
         return
     if others := [key for key in OF_TOTAL if key in cells]:
-        raise PointingBudgetError(f"{where}: {others[0]} must be empty for a source, got {cells[others[0]]!r}")
+        raise InputError(f"{where}: {others[0]} must be empty for a source, got {cells[others[0]]!r}")
     unit = cells.get("unit", content.get("unit", ""))
     if unit not in ANGLES:
-        raise PointingBudgetError(f"{where}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
+        raise InputError(f"{where}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
     scale = ANGLES[unit] / ANGLES[content.setdefault("unit", unit)]
     table: dict[str, Any] = {"type": kind}
     for key in (*NUMBERS, *TEXTS):
@@ -82,18 +82,18 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
     for part in above:
         group = group.setdefault(part, {})
         if "type" in group:
-            raise PointingBudgetError(f"{where}: source must not be nested in another source, got {name!r}")
+            raise InputError(f"{where}: source must not be nested in another source, got {name!r}")
     if not last or last in group:
-        raise PointingBudgetError(f"{where}: source must be unique, got {name!r}")
+        raise InputError(f"{where}: source must be unique, got {name!r}")
     group[last] = table
 
 
 def _set(content: dict[str, Any], key: str, text: str, where: str) -> None:
     """A setting of the budget into the content."""
     if key not in SETTINGS:
-        raise PointingBudgetError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {key!r}")
+        raise InputError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {key!r}")
     if key in content:
-        raise PointingBudgetError(f"{where}: setting must be given once, got {key!r}")
+        raise InputError(f"{where}: setting must be given once, got {key!r}")
     if key == "axes":
         content[key] = [axis.strip() for axis in text.split(";")]
     elif key in WHOLE:
@@ -106,14 +106,14 @@ def _whole(cell: str, where: str, key: str) -> int:
     """A whole number; a workbook may have it with a decimal point."""
     digits = cell.removesuffix(".0").removeprefix("-")
     if not (digits.isascii() and digits.isdigit() and len(digits) < 19):
-        raise PointingBudgetError(f"{where}: {key} must be a whole number, got {cell!r}")
+        raise InputError(f"{where}: {key} must be a whole number, got {cell!r}")
     return int(cell.removesuffix(".0"))
 
 
 def _number(cell: str, where: str, key: str) -> float:
     found = _numbers(cell, where, key)
     if isinstance(found, list):
-        raise PointingBudgetError(f"{where}: {key} must be one number, got {cell!r}")
+        raise InputError(f"{where}: {key} must be one number, got {cell!r}")
     return found
 
 
@@ -121,7 +121,7 @@ def _numbers(cell: str, where: str, key: str) -> float | list[float]:
     try:
         found = [float(part) for part in cell.split(";")]
     except ValueError:
-        raise PointingBudgetError(
+        raise InputError(
             f"{where}: {key} must be a number, or one per axis, separated by semicolons, got {cell!r}"
         ) from None
     return found[0] if len(found) == 1 else found
@@ -132,7 +132,7 @@ def source_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         What no row can hold: a spectrum, a record, several tones, a transfer that depends on the frequency; a name
         that would be read as another one.
     """
@@ -160,9 +160,7 @@ def _plain(what: str, value: Any, separator: str = "") -> str:
     text = str(value)
     if text != text.strip() or (separator and (not text or separator in text)):
         ends = f", not empty and without {separator!r}," if separator else ""
-        raise PointingBudgetError(
-            f"{what} must be a text{ends} without leading or trailing spaces in a table, got {text!r}"
-        )
+        raise InputError(f"{what} must be a text{ends} without leading or trailing spaces in a table, got {text!r}")
     return text
 
 
@@ -172,7 +170,7 @@ def _flat(table: Mapping[str, Any], path: tuple[str, ...], gain: float) -> Itera
     if isinstance(transfer, (int, float)):
         gain *= float(transfer)
     else:
-        raise PointingBudgetError(f"{name}: transfer must be a number in a table, got {transfer!r}")
+        raise InputError(f"{name}: transfer must be a number in a table, got {transfer!r}")
     if "type" not in table:
         for key, entry in table.items():
             if key != "transfer":
@@ -181,12 +179,10 @@ def _flat(table: Mapping[str, Any], path: tuple[str, ...], gain: float) -> Itera
     cells = {key: value for key, value in table.items() if key != "transfer"}
     if one := cells.pop("tones", None):
         if len(one) > 1:
-            raise PointingBudgetError(f"{name}: tones must be one in a table, got {len(one)}")
+            raise InputError(f"{name}: tones must be one in a table, got {len(one)}")
         cells |= {**one[0], "type": "periodic"}
     if unknown := sorted(set(cells) - {"type", *NUMBERS, *TEXTS}):
-        raise PointingBudgetError(
-            f"{name}: a table has no column for {', '.join(unknown)} of a source of type {cells['type']}"
-        )
+        raise InputError(f"{name}: a table has no column for {', '.join(unknown)} of a source of type {cells['type']}")
     shown = {key: _cell(value) for key, value in cells.items()}
     yield name, {**shown, **({} if gain == 1.0 else {"transfer": repr(gain)})}
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.indices import metrics, weights
 
@@ -23,10 +24,6 @@ Sigma = Callable[[float | None], FloatArray]
 POSITIONS = 40
 """Equal parts of a window, for each of which a random process has a covariance: the mean over the part."""
 TIME, ENSEMBLE = "time", "ensemble"
-
-
-class PointingBudgetError(ValueError):
-    """Invalid budget; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,11 +280,11 @@ def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> ErrorSource
             n = metrics.window_samples(window, dt)
             whole = metrics.rpe_instant(error, dt, window)
         except ValueError as wrong:
-            raise ValueError(f"{' / '.join(path)}: {wrong}") from None
+            raise InputError(f"{' / '.join(path)}: {wrong}") from None
         whole = whole[: len(whole) // n * n].reshape(-1, n, whole.shape[1])
         complete = whole[~np.isnan(whole).any(axis=(1, 2))]
         if not len(complete):
-            raise ValueError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
+            raise InputError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
         return np.asarray(complete)
 
     def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:

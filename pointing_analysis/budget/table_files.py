@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file, write_text
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import LINES, TEXT
-from pointing_analysis.budget.sources import PointingBudgetError
 from pointing_analysis.files.structured_text import read_text
-from pointing_analysis.read.tables.table import TableError, check_unpacked
+from pointing_analysis.read.tables.table import check_unpacked
 
 WORKBOOK = ".xlsx"
 ENDINGS = (".csv", WORKBOOK)
@@ -32,9 +32,9 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         An unreadable workbook, a repeated heading; of the rows: a cell without a heading.
-    StructuredTextError
+    InputError
         A CSV file that cannot be read.
     """
     if path.suffix.lower() == WORKBOOK:
@@ -42,11 +42,11 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     else:
         text = read_text(path).lstrip("\ufeff")
         if text.count("\n") > LINES:
-            raise PointingBudgetError(f"{path} must have at most {LINES} lines, got more")
+            raise InputError(f"{path} must have at most {LINES} lines, got more")
         lines = list(csv.reader(io.StringIO(text), skipinitialspace=True))
     heads = [cell.strip() for cell in lines[0]] if lines else []
     if twice := [head for head in heads if head and heads.count(head) > 1]:
-        raise PointingBudgetError(f"{path}: columns must be unique, got {twice[0]!r} {heads.count(twice[0])} times")
+        raise InputError(f"{path}: columns must be unique, got {twice[0]!r} {heads.count(twice[0])} times")
     return heads, _filled(path, heads, lines[1:])
 
 
@@ -57,9 +57,7 @@ def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tu
             head = heads[column - 1] if column <= len(heads) else ""
             if cell and not head:
                 hint = "" if path.suffix.lower() == WORKBOOK else "; quote a text with commas"
-                raise PointingBudgetError(
-                    f"{where}: cells must be in a column with a heading, got {cell!r} in {column}{hint}"
-                )
+                raise InputError(f"{where}: cells must be in a column with a heading, got {cell!r} in {column}{hint}")
             if cell:
                 cells[head] = cell
         if cells:
@@ -78,15 +76,13 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
             lines = [["" if cell is None else _text(cell) for cell in row] for row in rows]
         finally:
             book.close()
-    except (PointingBudgetError, MemoryError):
+    except (InputError, MemoryError):
         raise
-    except TableError as error:
-        raise PointingBudgetError(str(error)) from None
     except OSError as error:
-        raise PointingBudgetError(f"cannot read {path}: {error.strerror or error}") from None
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # of a damaged file openpyxl raises a dozen kinds
         text = " ".join(str(error).split())
-        raise PointingBudgetError(f"{path} must be a workbook (.xlsx), got {type(error).__name__}: {text}") from None
+        raise InputError(f"{path} must be a workbook (.xlsx), got {type(error).__name__}: {text}") from None
     while lines and not any(lines[-1]):
         lines.pop()
     return lines
@@ -104,7 +100,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, str]], columns: Sequence[
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         A workbook, and openpyxl is not installed.
     OSError
         The file cannot be written.
@@ -145,7 +141,7 @@ def require_writable(path: Path) -> None:
 
     Raises
     ------
-    PointingBudgetError
+    InputError
         It is not.
     """
     if path.suffix.lower() == WORKBOOK:
@@ -156,5 +152,5 @@ def _openpyxl(path: Path) -> Any:
     try:
         import openpyxl
     except ModuleNotFoundError:
-        raise PointingBudgetError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
+        raise InputError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
     return openpyxl

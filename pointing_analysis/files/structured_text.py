@@ -12,10 +12,11 @@ from typing import Any, TypeGuard
 
 import yaml
 
+from lftkit.errors import InputError
 from lftkit.support import input_files
 from lftkit.support.file_kind import kind_of_file
 from lftkit.support.input_limits import DEPTH, TEXT
-from lftkit.support.structured_text import StructuredTextError, check_count, load_json, parse, too_deep
+from lftkit.support.structured_text import check_count, load_json, parse, too_deep
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -43,16 +44,16 @@ def read_text(path: Path, limit: int = TEXT) -> str:
 
     Raises
     ------
-    StructuredTextError
+    InputError
         It cannot be read, is no ordinary file, is too large, or is not UTF-8.
     """
     try:
         return input_files.read_text(path, limit)
     except OSError as error:
-        raise StructuredTextError(f"cannot read {path}: {error.strerror}") from None
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         found = kind_of_file(path) or "other bytes"
-        raise StructuredTextError(f"{path} must be text in UTF-8, got {found}") from None
+        raise InputError(f"{path} must be text in UTF-8, got {found}") from None
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -81,7 +82,7 @@ def load_yaml(text: str, what: object) -> Any:
     >>> load_yaml("[" * 200, "settings")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    lftkit.support.structured_text.StructuredTextError: settings must be nested at most 50 levels deep, got more
+    lftkit.errors.InputError: settings must be nested at most 50 levels deep, got more
     """
     return parse(text, what, "YAML", lambda text: _safe_yaml(text, what))
 
@@ -107,11 +108,11 @@ def _yaml_by(loader: Any, text: str, what: object) -> Any:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         elif isinstance(event, yaml.AliasEvent):
-            raise StructuredTextError(f"{what} must be YAML without aliases, got *{event.anchor}")
+            raise InputError(f"{what} must be YAML without aliases, got *{event.anchor}")
         if depth > DEPTH:
             raise too_deep(what)
         check_count(number, what, "YAML")
     return yaml.load(text, loader)
 
 
-__all__ = ["StructuredTextError", "is_number", "load_json", "load_toml", "load_yaml", "read_text"]
+__all__ = ["is_number", "load_json", "load_toml", "load_yaml", "read_text"]

@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
+from lftkit.errors import InputError
+
 
 class Marked(str):
     """Text of a cell with a mark: ``ok``, ``within``, ``bad`` or ``open``: its colour or sign."""
@@ -86,7 +88,7 @@ class TextTable:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"a row must have {len(self.columns)} cells, got {len(row)}: {row}")
+                raise InputError(f"a row must have {len(self.columns)} cells, got {len(row)}: {row}")
 
     @classmethod
     def of(

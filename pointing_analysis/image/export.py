@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.fits_files import write_picture, write_table
@@ -51,11 +52,11 @@ def chosen_paths(series: ErrorSeries, exposure: float | None, number: int | None
         paths = exposures(series.values, series.dt, exposure)
         if number is not None:
             if not 0 <= number < len(paths):
-                raise ValueError(f"number of the exposure must be from 0 to {len(paths) - 1}, got {number}")
+                raise InputError(f"number of the exposure must be from 0 to {len(paths) - 1}, got {number}")
             paths = paths[number : number + 1]
     whole = paths[~missing(paths)]
     if not len(whole) or paths.shape[1] < 2:
-        raise ValueError("exposures must be complete, got missing samples in each")
+        raise InputError("exposures must be complete, got missing samples in each")
     return np.asarray(whole)
 
 
@@ -77,14 +78,14 @@ def kernel(paths: FloatArray, step: float) -> FloatArray:
     """
     half = math.ceil(float(sizes(paths).max()) / step) + 1
     if 2 * half + 1 > LARGEST:
-        raise ValueError(f"step must give at most {LARGEST} cells across the motion, got {2 * half + 1}")
+        raise InputError(f"step must give at most {LARGEST} cells across the motion, got {2 * half + 1}")
     size = 2 * half + 1
     total = np.zeros(size * size)
     for x in centred(paths) / step:
         way = np.diff(x, axis=0)
         pieces = max(math.ceil(float(np.hypot(way[:, 0], way[:, 1]).max()) * FINE), 1)
         if pieces * len(way) > MOST_POINTS:
-            raise ValueError(f"step must give at most {MOST_POINTS} points on a path, got {pieces * len(way)}")
+            raise InputError(f"step must give at most {MOST_POINTS} points on a path, got {pieces * len(way)}")
         for k in range(pieces):
             place = x[:-1] + way * ((k + 0.5) / pieces) + half
             low = np.floor(place).astype(int)
@@ -129,7 +130,7 @@ def write_path(path: Path, series: ErrorSeries, name: str, exposure: float | Non
     values = np.asarray(series.values)
     if exposure is not None:
         if number is None:
-            raise ValueError("--number must be given with --exposure for a path, got none")
+            raise InputError("--number must be given with --exposure for a path, got none")
         values = chosen_paths(series, exposure, number)[0]
         start += number * exposure
     time = np.asarray(start + series.dt * np.arange(len(values)), dtype=float)

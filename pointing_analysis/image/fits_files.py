@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import FloatArray
@@ -37,7 +38,7 @@ def astropy_fits() -> Any:
     try:
         from astropy.io import fits
     except ModuleNotFoundError:
-        raise ValueError("astropy must be installed for FITS files: pip install 'los-testbed[image]'") from None
+        raise InputError("astropy must be installed for FITS files: pip install 'los-testbed[image]'") from None
     return fits
 
 
@@ -63,22 +64,22 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
             found = [(unit.name, dict(unit.header), np.array(unit.data)) for unit in pictures]
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"pupil must be a readable FITS file, got: {first}") from None
+        raise InputError(f"pupil must be a readable FITS file, got: {first}") from None
     if not found:
-        raise ValueError("pupil must be a FITS file with an image, got none")
+        raise InputError("pupil must be a FITS file with an image, got none")
     _, header, data = found[0]
     scale = next((header[key] for key in SCALES if key in header), None)
     if not is_number(scale) or not 0.0 < scale < math.inf:
         got = "none" if scale is None else repr(scale)
-        raise ValueError(f"pupil must have the metres per pixel as {' or '.join(SCALES)} in its header, got {got}")
+        raise InputError(f"pupil must have the metres per pixel as {' or '.join(SCALES)} in its header, got {got}")
     if data.ndim != 2 or data.dtype.kind not in "biuf":
-        raise ValueError(f"pupil must be a picture of real numbers, got the shape {data.shape} of {data.dtype}")
+        raise InputError(f"pupil must be a picture of real numbers, got the shape {data.shape} of {data.dtype}")
     amplitude = data.astype(float)
     if np.isfinite(amplitude).all() and amplitude.min() < 0.0:
-        raise ValueError(f"pupil must have amplitudes of 0 or more, got {amplitude.min():g}")
+        raise InputError(f"pupil must have amplitudes of 0 or more, got {amplitude.min():g}")
     front = next((d for name, _, d in found[1:] if name == WAVE_FRONT), None)
     if front is not None and front.shape != data.shape:
-        raise ValueError(f"{WAVE_FRONT} must have the shape of the pupil {data.shape}, got {front.shape}")
+        raise InputError(f"{WAVE_FRONT} must have the shape of the pupil {data.shape}, got {front.shape}")
     phase = 0.0 if front is None else 2 * math.pi * front.astype(float) / wavelength
     return PixelPupil(np.asarray(amplitude * np.exp(1j * phase), dtype=complex), float(scale))
 
@@ -87,7 +88,7 @@ def _check_sizes(pictures: list[Any]) -> None:
     """A header of some kilobytes, or a compressed picture, can stand for any number of pixels."""
     pixels = sum(math.prod(unit.shape) for unit in pictures)
     if 8 * pixels > PICTURE:
-        raise ValueError(f"pictures must have at most {PICTURE // 8} pixels together, got {pixels}")
+        raise InputError(f"pictures must have at most {PICTURE // 8} pixels together, got {pixels}")
 
 
 def write_picture(path: Path, picture: FloatArray, header: dict[str, tuple[Any, str]]) -> None:

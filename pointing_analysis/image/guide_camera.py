@@ -26,8 +26,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.image.optics import Optics, OpticsError
+from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.pupil import PixelPupil
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -139,25 +140,25 @@ def from_mapping(table: Mapping[str, Any], where: str) -> GuideCamera:
 
     Raises
     ------
-    OpticsError
+    InputError
         A key that is missing or unknown, a value out of its range.
     """
     known = (*NUMBERS, "window", "second_offset_mas", "centroid")
     if odd := sorted(set(table) ^ set(known)):
-        raise OpticsError(f"{where}: keys of camera must be {', '.join(known)}, got other keys: {', '.join(odd)}")
+        raise InputError(f"{where}: keys of camera must be {', '.join(known)}, got other keys: {', '.join(odd)}")
     values: dict[str, Any] = {}
     for key, (low, high, words) in NUMBERS.items():
         if not is_number(table[key]) or not low < table[key] < high:
-            raise OpticsError(f"{where}: camera.{key} must be {words}, got {table[key]!r}")
+            raise InputError(f"{where}: camera.{key} must be {words}, got {table[key]!r}")
         values[key] = float(table[key])
     window, offset, method = table["window"], table["second_offset_mas"], table["centroid"]
     least, most = WINDOWS
     if isinstance(window, bool) or not isinstance(window, int) or not least <= window <= most or window % 2 == 0:
-        raise OpticsError(f"{where}: camera.window must be an odd number from {least} to {most}, got {window!r}")
+        raise InputError(f"{where}: camera.window must be an odd number from {least} to {most}, got {window!r}")
     if not isinstance(offset, (list, tuple)) or len(offset) != 2 or not all(map(is_number, offset)):
-        raise OpticsError(f"{where}: camera.second_offset_mas must be two numbers, got {offset!r}")
+        raise InputError(f"{where}: camera.second_offset_mas must be two numbers, got {offset!r}")
     if method not in METHODS:
-        raise OpticsError(f"{where}: camera.centroid must be {' or '.join(METHODS)}, got {method!r}")
+        raise InputError(f"{where}: camera.centroid must be {' or '.join(METHODS)}, got {method!r}")
     x, y = (float(value) * RAD_PER_MAS for value in offset)
     return GuideCamera(**values, window=window, second_offset=(x, y), centroid=method)
 

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from pointing_analysis.indices.metrics import window_samples
 from pointing_analysis.read.mapped_arrays import release
@@ -54,7 +55,7 @@ def exposures(error: FloatArray, dt: float, exposure: float) -> FloatArray:
     n = window_samples(exposure, dt)
     m = (len(error) - 1) // n
     if m < 1:
-        raise ValueError(
+        raise InputError(
             f"the run must last for one exposure of {exposure:g} s and a sample, got {len(error)} samples of {dt:g} s"
         )
     index = n * np.arange(m)[:, None] + np.arange(n + 1)

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_json, read_text
+from pointing_analysis.files.structured_text import is_number, load_json, read_text
 from pointing_analysis.image.centroid import centroid, noise_equivalent_angle
 from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.star_camera import StarCamera
@@ -134,7 +135,7 @@ class NoiseCurve:
         """
         kept = sorted((p for p in points if p.without <= 1.0 - KEPT), key=lambda p: p.magnitude)
         if len(kept) < 2:
-            raise ValueError(f"magnitudes must have two stars detected in half of the frames, got {len(kept)}")
+            raise InputError(f"magnitudes must have two stars detected in half of the frames, got {len(kept)}")
         columns = (np.array([getattr(p, name) for p in kept]) for name in ("magnitude", "noise", "bound", "without"))
         return cls(detector_of(camera), *columns)
 
@@ -167,13 +168,11 @@ def load_curves(path: Path) -> tuple[NoiseCurve, ...]:
     ValueError
         It cannot be read or holds no curves, one line.
     """
+    content = load_json(read_text(path), path)
     try:
-        content = load_json(read_text(path), path)
         return tuple(_curve(entry) for entry in content["curves"])
-    except StructuredTextError:
-        raise
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} must hold curves of `los-testbed image noise`, got {_what(error)}") from None
+        raise InputError(f"{path} must hold curves of `los-testbed image noise`, got {_what(error)}") from None
 
 
 def _what(error: Exception) -> str:
@@ -184,12 +183,12 @@ def _curve(entry: Mapping[str, Any]) -> NoiseCurve:
     """A curve of a file; KeyError, TypeError or ValueError: it is none."""
     columns = [entry[name] for name in COLUMNS]
     if not all(isinstance(column, list) and all(map(is_number, column)) for column in columns):
-        raise ValueError(f"values that are not numbers in {', '.join(COLUMNS)}")
+        raise InputError(f"values that are not numbers in {', '.join(COLUMNS)}")
     if len({len(column) for column in columns}) != 1 or len(columns[0]) < 2:
-        raise ValueError("columns of different length, or fewer than two magnitudes")
+        raise InputError("columns of different length, or fewer than two magnitudes")
     magnitude, noise, bound, without = (np.array(column, dtype=float) for column in columns)
     if any(b <= a for a, b in pairwise(magnitude)) or not (noise > 0.0).all() or not (bound > 0.0).all():
-        raise ValueError("magnitudes that do not increase, or a noise that is not positive")
+        raise InputError("magnitudes that do not increase, or a noise that is not positive")
     return NoiseCurve(dict(entry["detector"]), magnitude, noise * RAD_PER_MAS, bound * RAD_PER_MAS, without)
 
 

@@ -28,10 +28,11 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import ComplexArray, FloatArray
-from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
+from pointing_analysis.files.structured_text import is_number, load_toml, read_text
 from pointing_analysis.image.pupil import AnnularPupil, Pupil, with_spider
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.units import RAD_PER_MAS
@@ -44,10 +45,6 @@ LAYOUT = ("primary_focal_length", "mirror_distance", "back_focal_distance")
 """Keys of the same table in a telescope's file that make no difference to an image."""
 MAX_VANES = 64
 NONE_KNOWN = "no optics are known for this recording (give --optics FILE)"
-
-
-class OpticsError(ValueError):
-    """Invalid optics; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ class Optics:
 
         Raises
         ------
-        OpticsError
+        InputError
             A pupil file that cannot be used.
         """
         if self.pupil_file:
@@ -160,25 +157,25 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
 
     Raises
     ------
-    OpticsError
+    InputError
         A key that is missing or unknown, a number out of its range, a pupil that cannot be used.
     """
     if not isinstance(table, Mapping):
-        raise OpticsError(f"{where}: optics must be a table, got {type(table).__name__}")
+        raise InputError(f"{where}: optics must be a table, got {type(table).__name__}")
     unknown = set(table) - {*NUMBERS, "pupil", *LAYOUT}
     if unknown:
-        raise OpticsError(
+        raise InputError(
             f"{where}: keys of optics must be among {', '.join([*NUMBERS, 'pupil'])}, got {sorted(unknown)}"
         )
     pupil = table.get("pupil", "")
     if not isinstance(pupil, str):
-        raise OpticsError(f"{where}: optics.pupil must be the name of a FITS file, got {pupil!r}")
+        raise InputError(f"{where}: optics.pupil must be the name of a FITS file, got {pupil!r}")
     if pupil and not pupil_file:
-        raise OpticsError(f"{where}: optics.pupil must be a FITS file, got {pupil!r} without its content")
+        raise InputError(f"{where}: optics.pupil must be a FITS file, got {pupil!r} without its content")
     numbers = {key: _number(table, key, where) for key in NUMBERS if key in table}
     for key in (*NEEDED, *(() if pupil else ("aperture_diameter",))):
         if key not in numbers:
-            raise OpticsError(f"{where}: optics must have {key}, got {', '.join(table) or 'nothing'}")
+            raise InputError(f"{where}: optics must have {key}, got {', '.join(table) or 'nothing'}")
     found = Optics(
         numbers["wavelength"],
         numbers["pixel_mas"] * RAD_PER_MAS,
@@ -191,9 +188,9 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
     )
     try:
         if not math.isfinite(found.cutoff):
-            raise ValueError("aperture over wavelength must be finite")
+            raise InputError("aperture over wavelength must be finite")
     except ValueError as error:
-        raise OpticsError(f"{where}: {error}") from None
+        raise InputError(f"{where}: {error}") from None
     return found
 
 
@@ -201,7 +198,7 @@ def _number(table: Mapping[str, Any], key: str, where: str) -> float:
     value, (low, high, words) = table[key], NUMBERS[key]
     whole = key != "spider_vanes" or isinstance(value, int)
     if not is_number(value) or not low < value < high or not whole:
-        raise OpticsError(f"{where}: optics.{key} must be {words}, got {value!r}")
+        raise InputError(f"{where}: optics.{key} must be {words}, got {value!r}")
     return float(value)
 
 
@@ -215,17 +212,14 @@ def load_optics(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
 
     Raises
     ------
-    OpticsError
+    InputError
         A file that cannot be read, no table, optics that cannot be used.
     """
     file = Path(path)
-    try:
-        content = load_toml(read_text(file), file)
-    except StructuredTextError as error:
-        raise OpticsError(str(error)) from None
+    content = load_toml(read_text(file), file)
     table = content.get("optics") if isinstance(content, dict) else None
     if not isinstance(table, dict):
-        raise OpticsError(f"{file}: must hold a table [optics]")
+        raise InputError(f"{file}: must hold a table [optics]")
     data = (
         read_pupil_file(file.parent / table["pupil"]) if isinstance(table.get("pupil"), str) and table["pupil"] else b""
     )
@@ -238,13 +232,13 @@ def read_pupil_file(path: Path) -> bytes:
 
     Raises
     ------
-    OpticsError
+    InputError
         It cannot be read, or is too large.
     """
     try:
         return read_bytes(path, PICTURE)
     except OSError as error:
-        raise OpticsError(f"cannot read the pupil {path}: {error.strerror}") from None
+        raise InputError(f"cannot read the pupil {path}: {error.strerror}") from None
 
 
 def optics_of(run: Recording) -> Optics | None:
@@ -252,7 +246,7 @@ def optics_of(run: Recording) -> Optics | None:
 
     Raises
     ------
-    OpticsError
+    InputError
         Optics that cannot be used.
     """
     found = run.parameters.get(METADATA)

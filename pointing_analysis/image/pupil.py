@@ -18,6 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import ComplexArray, FloatArray
 
 RASTER = 512
@@ -87,9 +88,9 @@ class AnnularPupil:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.diameter < math.inf:
-            raise ValueError(f"aperture_diameter must be positive [m], got {self.diameter:g}")
+            raise InputError(f"aperture_diameter must be positive [m], got {self.diameter:g}")
         if not 0.0 <= self.obscuration < 1.0:
-            raise ValueError(f"obscuration must be at least 0 and below 1, got {self.obscuration:g}")
+            raise InputError(f"obscuration must be at least 0 and below 1, got {self.obscuration:g}")
 
     @property
     def extent(self) -> float:
@@ -145,13 +146,13 @@ class PixelPupil:
     def __post_init__(self) -> None:
         a = self.amplitude
         if a.ndim != 2 or min(a.shape) < 2:
-            raise ValueError(f"pupil must be a picture of 2 x 2 pixels or more, got the shape {a.shape}")
+            raise InputError(f"pupil must be a picture of 2 x 2 pixels or more, got the shape {a.shape}")
         if not np.isfinite(a).all():
-            raise ValueError(f"pupil must be finite, got {int((~np.isfinite(a)).sum())} pixels that are not")
+            raise InputError(f"pupil must be finite, got {int((~np.isfinite(a)).sum())} pixels that are not")
         if not np.abs(a).max() > 0.0:
-            raise ValueError("pupil must transmit somewhere, got zeros only")
+            raise InputError("pupil must transmit somewhere, got zeros only")
         if not 0.0 < self.scale < math.inf:
-            raise ValueError(f"scale of the pupil must be positive [m], got {self.scale:g}")
+            raise InputError(f"scale of the pupil must be positive [m], got {self.scale:g}")
 
     @cached_property
     def _support(self) -> ComplexArray:
@@ -222,7 +223,7 @@ def with_spider(diameter: float, obscuration: float, vanes: int, width: float) -
     """
     whole = AnnularPupil(diameter, obscuration)  # checks
     if not 0.0 <= width < diameter / 2:
-        raise ValueError(f"spider_width must be at least 0 and below half of the aperture, got {width:g} m")
+        raise InputError(f"spider_width must be at least 0 and below half of the aperture, got {width:g} m")
     fine = RASTER * SUPERSAMPLING
     line = (np.arange(fine) + 0.5 - fine / 2) * (diameter / fine)
     x, y = line[None, :], line[:, None]

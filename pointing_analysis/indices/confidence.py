@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np  # scipy where it computes: every command imports this module, and few of them need scipy
 from numpy.typing import ArrayLike
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, present, release
 
@@ -26,7 +27,7 @@ SOKAL_WINDOW = 6.0  # the sum over lags stops at this many autocorrelation times
 
 def _probability(p: float) -> float:
     if not 0 < p < 1:
-        raise ValueError(f"probability must be between 0 and 1, got {p:g}")
+        raise InputError(f"probability must be between 0 and 1, got {p:g}")
     return p
 
 

@@ -44,6 +44,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.indices.window_rows import ROUNDING, sliding_means, windows_of
 from pointing_analysis.read.mapped_arrays import PART, GrowingArray, by_parts, empty, release
@@ -79,7 +80,7 @@ def samples_in(window: float, dt: float) -> float:
     if is_whole(window, dt):
         return round(window / dt)
     if not holds(window, dt):
-        raise ValueError(f"window must last for two samples of {1e3 * dt:g} ms or more, got {1e3 * window:g} ms")
+        raise InputError(f"window must last for two samples of {1e3 * dt:g} ms or more, got {1e3 * window:g} ms")
     return window / dt
 
 
@@ -102,7 +103,7 @@ def window_samples(window: float, dt: float) -> int:
         The window is not a whole number of at least two samples.
     """
     if not is_whole(window, dt):
-        raise ValueError(
+        raise InputError(
             f"window must be a whole number (two or more) of samples of {1e3 * dt:g} ms, got {1e3 * window:g} ms"
         )
     return round(window / dt)
@@ -127,14 +128,14 @@ def is_whole(window: float, dt: float) -> bool:
 def _series(error: ArrayLike) -> FloatArray:
     e = np.asarray(error, dtype=float)
     if e.ndim != 2 or e.shape[1] != 2:
-        raise ValueError(f"error must have the shape (n, 2), got {e.shape}")
+        raise InputError(f"error must have the shape (n, 2), got {e.shape}")
     return e
 
 
 def _fits(e: FloatArray, window: float, dt: float) -> float:
     n = samples_in(window, dt)
     if n > len(e) + ROUNDED:
-        raise ValueError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
+        raise InputError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
     return n
 
 
@@ -266,7 +267,7 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     e = _series(error)
     n = _fits(e, window, dt)
     if position not in ("all", "centred", "end"):
-        raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
+        raise InputError(f"position must be 'all', 'centred' or 'end', got {position!r}")
     if n != round(n):
         return _fractional_instant(e, n, position)
     n = round(n)
@@ -336,7 +337,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
     n = _fits(e, window, dt)
     lag = samples_in(separation, dt)
     if n + lag > len(e) + ROUNDED:
-        raise ValueError(
+        raise InputError(
             f"the run must last for window + separation = {window + separation:g} s or more, got {len(e) * dt:g} s"
         )
     if n == round(n) and lag == round(lag):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.read.topic import Topic
 
 
@@ -12,7 +13,7 @@ def _package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError:
-        raise ValueError(f"{name} must be installed: pip install 'los-testbed[dataframes]'") from None
+        raise InputError(f"{name} must be installed: pip install 'los-testbed[dataframes]'") from None
 
 
 def to_pandas(topic: Topic) -> Any:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.attitude import line_of_sight, turned_about, unit_quaternions
 from pointing_analysis.read.mcap.bag_files import bag_files
@@ -317,7 +318,7 @@ def read_external(
         Unknown unit or time, or a rate that the samples do not have.
     """
     if time not in TIME_SOURCES:
-        raise ValueError(f"time must be one of {', '.join(TIME_SOURCES)}, got {time!r}")
+        raise InputError(f"time must be one of {', '.join(TIME_SOURCES)}, got {time!r}")
     topics, reading = _scan(path, los, max_chunk)
     chosen = _choose(path, los, topics)
     if chosen.unit and unit is not None and unit_name(unit) != chosen.unit:

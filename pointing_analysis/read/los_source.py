@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from lftkit.errors import InputError
 from pointing_analysis.read.external_bag import TIME_SOURCES, read_external
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
@@ -45,5 +46,5 @@ def open_los(
     if los is not None:
         return read_external(file, los, unit=unit, rate=rate, time=time or TIME_SOURCES[0], max_chunk=max_chunk)
     if unit is not None or rate is not None or time is not None:
-        raise ValueError("los must be given with unit, rate or time for a bag, got none")
+        raise InputError("los must be given with unit, rate or time for a bag, got none")
     return Run.open(file, max_chunk=max_chunk)

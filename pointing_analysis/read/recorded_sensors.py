@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.read.recording import Recording
 
 METADATA = "sensors"
@@ -43,11 +44,11 @@ class RecordedSensor:
             noise, rate = tuple(float(x) for x in values["noise"]), float(values["rate_hz"])
             topic, unit, held = values["topic"], values["unit"], values["held"]
         except (KeyError, TypeError, ValueError):
-            raise ValueError(f"a sensor must have topic, unit, rate_hz, held and noise, got {values!r}") from None
+            raise InputError(f"a sensor must have topic, unit, rate_hz, held and noise, got {values!r}") from None
         if not (isinstance(topic, str) and isinstance(unit, str) and isinstance(held, bool)):
-            raise ValueError(f"a sensor must have texts as topic and unit and a truth value as held, got {values!r}")
+            raise InputError(f"a sensor must have texts as topic and unit and a truth value as held, got {values!r}")
         if not (rate > 0.0 and all(map(math.isfinite, (rate, *noise)))):
-            raise ValueError(f"rate_hz and noise of a sensor must be finite numbers, got {values!r}")
+            raise InputError(f"rate_hz and noise of a sensor must be finite numbers, got {values!r}")
         return cls(topic, unit, rate, held, noise)
 
     def to_mapping(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.files.structured_text import is_number
 
 PLANNED = "planned_ticks"
@@ -117,7 +118,7 @@ def missed_share(plant: Mapping[str, Any]) -> float:
     counts = {name: _count(plant.get(name, 0)) for name in names}
     missed, ticks, skipped = (counts[name] for name in names)
     if missed is None or ticks is None or skipped is None:
-        raise ValueError(f"counts of ticks must be whole numbers, got {[str(plant.get(name))[:20] for name in names]}")
+        raise InputError(f"counts of ticks must be whole numbers, got {[str(plant.get(name))[:20] for name in names]}")
     return 100.0 * missed / max(ticks + skipped, 1)
 
 

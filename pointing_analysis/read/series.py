@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
@@ -131,7 +132,7 @@ def scale_of(unit: str | None) -> float:
     0.001
     """
     if unit not in ANGLES:
-        raise ValueError(f"unit must be one of {', '.join(ANGLES)}, got {unit if unit is None else repr(unit)}")
+        raise InputError(f"unit must be one of {', '.join(ANGLES)}, got {unit if unit is None else repr(unit)}")
     return ANGLES[unit]
 
 
@@ -144,7 +145,7 @@ def sampling_rate(rate: float | None) -> float | None:
         Not positive and finite.
     """
     if rate is not None and not 0 < rate < np.inf:
-        raise ValueError(f"rate must be positive [Hz], got {rate:g}")
+        raise InputError(f"rate must be positive [Hz], got {rate:g}")
     return rate
 
 
@@ -172,10 +173,10 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     found = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
     typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
     if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
-        raise ValueError(f"rate must match the samples, about {typical:.6g} Hz, got {rate:g} Hz")
+        raise InputError(f"rate must match the samples, about {typical:.6g} Hz, got {rate:g} Hz")
     own = time_grid((stamps - stamps.min()) / NANO)
     if own is not None and abs(own.period * rate - 1.0) * np.ptp(own.place) > OUT_OF_STEP:
-        raise ValueError(
+        raise InputError(
             f"rate must match the samples, {1 / own.period:.9g} Hz by their times, got {rate:.9g} Hz: "
             "without one it is taken from the time stamps"
         )
@@ -183,7 +184,7 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     first = np.zeros(stamps.size, bool)
     first[np.unique(place, return_index=True)[1]] = True
     if (~first).sum() > FEW * stamps.size:
-        raise ValueError(
+        raise InputError(
             f"rate must fit the stamps, got {rate:g} Hz, for which {(~first).sum()} of {stamps.size} samples fall "
             "on the same tick as another one"
         )
@@ -205,18 +206,18 @@ def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
     rate = sampling_rate(rate)
     if t is None:
         if rate is None:
-            raise ValueError("rate must be given where the samples have no times, got none")
+            raise InputError("rate must be given where the samples have no times, got none")
         return np.asarray(ORIGIN + on_whole_ns(np.arange(n, dtype=np.int64), 1 / rate))
     times = np.asarray(t)
     if times.dtype.kind == "M":
         times = (times - times.min()) / np.timedelta64(1, "s") if times.size else times
     times = times.astype(float)
     if times.shape != (n,):
-        raise ValueError(f"t must be {n} times [s], got an array of shape {times.shape}")
+        raise InputError(f"t must be {n} times [s], got an array of shape {times.shape}")
     if not np.isfinite(times).all():
-        raise ValueError(f"t must be finite, got {int((~np.isfinite(times)).sum())} of {n} times that are not")
+        raise InputError(f"t must be finite, got {int((~np.isfinite(times)).sum())} of {n} times that are not")
     if n and np.ptp(times) > LONGEST:
-        raise ValueError(f"t must be in seconds, got times over {np.ptp(times):g} s")
+        raise InputError(f"t must be in seconds, got times over {np.ptp(times):g} s")
     since = times - times.min() if n else times
     return np.asarray(ORIGIN + np.rint(since * NANO).astype(np.int64))
 
@@ -249,7 +250,7 @@ def make_series(
     """
     values = np.asarray(xy, dtype=float)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
-        raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
+        raise InputError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
     _check_wrap(values, provenance.label)
     timing: TimeGrid | None = None
@@ -297,7 +298,7 @@ def _check_wrap(values: FloatArray, label: str) -> None:
         turns = np.abs(np.abs(np.diff(values, axis=0)) - 2.0 * np.pi) < 0.01 * 2.0 * np.pi
     rows = np.flatnonzero(turns.any(axis=1))
     if rows.size:
-        raise ValueError(
+        raise InputError(
             f"{label} must be the error of the line of sight, actual minus target, without a wrap, got a step of a "
             f"full turn after sample {int(rows[0]) + 1}: write angles from -180 to 180 deg"
         )
@@ -328,5 +329,5 @@ def series(
     """
     values = np.asarray(xy, dtype=float)
     if values.ndim != 2:
-        raise ValueError(f"xy must have the shape (n, 2), got {values.shape}")
+        raise InputError(f"xy must have the shape (n, 2), got {values.shape}")
     return make_series(stamps_of(t, len(values), rate), values, unit=unit, rate=rate, provenance=Provenance(name))

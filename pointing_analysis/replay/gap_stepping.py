@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray, IntArray
 
 FILLS = LINE, HOLD = ("line", "hold")
@@ -56,7 +57,7 @@ class GapStepper:
         fill: str = LINE,
     ) -> None:
         if fill not in FILLS:
-            raise ValueError(f"fill must be one of {', '.join(FILLS)}, got {fill!r}")
+            raise InputError(f"fill must be one of {', '.join(FILLS)}, got {fill!r}")
         self._step = step
         self._before = np.zeros(size)
         self._intermittent = intermittent

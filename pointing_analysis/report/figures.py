@@ -17,6 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
@@ -95,7 +96,7 @@ class Picture:
             It was not made by :func:`picture`.
         """
         if self.draw is None:
-            raise ValueError(f"{self.name} must be a picture that can be drawn again, got its SVG alone")
+            raise InputError(f"{self.name} must be a picture that can be drawn again, got its SVG alone")
         return _drawn(self.name, self.height, self.draw, _pdf)
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.motion_blur import centred, sizes, some_exposures, worst_transfer
-from pointing_analysis.image.optics import Optics, OpticsError, optics_of
+from pointing_analysis.image.optics import Optics, optics_of
 from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
 from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -95,7 +95,7 @@ def image_view(view: RunView) -> ImageView | None:
         if optics is None:
             return None
         paths, index = some_exposures(view.series.values, view.series.dt, view.window, MOST)
-    except (OpticsError, ValueError):
+    except ValueError:
         return None
     if not len(paths):
         return None

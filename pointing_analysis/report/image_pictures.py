@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from pointing_analysis.report.figures import NO_PDF_METADATA, STYLE, LaidOutFigure, RunView
 from pointing_analysis.report.image_figures import (
@@ -45,7 +46,7 @@ def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
     """
     found = image_views(views)
     if not found:
-        raise ValueError("runs must name their optics and hold a complete exposure, got none that does")
+        raise InputError("runs must name their optics and hold a complete exposure, got none that does")
     folder.mkdir(parents=True, exist_ok=True)
     settings: Any = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": "image"}
     paths = []

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.report.loop_figures import LoopCurves
 from pointing_analysis.report.source_share import SourceShare
@@ -43,7 +44,7 @@ class ModelResults:
         for name in ("predictions", "sources", "loops"):
             found = len(getattr(self, name))
             if found not in (0, count):
-                raise ValueError(f"{name} must be one for each of the {count} runs, got {found}")
+                raise InputError(f"{name} must be one for each of the {count} runs, got {found}")
 
 
 NO_MODEL = ModelResults()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import check_output, write_text
 from pointing_analysis.report.paper import PAPERS, Paper, is_pdf, require_pdf
 
@@ -40,7 +41,7 @@ class ReportOutputs:
             There is no place for a file, an unknown size of pages, or a PDF without its extra.
         """
         if self.paper not in PAPERS:
-            raise ValueError(f"paper must be {' or '.join(PAPERS)}, got {self.paper!r}")
+            raise InputError(f"paper must be {' or '.join(PAPERS)}, got {self.paper!r}")
         if self.path is not None:
             check_output(self.path, what)
             if is_pdf(self.path):

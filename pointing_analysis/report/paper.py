@@ -6,6 +6,8 @@ import importlib.util
 from pathlib import Path
 from typing import Literal
 
+from lftkit.errors import InputError
+
 Paper = Literal["a4", "letter"]
 PAPERS: dict[Paper, str] = {"a4": "a4", "letter": "us-letter"}
 """Size of the pages -> its name in typst."""
@@ -25,4 +27,4 @@ def require_pdf() -> None:
         typst is not installed; with the command that installs it.
     """
     if importlib.util.find_spec("typst") is None:
-        raise ValueError("typst must be installed for PDF reports: pip install 'los-testbed[pdf]'")
+        raise InputError("typst must be installed for PDF reports: pip install 'los-testbed[pdf]'")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.indices.errors import performance_error
@@ -216,10 +217,10 @@ def report_content(
         No run was given, or results of a model for another number of runs.
     """
     if not runs:
-        raise ValueError("runs must hold at least one run, got none")
+        raise InputError("runs must hold at least one run, got none")
     model.check(len(runs))
     if remarks and len(remarks) != len(runs):
-        raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
+        raise InputError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.run import Run
@@ -101,7 +102,7 @@ def write_signals(signals: Sequence[TopicSignal], path: Path, mat_version: str =
     writers = {".mat": _mat_writer(signals, mat_version), ".npz": _npz, ".csv": _csv, ".parquet": _parquet}
     check_format(path, mat_version)
     if not signals:
-        raise ValueError("topics must have messages with values, got none")
+        raise InputError("topics must have messages with values, got none")
     with atomic_file(path) as temporary:
         writers[path.suffix](signals, temporary)
 
@@ -119,9 +120,9 @@ def check_format(path: Path, mat_version: str = "") -> None:
         Another suffix or version, a package that is not installed.
     """
     if path.suffix not in FORMATS:
-        raise ValueError(f"--output must end with one of {', '.join(FORMATS)}, got {path.name}")
+        raise InputError(f"--output must end with one of {', '.join(FORMATS)}, got {path.name}")
     if mat_version not in MAT_VERSIONS:
-        raise ValueError(f"--mat-version must be 5 or 7.3, got {mat_version}")
+        raise InputError(f"--mat-version must be 5 or 7.3, got {mat_version}")
     needed = {".parquet": ("pyarrow", "campaign")}.get(path.suffix)
     if path.suffix == ".mat" and mat_version == "7.3":
         needed = ("h5py", "hdf5")
@@ -135,7 +136,7 @@ def _import(package: str, extra: str) -> Any:
     try:
         return import_module(package)
     except ImportError:
-        raise ValueError(f"{package} must be installed: pip install 'los-testbed[{extra}]'") from None
+        raise InputError(f"{package} must be installed: pip install 'los-testbed[{extra}]'") from None
 
 
 def _structures(signals: Sequence[TopicSignal]) -> dict[str, dict[str, Any]]:
@@ -156,7 +157,7 @@ def _structures(signals: Sequence[TopicSignal]) -> dict[str, dict[str, Any]]:
 def _mat_writer(signals: Sequence[TopicSignal], version: str) -> Callable[[Sequence[TopicSignal], Path], None]:
     large = max((s.values.nbytes for s in signals), default=0) > MAT_5_LIMIT
     if large and version == "5":
-        raise ValueError(f"--mat-version must be 7.3 for variables of more than {MAT_5_LIMIT / 1e9:.1f} GB, got 5")
+        raise InputError(f"--mat-version must be 7.3 for variables of more than {MAT_5_LIMIT / 1e9:.1f} GB, got 5")
     return _mat_7_3 if large or version == "7.3" else _mat_5
 
 

@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.requirements.image_summary import ImageSummary
@@ -40,7 +41,7 @@ def least_transfer(rms: float, frequency: float) -> float:
     [1.0, 0.915, 0.675, 0.0]
     """
     if not (rms >= 0.0 and frequency >= 0.0):
-        raise ValueError(f"rms and frequency must not be negative, got {rms:g} and {frequency:g}")
+        raise InputError(f"rms and frequency must not be negative, got {rms:g} and {frequency:g}")
     return max(math.cos(min(2 * math.pi * frequency * rms, math.pi / 2)), 0.0) if 4 * frequency * rms < 1.0 else 0.0
 
 

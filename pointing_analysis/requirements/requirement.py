@@ -39,6 +39,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from pointing_analysis.units import ANGLES
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -80,10 +81,6 @@ _TEXT = re.compile(
     r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]*)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
     r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
 )
-
-
-class RequirementError(ValueError):
-    """Invalid requirement; the message has the requirement and the value."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +211,7 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
 
     Raises
     ------
-    RequirementError
+    InputError
         The text has another form, or names an unknown index, unit or interpretation.
 
     Examples
@@ -225,11 +222,11 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     """
     m = _TEXT.fullmatch(text.strip())
     if m is None or (m["sign"] == "|") != bool(m["end"]):
-        raise RequirementError(f"requirement must read like '{EXAMPLE}', got {text!r}")
+        raise InputError(f"requirement must read like '{EXAMPLE}', got {text!r}")
     index, kind = _canonical(m["index"]), m["kind"] or "temporal"
     if index not in IMAGE_INDICES and not (m["sign"] and m["unit"]):
         _member("index", index, INDICES)
-        raise RequirementError(f"requirement must read like '{EXAMPLE}', got {text!r}")
+        raise InputError(f"requirement must read like '{EXAMPLE}', got {text!r}")
     _member("index", index, INDICES)
     _check_relation(m, index, text)
     of_windows = m["sign"].startswith("rms")
@@ -242,20 +239,18 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     frequency = _frequency(arguments, text) if index == "MTF" else None
     times = tuple(_time(part) for part in (arguments[:-1] if frequency else arguments))
     if len(times) != INDICES[index]:
-        raise RequirementError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
+        raise InputError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
     probability, confidence = (
         _float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
     )
     for what, value in (("probability", probability), ("confidence", confidence)):
         if not 0 < value < 1:
-            raise RequirementError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
+            raise InputError(f"{what} must be between 0 and 1 (or 0 and 100 %), got {value:g} in {text!r}")
     limit = _float(m["limit"]) * (ANGLES[m["unit"]] if m["unit"] else 1.0)
     if not 0 < limit < math.inf:
-        raise RequirementError(f"limit must be positive, got {m['limit']} in {text!r}")
+        raise InputError(f"limit must be positive, got {m['limit']} in {text!r}")
     if index in IMAGE_INDICES and not limit < IMAGE_INDICES[index].top:
-        raise RequirementError(
-            f"limit of {index} must be below {IMAGE_INDICES[index].top:g}, got {m['limit']} in {text!r}"
-        )
+        raise InputError(f"limit of {index} must be below {IMAGE_INDICES[index].top:g}, got {m['limit']} in {text!r}")
     return Requirement(
         index,
         m["axis"] or "",
@@ -285,14 +280,14 @@ def _check_relation(m: re.Match[str], index: str, text: str) -> None:
     image = IMAGE_INDICES.get(index, ImageIndex(angle=True))
     if image.lower != (m["relation"] == ">"):
         side, sign = ("a lower", ">") if image.lower else ("an upper", "<")
-        raise RequirementError(f"{index} must have {side} limit ({sign}), got {m['relation']!r} in {text!r}")
+        raise InputError(f"{index} must have {side} limit ({sign}), got {m['relation']!r} in {text!r}")
     if index not in IMAGE_INDICES:
         return
     if m["sign"] or m["axis"]:
-        raise RequirementError(f"{index} must be given without |...|, rms and axis, got {text!r}")
+        raise InputError(f"{index} must be given without |...|, rms and axis, got {text!r}")
     if image.angle != bool(m["unit"]):
         want = f"in one of {', '.join(ANGLES)}" if image.angle else "without a unit"
-        raise RequirementError(f"{index} must have a limit {want}, got {m['unit'] or 'none'} in {text!r}")
+        raise InputError(f"{index} must have a limit {want}, got {m['unit'] or 'none'} in {text!r}")
 
 
 def _frequency(arguments: Sequence[str], text: str) -> SpatialFrequency:
@@ -301,7 +296,7 @@ def _frequency(arguments: Sequence[str], text: str) -> SpatialFrequency:
     value = math.nan if m is None else _float(m["value"]) if m["value"] else 1.0 if m["nyquist"] else math.nan
     if m is None or not 0 < value < math.inf:
         form = "MTF(20 ms, Nyquist), MTF(20 ms, 0.5 Nyquist) or MTF(20 ms, 8 cycles/arcsec)"
-        raise RequirementError(f"MTF must have a spatial frequency, as in {form}, got {text!r}")
+        raise InputError(f"MTF must have a spatial frequency, as in {form}, got {text!r}")
     if m["nyquist"]:
         return SpatialFrequency(value, NYQUIST)
     _member("unit of a spatial frequency", m["unit"], ANGLES)
@@ -310,13 +305,13 @@ def _frequency(arguments: Sequence[str], text: str) -> SpatialFrequency:
 
 def _member(what: str, value: str, known: Any) -> None:
     if value not in known:
-        raise RequirementError(f"{what} must be one of {', '.join(known)}, got {value!r}")
+        raise InputError(f"{what} must be one of {', '.join(known)}, got {value!r}")
 
 
 def _time(text: str) -> float:
     m = re.fullmatch(r"\s*([\d.]+)\s*(us|ms|s|min)\s*", text)
     if m is None or not 0 < _float(m[1]) < 1e9:
-        raise RequirementError(f"time must read like '20 ms', got {text.strip()!r}")
+        raise InputError(f"time must read like '20 ms', got {text.strip()!r}")
     return float(m[1]) * TIMES[m[2]]
 
 
@@ -343,20 +338,17 @@ def load(path: str | os.PathLike[str]) -> tuple[Requirement, ...]:
 
     Raises
     ------
-    RequirementError
+    InputError
         A file that cannot be read, or an entry of another form.
     """
-    from pointing_analysis.files.structured_text import StructuredTextError, load_toml, load_yaml, read_text
+    from pointing_analysis.files.structured_text import load_toml, load_yaml, read_text
 
     file = Path(path)
-    try:
-        read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
-        content = read(read_text(file), file)
-    except StructuredTextError as error:
-        raise RequirementError(str(error)) from None
+    read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
+    content = read(read_text(file), file)
     found = content.get("requirement") if isinstance(content, dict) else None
     if not isinstance(found, list) or not found:
-        raise RequirementError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
+        raise InputError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
     return from_entries(found, str(file))
 
 
@@ -370,20 +362,20 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
 
     Raises
     ------
-    RequirementError
+    InputError
         An entry of another form.
     """
     made = []
     for entry in found:
         if not isinstance(entry, dict) or "text" not in entry:
-            raise RequirementError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
+            raise InputError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
         unknown = set(entry) - {"text", "name", "loop"}
         if unknown:
-            raise RequirementError(f"{where}: keys must be among text, name, loop, got {sorted(unknown)}")
+            raise InputError(f"{where}: keys must be among text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
         loops = [loops] if isinstance(loops, str) else loops
         if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
-            raise RequirementError(f"{where}: loop must be a name or a list of names, got {loops!r}")
+            raise InputError(f"{where}: loop must be a name or a list of names, got {loops!r}")
         made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
     return tuple(made)
 

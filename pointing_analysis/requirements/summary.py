@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.formatting.number_text import digits, number, with_unit
-from pointing_analysis.image.optics import OpticsError, optics_of
+from pointing_analysis.image.optics import optics_of
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
@@ -45,7 +46,7 @@ from pointing_analysis.requirements.rows import (
     rows_of,
 )
 from pointing_analysis.requirements.settling import judge_settled
-from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
+from pointing_analysis.requirements.verdict import Requirement, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.tone_budget import PART as BUDGET_PART
@@ -310,9 +311,9 @@ def _recorded(run: Recording) -> tuple[tuple[Requirement, ...] | None, str]:
         return None, ""
     try:
         if not isinstance(found, list):
-            raise RequirementError(f"{METADATA} must be a list, got {type(found).__name__}")
+            raise InputError(f"{METADATA} must be a list, got {type(found).__name__}")
         return from_entries(found, METADATA), ""
-    except RequirementError as error:
+    except InputError as error:
         return None, f"the requirements of the recording cannot be read: {error}"
 
 
@@ -536,7 +537,7 @@ def _star(run: Recording, series: ErrorSeries, window: float) -> tuple[StarExpos
     """Exposures of a star, and what is wrong with the optics of the recording."""
     try:
         optics = optics_of(run)
-    except OpticsError as error:
+    except InputError as error:
         return None, str(error)
     if optics is None or len(series.values) <= round(window / series.dt):
         return None, ""

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
@@ -20,12 +21,12 @@ from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.image_samples import finite, image_samples
-from pointing_analysis.requirements.requirement import Requirement, RequirementError, from_entries, load, parse
+from pointing_analysis.requirements.requirement import Requirement, from_entries, load, parse
 
 __all__ = [
     "IndexSamples",
+    "InputError",
     "Requirement",
-    "RequirementError",
     "Status",
     "Verdict",
     "beyond_limit",
@@ -137,7 +138,7 @@ def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | 
     """
     values, cap, missing = index_samples(series, requirement, optics)
     if not values.size:
-        raise ValueError(f"no complete window of {requirement.quantity}")
+        raise InputError(f"no complete window of {requirement.quantity}")
     independent = IndependentSamples.of(finite(values) if requirement.of_image else values, cap)
     return IndexSamples(values, lambda r: independent.above(r.limit, r.lower), series.duration, missing)
 
@@ -155,7 +156,7 @@ def refusal(requirement: Requirement, rows: int, dt: float, optics: Optics | Non
         if not requirement.of_image:
             index_samples(still, requirement)
         elif optics is None:
-            raise ValueError(NONE_KNOWN)
+            raise InputError(NONE_KNOWN)
         else:
             next(exposure_parts(still.values, dt, requirement.times[0], 1))
     except ValueError as error:
@@ -174,7 +175,7 @@ def index_samples(
     """
     if requirement.of_image:
         if optics is None:
-            raise ValueError(NONE_KNOWN)
+            raise InputError(NONE_KNOWN)
         found, gone = image_samples(series, requirement, optics)
         return found, math.inf, math.inf if series.open_end else 0.0 if series.never_sent else float(gone)
     values, cap = _index(series.values, series.dt, requirement)

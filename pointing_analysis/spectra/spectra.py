@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
@@ -87,7 +88,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     e = np.asarray(error, dtype=float)
     n = min(max(round(segment / dt), 8), len(e))
     if n < 8:
-        raise ValueError(f"error must have at least 8 samples for a spectrum, got {len(e)}")
+        raise InputError(f"error must have at least 8 samples for a spectrum, got {len(e)}")
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)  # Hann, periodic
     scale = 2 * dt / np.square(window).sum()
     density = np.zeros((n // 2 + 1, 2))
@@ -101,7 +102,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
         density += scale * np.square(np.abs(np.fft.rfft(piece * window[:, None], axis=0)))
         used += 1
     if not used:
-        raise ValueError(f"error must have a segment of {n * dt:g} s without missing samples for a spectrum, got none")
+        raise InputError(f"error must have a segment of {n * dt:g} s without missing samples for a spectrum, got none")
     density /= used
     density[0] /= 2
     if n % 2 == 0:

@@ -103,6 +103,20 @@ def test_functions_are_short() -> None:
     assert long == []
 
 
+def test_refused_input_has_the_exception_of_the_library() -> None:
+    """Any other ValueError is a fault of the program; the trusted code imports nothing of the library."""
+    parser = FOLDERS["pointing_analysis"] / "files" / "structured_text.py"  # what parsers raise is put into one line
+
+    def raised(path: Path) -> Iterator[str]:
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
+                yield node.exc.func.id
+
+    trusted = FOLDERS["lftkit"] / "proofs" / "trusted"
+    own = [path for _, path in MODULES if path != parser and not path.is_relative_to(trusted)]
+    assert not [path for path in own if "ValueError" in raised(path)]
+
+
 def test_functions_have_few_parameters() -> None:
     """But the commands, which have one for each of their options."""
     commands = FOLDERS["los_testbed"] / "cli"

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.flight.laws import laws_of
-from los_testbed.parts.flight_library import FlightLibraryError, LibraryLaw
+from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import controllers, drive, write_bag
 from support.flight_library import LIBRARY, build, write
 
+from lftkit.errors import InputError
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
@@ -54,9 +55,7 @@ def test_a_replay_through_the_library_is_identical(library: Path) -> None:
 @pytest.mark.parametrize("setting", ["k_fsm", "k_pma"])
 def test_libraries_that_do_not_fit_are_refused_in_one_line(library: Path, tmp_path: Path, setting: str) -> None:
     (tmp_path / "text.so").write_text("no library")
-    with pytest.raises(
-        FlightLibraryError, match=f"{setting} .* must be a shared library for this processor, got [^\n]*$"
-    ):
+    with pytest.raises(InputError, match=f"{setting} .* must be a shared library for this processor, got [^\n]*$"):
         LibraryLaw(tmp_path / "text.so", setting)
     folder = tmp_path / "other"
     shutil.copytree(library.parent, folder)
@@ -65,13 +64,13 @@ def test_libraries_that_do_not_fit_are_refused_in_one_line(library: Path, tmp_pa
     for unit in ("k_fsm", "k_pma"):
         file = folder / f"{unit}.c"
         file.write_text(file.read_text().replace(f"los_{setting}_sizes", f"los_{setting}_other"))
-    with pytest.raises(FlightLibraryError, match=f"got none of los_{setting}_sizes$"):
+    with pytest.raises(InputError, match=f"got none of los_{setting}_sizes$"):
         LibraryLaw(build(folder, "gcc", "-O0"), setting)
 
 
 def test_the_state_of_another_order_is_refused(library: Path) -> None:
     law = LibraryLaw(library, "k_pma")
-    with pytest.raises(FlightLibraryError, match="state must have shape"):
+    with pytest.raises(InputError, match="state must have shape"):
         law.reset(np.zeros(law.order + 1))
 
 

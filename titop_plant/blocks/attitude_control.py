@@ -21,6 +21,7 @@ from scipy import linalg
 
 from lftkit import Port, System, state_space, static_gain
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 
 
@@ -64,10 +65,10 @@ def attitude_control(
     """
     J, Gamma = np.asarray(inertia, dtype=float), np.asarray(spin_axes, dtype=float)
     if J.shape != (3,) or not np.all(J > 0.0):
-        raise ValueError(f"attitude control: inertia must be three positive moments, got {J.tolist()}")
+        raise InputError(f"attitude control: inertia must be three positive moments, got {J.tolist()}")
     rank = 3 - linalg.null_space(Gamma.T).shape[1] if Gamma.ndim == 2 and Gamma.shape[0] == 3 else 0
     if rank < 3:
-        raise ValueError(
+        raise InputError(
             f"attitude control: spin_axes must be a 3 x n matrix of rank 3, got shape {Gamma.shape} of rank {rank}"
         )
     allocation = linalg.pinv(Gamma)

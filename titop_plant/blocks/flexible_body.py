@@ -34,6 +34,7 @@ import numpy as np
 
 from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.structures.modal_data import ModalData
 
@@ -89,7 +90,7 @@ def flexible_body(
     omega, zeta = dict(frequencies or {}), dict(dampings or {})
     for mode in (*omega, *zeta):
         if not 0 <= mode < n:
-            raise ValueError(f"{data.name}: mode index must be in 0..{n - 1}, got {mode}")
+            raise InputError(f"{data.name}: mode index must be in 0..{n - 1}, got {mode}")
     for name in deflections:
         data.child(name)
     w, z = data.frequencies.copy(), data.damping.copy()

@@ -29,6 +29,7 @@ import numpy as np
 
 from lftkit import Port, System, state_space
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.structures.kinematics import tau
 
@@ -59,9 +60,9 @@ class ProofMassActuator:
     def __post_init__(self) -> None:
         for name in ("moving_mass", "casing_mass", "stiffness"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"proof-mass actuator: {name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"proof-mass actuator: {name} must be positive, got {getattr(self, name)}")
         if not self.damping >= 0.0:
-            raise ValueError(f"proof-mass actuator: damping must not be negative, got {self.damping}")
+            raise InputError(f"proof-mass actuator: damping must not be negative, got {self.damping}")
 
 
 def proof_mass_actuator(data: ProofMassActuator, point: str = "P") -> System:

@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike
 
 from lftkit import Connection, Port, RealParameter, System, connect, static_gain
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.rotation import _unit
@@ -64,7 +65,7 @@ class ReactionWheel:
     def __post_init__(self) -> None:
         for name in ("mass", "axial_inertia", "radial_inertia"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"reaction wheel: {name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"reaction wheel: {name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from lftkit import Port, System, connect, invert, state_space, transform
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.blocks.rotation import _unit
 
@@ -107,7 +108,7 @@ def on_revolute_joint(
     """
     for name, value in (("stiffness", stiffness), ("damping", damping)):
         if not value >= 0.0:
-            raise ValueError(f"revolute joint at {point}: {name} must not be negative, got {value}")
+            raise InputError(f"revolute joint at {point}: {name} must not be negative, got {value}")
     u = _unit(axis)
     accel, wrench = ports.accel(point), ports.wrench(point)
     joint = _joint(u, stiffness, damping, accel, wrench, Port(torque, 1, "Nm"), Port(angle, 1, "rad"))
@@ -181,7 +182,7 @@ def _inverted(child: System, joint: System, point: str) -> System:
     try:
         free = invert(both, {SWING.name: BALANCE.name})
     except ValueError:
-        raise ValueError(f"revolute joint at {point}: child must have inertia about the axis, got none") from None
+        raise InputError(f"revolute joint at {point}: child must have inertia about the axis, got none") from None
     return free.select(
         inputs=[p.name for p in free.inputs if p.name != BALANCE.name],
         outputs=[p.name for p in free.outputs if p.name != SWING.name],

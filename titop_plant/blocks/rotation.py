@@ -16,6 +16,7 @@ from scipy import linalg
 
 from lftkit import Port, RealParameter, System, connect
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.structures.kinematics import skew
 
@@ -128,5 +129,5 @@ def turned(block: System, point: str, axis: ArrayLike, tau: RealParameter) -> Sy
 def _unit(axis: ArrayLike) -> FloatArray:
     vector = np.asarray(axis, dtype=float)
     if vector.shape != (3,) or not np.sqrt(vector @ vector) > 0:
-        raise ValueError(f"axis must be a nonzero vector of length 3, got {axis!r}")
+        raise InputError(f"axis must be a nonzero vector of length 3, got {axis!r}")
     return np.asarray(vector / np.sqrt(vector @ vector))

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 
 STEPS_OF_A_CYCLE = 4
 """Full steps of one electrical cycle of a motor with two phases."""
@@ -96,17 +97,17 @@ class Stepper:
     def __post_init__(self) -> None:
         for name in ("rotor_inertia", "gear_ratio", "full_steps", "micro_steps", "holding_torque"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("motor_damping", "detent_torque"):
             if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
         if self.full_steps % STEPS_OF_A_CYCLE:
-            raise ValueError(f"full_steps must be a multiple of {STEPS_OF_A_CYCLE}, got {self.full_steps}")
+            raise InputError(f"full_steps must be a multiple of {STEPS_OF_A_CYCLE}, got {self.full_steps}")
         if self.rate == 0.0:
-            raise ValueError("rate must not be zero, got 0")
+            raise InputError("rate must not be zero, got 0")
         for cycles, angle in self.gear_errors:
             if not (cycles > 0.0 and angle >= 0.0):
-                raise ValueError(f"gear_errors must be positive cycles with an angle each, got {[cycles, angle]}")
+                raise InputError(f"gear_errors must be positive cycles with an angle each, got {[cycles, angle]}")
 
     @property
     def stiffness(self) -> float:

@@ -30,6 +30,7 @@ import numpy as np
 
 from lftkit import Port, RealParameter, System
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant import ports
 
 DIRECTIONS = ("radial", "radial", "axial", "rocking", "rocking")
@@ -80,15 +81,15 @@ class WheelBearing:
         given = [f"{kind}_stiffness" for kind in dict.fromkeys(DIRECTIONS)]
         for name in (*positive, *(name for name in given if getattr(self, name) is not None)):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         if all(getattr(self, name) is None for name in given):
-            raise ValueError(f"bearing must have one of {', '.join(given)}, got none")
+            raise InputError(f"bearing must have one of {', '.join(given)}, got none")
         for kind in dict.fromkeys(DIRECTIONS):
             damping, stiffness = getattr(self, f"{kind}_damping"), getattr(self, f"{kind}_stiffness")
             if not damping >= 0.0:
-                raise ValueError(f"{kind}_damping must not be negative, got {damping}")
+                raise InputError(f"{kind}_damping must not be negative, got {damping}")
             if damping and stiffness is None:
-                raise ValueError(f"{kind}_damping must be absent without {kind}_stiffness, got {damping}")
+                raise InputError(f"{kind}_damping must be absent without {kind}_stiffness, got {damping}")
 
     @property
     def flexible(self) -> tuple[int, ...]:
@@ -168,7 +169,7 @@ def wheel_on_bearings(
 
 def _check_part(name: str, part: float, whole: float) -> None:
     if part > whole:
-        raise ValueError(f"{name} must be at most that of the wheel, {whole:g}, got {part:g}")
+        raise InputError(f"{name} must be at most that of the wheel, {whole:g}, got {part:g}")
 
 
 def _matrices(

@@ -27,6 +27,7 @@ import numpy as np
 
 from lftkit import Port
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port, motor_ports
@@ -90,7 +91,7 @@ def place_matrix(
     """
     places, ports = all_places(telescope), source_ports(telescope)
     if place not in places:
-        raise ValueError(f"place must be one of {', '.join(places)}, got {place!r}")
+        raise InputError(f"place must be one of {', '.join(places)}, got {place!r}")
     columns, drives, wheels = port_slices(ports), drive_places(telescope), wheel_places(telescope)
     whole = np.zeros((total_size(ports), 6))
     turn = np.eye(3) if frame is None else _rotation(frame)
@@ -98,7 +99,7 @@ def place_matrix(
     if place in drives or place in actuators:
         one, port, axis = ("torque about", SADM_TORQUE, 5) if place in drives else ("force along", ACTUATOR_FORCE, 2)
         if offset is not None or frame is not None:
-            raise ValueError(f"frame and offset must be absent at {place}, which has a {one} its axis only")
+            raise InputError(f"frame and offset must be absent at {place}, which has a {one} its axis only")
         whole[columns[port].start + (drives if place in drives else actuators).index(place), axis] = 1.0
         return whole
     wrench = np.kron(np.eye(2), turn)
@@ -124,7 +125,7 @@ def place_matrix(
 def _require_input(name: str, place: str, columns: Mapping[str, slice]) -> None:
     """Refuse a place where a plant from a file has no input."""
     if name not in columns:
-        raise ValueError(f"the plant must have the input {name} for a source at {place}, got {', '.join(columns)}")
+        raise InputError(f"the plant must have the input {name} for a source at {place}, got {', '.join(columns)}")
 
 
 def _rotation(frame: FloatArray) -> FloatArray:
@@ -134,12 +135,12 @@ def _rotation(frame: FloatArray) -> FloatArray:
         or not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6)
         or np.cross(*turn.T[:2]) @ turn.T[2] < 0
     ):
-        raise ValueError("frame must be a rotation, three rows of three numbers, got another matrix")
+        raise InputError("frame must be a rotation, three rows of three numbers, got another matrix")
     return turn
 
 
 def _cross(arm: FloatArray) -> FloatArray:
     if arm.shape != (3,) or not np.isfinite(arm).all():
-        raise ValueError(f"offset must be three numbers [m], got {arm.tolist()}")
+        raise InputError(f"offset must be three numbers [m], got {arm.tolist()}")
     x, y, z = arm
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

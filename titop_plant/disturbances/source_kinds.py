@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit
@@ -71,9 +72,9 @@ class DisturbanceTable:
     _tables: list[Table] = field(default_factory=list, init=False, compare=False, repr=False)
     _used: set[str] = field(default_factory=set, init=False, compare=False, repr=False)
 
-    def error(self, text: str) -> ValueError:
+    def error(self, text: str) -> InputError:
         """A ValueError that names file and source."""
-        return ValueError(f"{self.where}, disturbance {self.table.get('name', '?')!r}: {text}")
+        return InputError(f"{self.where}, disturbance {self.table.get('name', '?')!r}: {text}")
 
     def number(self, key: str, default: float | None = None, low: float = -math.inf) -> float:
         """A finite number, above `low`."""
@@ -297,7 +298,7 @@ def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, Complex
     """Tones below the tick rate; higher ones are excluded and reported."""
     kept = [row for row in rows if row[1] < 2 * np.pi / DT]
     if not kept:
-        raise ValueError("disturbance must have a tone below 1000 Hz, got none")
+        raise InputError("disturbance must have a tone below 1000 Hz, got none")
     remarks = (f"{len(rows) - len(kept)} tones above 1000 Hz excluded",) if len(kept) < len(rows) else ()
     return make(kept, DT, *more), remarks
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import BoolArray, FloatArray
+from lftkit.errors import InputError
 from titop_plant.disturbances.wheel_harmonics import AROUND, SHARE, bin_widths, harmonic_orders, peak_ratios
 
 REACH = 4
@@ -115,7 +116,7 @@ class WheelModel:
     def _check(self, speed: float) -> None:
         low, high = self.speeds[0], self.speeds[-1]
         if not low <= speed <= high:
-            raise ValueError(f"speed must be between {low:g} and {high:g} Hz of the waterfall, got {speed:g} Hz")
+            raise InputError(f"speed must be between {low:g} and {high:g} Hz of the waterfall, got {speed:g} Hz")
 
 
 def identify(speeds: FloatArray, frequency: FloatArray, amplitude: FloatArray, bandwidth: float = 1.0) -> WheelModel:
@@ -181,7 +182,7 @@ def grid_of(speed: FloatArray, frequency: FloatArray, values: FloatArray) -> tup
     """
     speeds, bins = np.unique(speed), np.unique(frequency)
     if speeds.size < 2 or speeds.size * bins.size != speed.size or not np.isfinite([speed, frequency]).all():
-        raise ValueError(
+        raise InputError(
             f"waterfall must have a row for each of its frequencies at each of two or more speeds, "
             f"got {speed.size} rows with {bins.size} frequencies and {speeds.size} speeds"
         )
@@ -190,7 +191,7 @@ def grid_of(speed: FloatArray, frequency: FloatArray, values: FloatArray) -> tup
     if ((rows != speeds[:, None]) | (places != bins)).any():
         same = np.flatnonzero((np.diff(speed[order]) == 0) & (np.diff(frequency[order]) == 0))[0]
         twice = f"{60 * speed[order[same]]:g} rpm, {frequency[order[same]]:g} Hz"
-        raise ValueError(f"waterfall must have one row for each frequency at each speed, got two of {twice}")
+        raise InputError(f"waterfall must have one row for each frequency at each speed, got two of {twice}")
     return speeds, bins, values[order].reshape(speeds.size, bins.size, 6)
 
 

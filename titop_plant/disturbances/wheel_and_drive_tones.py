@@ -29,6 +29,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
@@ -198,7 +199,7 @@ def given_tones(table: Sequence[Sequence[float]], inputs: int = REFERENCE_CHANNE
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for entry in table:
         if len(entry) != 1 + 2 * inputs or not np.isfinite(entry).all():
-            raise ValueError(f"a tone must be {1 + 2 * inputs} finite numbers, got {len(entry)}")
+            raise InputError(f"a tone must be {1 + 2 * inputs} finite numbers, got {len(entry)}")
         values = np.asarray(entry, dtype=float)
         rows.append((float(values[0]), values[1 : 1 + inputs] + 1j * values[1 + inputs :], 0.0, -1))
     return _tones(rows, inputs)

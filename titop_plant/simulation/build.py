@@ -14,6 +14,7 @@ from scipy import linalg
 
 from lftkit import System
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
@@ -84,7 +85,7 @@ class PlantFamily:
         number, tones = self.plant_and_tones(config)
         state = _steady_state(number, tones) if start is None else start
         if state.shape != (number.A.shape[0],):
-            raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
+            raise InputError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
         dynamics: ConstantStep | RampedStep
         if config.ramps:
             dynamics = RampedStep(*self.nodes(config, DT), state)
@@ -108,7 +109,7 @@ class PlantFamily:
             A configuration of another family; a value out of its range.
         """
         if (config.parameters, config.isolated) != (self.path, self.isolated):
-            raise ValueError(
+            raise InputError(
                 f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
                 f"and {config.isolated}"
             )

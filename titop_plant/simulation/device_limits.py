@@ -25,6 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR
 from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.sections import OscillatorTable
@@ -65,12 +66,12 @@ class DeviceLimits:
     def __post_init__(self) -> None:
         for name in ("mirror_rate", "force_rate", "stroke"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("acceleration_step", "camera_step", "gauge_step"):
             if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+                raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
         if not 0.0 <= self.cut_off < 0.5 / DT:
-            raise ValueError(f"cut_off must be from 0 to {0.5 / DT:g} Hz, got {self.cut_off}")
+            raise InputError(f"cut_off must be from 0 to {0.5 / DT:g} Hz, got {self.cut_off}")
 
 
 class LimitedDevices:

@@ -26,6 +26,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.constant_step import ConstantStep
@@ -160,7 +161,7 @@ class Plant:
         self.sensed = np.zeros(self._sums.size - MEASUREMENTS - TRUTH)
         if self.further_sensors is not None and self.further_sensors.values.size != self.sensed.size:
             read = self.further_sensors.values.size
-            raise ValueError(f"further_sensors must have {self.sensed.size} values, got {read}")
+            raise InputError(f"further_sensors must have {self.sensed.size} values, got {read}")
         self._start = self.coordinates(dynamics.start)
         self._responses = [self._response(one) for one in self.inputs]
         self._restart()
@@ -169,7 +170,7 @@ class Plant:
         """Contribution of a unit value of an input, with the coordinates instead of the states."""
         n, rows = self._order, self._order + self._sums.size
         if len(given.held) != rows:
-            raise ValueError(f"held of an input must have {rows} rows, got {len(given.held)}")
+            raise InputError(f"held of an input must have {rows} rows, got {len(given.held)}")
         return np.ascontiguousarray(np.vstack([self.coordinates(given.held[:n]), given.held[n:]]))
 
     @property
@@ -249,7 +250,7 @@ class Plant:
             Another name.
         """
         if name not in CHANGES:
-            raise ValueError(f"name must be noise, disturbance or camera_dropout, got {name!r}")
+            raise InputError(f"name must be noise, disturbance or camera_dropout, got {name!r}")
         if name == "disturbance":
             self._switch(bool(value))
         self._samples.change(name, value)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from lftkit.errors import InputError
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
 from titop_plant.telescope.layout import ANGLE
@@ -42,12 +43,12 @@ class PlantConfig(PhysicalSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.disturbance and self.scenario is None:
-            raise ValueError("scenario must be given with a disturbance, got none")
+            raise InputError("scenario must be given with a disturbance, got none")
         if self.disturbance and (self.scenario == "worst_case") != bool(self.tones):
             needed = "given" if self.scenario == "worst_case" else "empty"
-            raise ValueError(f"tones must be {needed} in the scenario {self.scenario}, got {len(self.tones)}")
+            raise InputError(f"tones must be {needed} in the scenario {self.scenario}, got {len(self.tones)}")
         if self.scenario == "ramp" and not self.ramps:
-            raise ValueError("ramp_duration and a rate, or profile, must be given in the scenario ramp, got no ramp")
+            raise InputError("ramp_duration and a rate, or profile, must be given in the scenario ramp, got no ramp")
 
     @classmethod
     def of(cls, settings: PhysicalSettings, **changes: Any) -> PlantConfig:
@@ -81,7 +82,7 @@ def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, flo
         names = further_parameters(telescope.uncertain)
         if len(names) != len(config.frequencies):
             given = len(config.frequencies)
-            raise ValueError(
+            raise InputError(
                 f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {given}"
             )
         return dict(zip(names, config.frequencies))
@@ -89,7 +90,7 @@ def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, flo
     for i, omega in ((1, config.omega_1), (2, config.omega_2)):
         if omega is not None:
             if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in telescope.uncertain:
-                raise ValueError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
+                raise InputError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
             found[name] = omega
     return found
 
@@ -100,7 +101,7 @@ def check_wheels(config: PhysicalSettings, telescope: Telescope) -> None:
     for name in ("wheel_speed", "wheel_acceleration"):
         given = getattr(config, name)
         if given is not None and len(given) != wheels:
-            raise ValueError(f"{name} must hold {wheels} numbers, got {len(given)}")
+            raise InputError(f"{name} must hold {wheels} numbers, got {len(given)}")
 
 
 def steady(telescope: Telescope) -> tuple[float, ...]:

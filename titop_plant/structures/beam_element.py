@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 
 _BENDING_K = np.array([[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
 _BENDING_M = np.array([[156.0, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
@@ -50,9 +51,9 @@ class Section:
         for key in ("E", "G", "A", "Iy", "Iz", "J"):
             value = getattr(self, key)
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"section: {key} must be positive, got {value}")
+                raise InputError(f"section: {key} must be positive, got {value}")
         if not (np.isfinite(self.density) and self.density >= 0):
-            raise ValueError(f"section: density must not be negative, got {self.density}")
+            raise InputError(f"section: density must not be negative, got {self.density}")
 
 
 def beam_axes(start: FloatArray, end: FloatArray, up: FloatArray | None, what: str) -> FloatArray:
@@ -66,14 +67,14 @@ def beam_axes(start: FloatArray, end: FloatArray, up: FloatArray | None, what: s
     along = end - start
     length = float(np.sqrt(along @ along))
     if length < 1e-9:
-        raise ValueError(f"{what}: end points must be different, got a length of {length:.3g} m")
+        raise InputError(f"{what}: end points must be different, got a length of {length:.3g} m")
     x = along / length
     if up is None:
         up = np.array([0.0, 1.0, 0.0]) if abs(x[2]) > 0.99 else np.array([0.0, 0.0, 1.0])
     z = _cross(x, up)
     norm = float(np.sqrt(z @ z))
     if norm < 1e-6 * float(np.sqrt(up @ up)) or norm == 0.0:
-        raise ValueError(f"{what}: up must not be parallel to the beam, got {up.tolist()}")
+        raise InputError(f"{what}: up must not be parallel to the beam, got {up.tolist()}")
     z = z / norm
     return np.array([x, _cross(z, x), z])
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.beam_element import Section, beam_axes, element_matrices
 from titop_plant.structures.clamped_modes import FreeStructure, clamped_body
 from titop_plant.structures.kinematics import read_only, tau
@@ -47,7 +48,7 @@ class Beam:
 
     def __post_init__(self) -> None:
         if self.elements < 1:
-            raise ValueError(f"beam {self.start}-{self.end}: elements must be at least 1, got {self.elements}")
+            raise InputError(f"beam {self.start}-{self.end}: elements must be at least 1, got {self.elements}")
         if self.up is not None:
             object.__setattr__(self, "up", read_only(self.up, (3,), f"beam {self.start}-{self.end}: up"))
 
@@ -78,7 +79,7 @@ class LumpedMass:
     def __post_init__(self) -> None:
         what = f"lumped mass {self.name or 'at ' + self.node!r}"
         if not (np.isfinite(self.mass) and self.mass >= 0):
-            raise ValueError(f"{what}: mass must not be negative, got {self.mass} kg")
+            raise InputError(f"{what}: mass must not be negative, got {self.mass} kg")
         object.__setattr__(self, "inertia", read_only(self.inertia, (3, 3), f"{what}, inertia"))
         object.__setattr__(self, "offset", read_only(self.offset, (3,), f"{what}, offset"))
 
@@ -129,13 +130,13 @@ class BeamFrame:
         for beam in self.beams:
             for node in (beam.start, beam.end):
                 if node not in nodes:
-                    raise ValueError(
+                    raise InputError(
                         f"{self.name}: ends of beam {beam.start}-{beam.end} must be nodes, got unknown node {node!r}"
                     )
             beam_axes(nodes[beam.start], nodes[beam.end], beam.up, f"{self.name}: beam {beam.start}-{beam.end}")
         for mass in self.masses:
             if mass.node not in nodes:
-                raise ValueError(f"{self.name}: lumped mass {mass.name!r} must be at a node, got {mass.node!r}")
+                raise InputError(f"{self.name}: lumped mass {mass.name!r} must be at a node, got {mass.node!r}")
 
     def divided(self) -> BeamFrame:
         """The same frame with every beam divided into its elements, the inner nodes named ``start-end:k``."""
@@ -229,7 +230,7 @@ def to_modal_data(
     """
     for node in (parent, *ports):
         if node not in frame.nodes:
-            raise ValueError(f"{frame.name}: parent and ports must be of {list(frame.nodes)}, got {node!r}")
+            raise InputError(f"{frame.name}: parent and ports must be of {list(frame.nodes)}, got {node!r}")
     names, M, K = assemble(frame)
     first = {name: 6 * k for k, name in enumerate(names)}
     rigid = rigid_body_modes(frame, names, frame.nodes[parent])
@@ -259,7 +260,7 @@ def static_displacement(frame: BeamFrame, parent: str, loads: Mapping[str, Array
     force = np.zeros(K.shape[0])
     for node, wrench in loads.items():
         if node not in names:
-            raise ValueError(f"{frame.name}: loaded node must be one of {list(frame.nodes)}, got {node!r}")
+            raise InputError(f"{frame.name}: loaded node must be one of {list(frame.nodes)}, got {node!r}")
         force[6 * names.index(node) : 6 * names.index(node) + 6] += read_only(wrench, (6,), f"load at {node!r}")
     clamped = 6 * names.index(parent)
     free = np.delete(np.arange(K.shape[0]), np.arange(clamped, clamped + 6))

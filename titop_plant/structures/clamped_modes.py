@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, eigh
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.modal_data import ChildPort, ModalData
 
 MASSLESS = 1e-9
@@ -81,7 +82,7 @@ def clamped_body(
     others = np.delete(np.arange(free.M.shape[0]), clamped)
     M, K = free.M[np.ix_(others, others)], free.K[np.ix_(others, others)]
     if n_modes is not None and not 0 <= n_modes <= others.size:
-        raise ValueError(f"{free.name}: modes must be 0 to {others.size}, got {n_modes}")
+        raise InputError(f"{free.name}: modes must be 0 to {others.size}, got {n_modes}")
     if massless:
         squares, shapes = _finite_modes(free.name, M, K, n_modes)
     else:
@@ -110,9 +111,9 @@ def _modes(name: str, M: FloatArray, K: FloatArray, keep: int) -> tuple[FloatArr
     try:
         squares, shapes = eigh(K, M, subset_by_index=(0, keep - 1))
     except LinAlgError as error:
-        raise ValueError(f"{name}: every node must have mass in all six directions, got {error}") from None
+        raise InputError(f"{name}: every node must have mass in all six directions, got {error}") from None
     if squares[0] <= 1e-12 * float(np.abs(np.diag(K)).max()) / float(np.diag(M).max()):
-        raise ValueError(f"{name}: structure must have no mechanism, got a mode with w^2 = {squares[0]:.3g} rad2/s2")
+        raise InputError(f"{name}: structure must have no mechanism, got a mode with w^2 = {squares[0]:.3g} rad2/s2")
     return squares, shapes
 
 
@@ -124,11 +125,11 @@ def _finite_modes(name: str, M: FloatArray, K: FloatArray, n_modes: int | None) 
     try:
         inverse, shapes = eigh(M * scaled, K * scaled)
     except LinAlgError:
-        raise ValueError(
+        raise InputError(
             f"{name}: clamped structure must have no mechanism, got a stiffness that is not positive"
         ) from None
     if inverse[-1] <= 0.0 or inverse[0] < -MASSLESS * inverse[-1]:
-        raise ValueError(
+        raise InputError(
             f"{name}: mass matrix must be positive semidefinite, got 1/w^2 of {inverse[0]:.3g} to {inverse[-1]:.3g} s2"
         )
     order = np.flatnonzero(inverse > MASSLESS * inverse[-1])[::-1][:n_modes]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 
 
 def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> FloatArray:
@@ -31,13 +32,13 @@ def read_only(array: ArrayLike, shape: Sequence[int | None], what: str) -> Float
     try:
         copy: FloatArray = np.array(array, dtype=float, order="C")
     except (TypeError, ValueError):
-        raise ValueError(
+        raise InputError(
             f"{what} must be numbers in an array of shape {_shape_text(shape)}, got {type(array).__name__}"
         ) from None
     if copy.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, copy.shape)):
-        raise ValueError(f"{what} must have shape {_shape_text(shape)}, got {copy.shape}")
+        raise InputError(f"{what} must have shape {_shape_text(shape)}, got {copy.shape}")
     if not np.all(np.isfinite(copy)):
-        raise ValueError(f"{what} must be finite, got {copy.size - np.isfinite(copy).sum()} entries that are not")
+        raise InputError(f"{what} must be finite, got {copy.size - np.isfinite(copy).sum()} entries that are not")
     copy.setflags(write=False)
     return copy
 
@@ -106,9 +107,9 @@ def check_rotation(dcm: ArrayLike, what: str) -> FloatArray:
     matrix = read_only(dcm, (3, 3), what)
     defect = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if defect > 1e-9:
-        raise ValueError(f"{what} must be orthonormal, got P P' - I = {defect:.3g}")
+        raise InputError(f"{what} must be orthonormal, got P P' - I = {defect:.3g}")
     if np.dot(np.cross(matrix[0], matrix[1]), matrix[2]) < 0:
-        raise ValueError(f"{what} must be a right-handed rotation (determinant +1), got determinant -1")
+        raise InputError(f"{what} must be a right-handed rotation (determinant +1), got determinant -1")
     return matrix
 
 

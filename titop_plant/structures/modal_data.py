@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigvalsh
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.ports import AXES
 from titop_plant.structures.kinematics import check_rotation, read_only, rigid_properties, rotate_twist, skew, tau
 
@@ -47,7 +48,7 @@ class ChildPort:
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise ValueError("name of a child port must not be empty, got ''")
+            raise InputError("name of a child port must not be empty, got ''")
         object.__setattr__(self, "position", read_only(self.position, (3,), f"child {self.name!r}, position"))
         object.__setattr__(self, "shapes", read_only(self.shapes, (6, None), f"child {self.name!r}, shapes"))
 
@@ -106,7 +107,7 @@ class ModalData:
 
     def __post_init__(self) -> None:
         if not self.name or not self.parent:
-            raise ValueError(f"body {self.name!r}: body and parent point must have names, got {self.parent!r}")
+            raise InputError(f"body {self.name!r}: body and parent point must have names, got {self.parent!r}")
         w = read_only(self.frequencies, (None,), f"{self.name}: frequencies")
         n = w.size
         shapes = {"parent_position": (3,), "mass_matrix": (6, 6), "damping": (n,), "participation": (n, 6)}
@@ -121,13 +122,13 @@ class ModalData:
     def _check_ranges(self) -> None:
         bad = np.flatnonzero(self.frequencies <= 0)
         if bad.size:
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: frequencies must be positive, got {self.frequencies[bad[0]]:.6g} rad/s "
                 f"for mode {bad[0] + 1} (a clamped body has no rigid mode)"
             )
         bad = np.flatnonzero((self.damping < 0) | (self.damping >= 1))
         if bad.size:
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: damping must be in [0, 1), got {self.damping[bad[0]]:.6g} for mode {bad[0] + 1}"
             )
 
@@ -135,10 +136,10 @@ class ModalData:
         diagonal = np.diag(self.mass_matrix)
         bad = np.flatnonzero(diagonal[:3] <= 0)
         if bad.size:
-            raise ValueError(f"{self.name}: mass must be positive, got {diagonal[bad[0]]:.6g} kg in {AXES[bad[0]]}")
+            raise InputError(f"{self.name}: mass must be positive, got {diagonal[bad[0]]:.6g} kg in {AXES[bad[0]]}")
         bad = np.flatnonzero(diagonal[3:] < 0)
         if bad.size:
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: moment of inertia must not be negative, got {diagonal[3 + bad[0]]:.6g} kg m2 "
                 f"in {AXES[3 + bad[0]]}"
             )
@@ -147,13 +148,13 @@ class ModalData:
         defect = np.abs(scaled - scaled.T)
         if defect.max() > 1e-6:
             i, j = np.unravel_index(int(defect.argmax()), (6, 6))
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: mass_matrix must be symmetric, got {self.mass_matrix[i, j]:.6g} at "
                 f"[{i}, {j}] and {self.mass_matrix[j, i]:.6g} at [{j}, {i}]"
             )
         smallest = float(eigvalsh(0.5 * (scaled + scaled.T))[0])
         if smallest < -1e-9:
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: mass_matrix must be positive semidefinite, got a scaled eigenvalue of "
                 f"{smallest:.3g} (is the inertia given at the centre of mass?)"
             )
@@ -162,10 +163,10 @@ class ModalData:
         names = [self.parent, *(child.name for child in self.children)]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
-            raise ValueError(f"{self.name}: points must have different names, got {sorted(twice)[0]!r} twice")
+            raise InputError(f"{self.name}: points must have different names, got {sorted(twice)[0]!r} twice")
         for child in self.children:
             if child.shapes.shape[1] != self.n_modes:
-                raise ValueError(
+                raise InputError(
                     f"{self.name}: child {child.name!r} must have shapes (6, {self.n_modes}) "
                     f"for {self.n_modes} modes, got {child.shapes.shape}"
                 )
@@ -196,7 +197,7 @@ class ModalData:
         for child in self.children:
             if child.name == name:
                 return child
-        raise ValueError(f"{self.name}: child port must be one of {[c.name for c in self.children]}, got {name!r}")
+        raise InputError(f"{self.name}: child port must be one of {[c.name for c in self.children]}, got {name!r}")
 
     def child_tau(self, name: str) -> FloatArray:
         """Kinematic matrix ``tau_CP`` (6 x 6) from the parent to a child: accel_C = tau_CP accel_P."""
@@ -216,7 +217,7 @@ class ModalData:
             Number outside 0 to the number of modes.
         """
         if not 0 <= n_modes <= self.n_modes:
-            raise ValueError(f"{self.name}: n_modes must be 0 to {self.n_modes}, got {n_modes}")
+            raise InputError(f"{self.name}: n_modes must be 0 to {self.n_modes}, got {n_modes}")
         return dataclasses.replace(
             self,
             frequencies=self.frequencies[:n_modes],
@@ -283,11 +284,11 @@ def from_inertia(mass: float, inertia_at_cg: ArrayLike, cg: ArrayLike, name: str
     inertia = read_only(inertia_at_cg, (3, 3), f"{body}inertia_at_cg")
     lever = read_only(cg, (3,), f"{body}cg")
     if not np.isfinite(mass) or mass <= 0:
-        raise ValueError(f"{body}mass must be positive, got {mass:.6g} kg")
+        raise InputError(f"{body}mass must be positive, got {mass:.6g} kg")
     if np.abs(inertia - inertia.T).max() > 1e-9 * max(1.0, float(np.abs(inertia).max())):
-        raise ValueError(f"{body}inertia_at_cg must be symmetric, got {inertia.tolist()}")
+        raise InputError(f"{body}inertia_at_cg must be symmetric, got {inertia.tolist()}")
     if eigvalsh(inertia)[0] < -1e-9 * max(1e-9, float(np.abs(inertia).max())):
-        raise ValueError(f"{body}inertia_at_cg must be positive semidefinite, got {inertia.tolist()}")
+        raise InputError(f"{body}inertia_at_cg must be positive semidefinite, got {inertia.tolist()}")
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = mass * np.eye(3)
     matrix[:3, 3:] = -mass * skew(lever)

@@ -42,8 +42,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
-from lftkit.support.structured_text import StructuredTextError, parse
+from lftkit.support.structured_text import parse
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass
@@ -86,16 +87,16 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
         text = read_text(path)
         table = parse(text, "file", "TOML", tomllib.loads)
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: file must be TOML, got text that is not UTF-8") from None
-    except StructuredTextError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: file must be TOML, got text that is not UTF-8") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     reader = _Reader(str(path), text, table)
     data = reader.read()
     if check_residual:
         try:
             check_residual_mass(data)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None
     return data
 
 
@@ -182,7 +183,7 @@ class _Reader:
                 tuple(ChildPort(child, xyz, shapes[:, i].T) for i, (child, xyz) in enumerate(children)),
             )
         except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from None
+            raise InputError(f"{self.path}: {error}") from None
 
     def mass_matrix(self) -> FloatArray:
         if "mass_matrix" in self.table:
@@ -246,11 +247,11 @@ class _Reader:
         if unknown:
             raise self.error(f"key must be one of {sorted(known)}, got {unknown[0]!r}", unknown[0], name, k)
 
-    def error(self, message: str, key: str, table: str = "", k: int = 0) -> ValueError:
+    def error(self, message: str, key: str, table: str = "", k: int = 0) -> InputError:
         line = self.line_of(key, table, k)
         where = f", line {line}" if line else ""
         which = f"{table} {k + 1}: " if table else ""
-        return ValueError(f"{self.path}{where}: {self.body}: {which}{message}")
+        return InputError(f"{self.path}{where}: {self.body}: {which}{message}")
 
     def line_of(self, key: str, table: str, k: int) -> int:
         """Line of a key (or of its table if the key is not there), 0 if neither is found."""

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData
 from titop_plant.structures.nastran_axes import to_basic
@@ -217,7 +218,7 @@ def _squares(table: Any, path: str) -> FloatArray:
     squares = np.asarray(table.eigns, dtype=float)
     rigid = int(np.sum(squares <= FREE_BODY * squares.max(initial=0.0)))
     if rigid:
-        raise ValueError(
+        raise InputError(
             f"{path}: eigenvalues of a clamped body must be positive, got {rigid} rigid-body modes or mechanisms "
             f"(least eigenvalue {squares.min():.3g} of up to {squares.max():.3g})"
         )
@@ -242,11 +243,11 @@ def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatAr
     momentum = None if unknown else momentum_of(maps, table)
     asked = f"{path}: file must contain forces of single-point constraint (SPCFORCES(PLOT)=ALL), got none"
     if momentum is None:
-        raise ValueError(f"{asked}, and not the motion of all masses of the deck")
+        raise InputError(f"{asked}, and not the motion of all masses of the deck")
     products = weight * scale * modal_masses(model, maps, table, point) * scale.T
     worst = float(np.abs(products - np.eye(len(products))).max())
     if not worst <= ORTHONORMAL:
-        raise ValueError(f"{asked}, and the masses of the deck give products of the modes that miss I by {worst:.2g}")
+        raise InputError(f"{asked}, and the masses of the deck give products of the modes that miss I by {worst:.2g}")
     return np.asarray(scale * weight * momentum)
 
 

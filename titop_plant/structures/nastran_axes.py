@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 
 ON_AXIS = 1e-9
 """Distance from the axis, relative to that from the origin, at which cylindrical and spherical axes do not exist."""
@@ -38,7 +39,7 @@ def displacement_axes(node: Any, path: str) -> FloatArray:
     x, y, z = rows @ (np.asarray(node.get_position(), dtype=float) - np.asarray(system.origin, dtype=float))
     across, whole = float(np.hypot(x, y)), float(np.sqrt(x * x + y * y + z * z))
     if kind not in "CS" or across <= ON_AXIS * max(whole, 1e-300):
-        raise ValueError(
+        raise InputError(
             f"{path}: GRID {node.nid} must have displacement coordinates that exist there, got CD {node.Cd()} "
             f"({system.type}) at its axis"
         )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import INCLUDES, SYSTEM
 
@@ -46,14 +47,14 @@ def read_deck(path: Path) -> Deck:
     lines = _lines(path, path.resolve().parent, (), [0])
     text = "\n".join(line for line in lines if not re.match(r"^\s*\$\s*pynastran", line, re.IGNORECASE)) + "\n"
     if not text.strip():
-        raise ValueError(f"{path}: BDF must have lines, got none")
+        raise InputError(f"{path}: BDF must have lines, got none")
     return Deck(text, _SECTIONS.search(text) is None)
 
 
 def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) -> list[str]:
     count[0] += 1
     if count[0] > INCLUDES:
-        raise ValueError(f"{path}: deck must include at most {INCLUDES} files, got more")
+        raise InputError(f"{path}: deck must include at most {INCLUDES} files, got more")
     data = read_bytes(path, SYSTEM)
     try:
         text = data.decode("utf-8")
@@ -70,7 +71,7 @@ def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) 
         while mark in ("'", '"') and (len(name) < 2 or not name.endswith(mark)):
             more = next(waiting, None)
             if more is None:
-                raise ValueError(f"{path}: INCLUDE must name a file in quotes, got {name[:80]}")
+                raise InputError(f"{path}: INCLUDE must name a file in quotes, got {name[:80]}")
             name += more.strip()
         found += _lines(_inside(name.strip("'\""), path, folder, above), folder, (*above, path.resolve()), count)
     return found
@@ -79,12 +80,12 @@ def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) 
 def _inside(name: str, path: Path, folder: Path, above: tuple[Path, ...]) -> Path:
     """The included file, in the folder of the deck."""
     if not name or re.search(r"[:$%~\\\0]", name):
-        raise ValueError(f"{path}: INCLUDE must name a file by its path below the deck, got {name[:80]!r}")
+        raise InputError(f"{path}: INCLUDE must name a file by its path below the deck, got {name[:80]!r}")
     file = (path.resolve().parent / name).resolve()
     if not file.is_relative_to(folder):
-        raise ValueError(f"{path}: INCLUDE must name a file in the folder of the deck, got {name[:80]!r}")
+        raise InputError(f"{path}: INCLUDE must name a file in the folder of the deck, got {name[:80]!r}")
     if file in (*above, path.resolve()):
-        raise ValueError(f"{path}: INCLUDE must not be recursive, got {name[:80]!r}")
+        raise InputError(f"{path}: INCLUDE must not be recursive, got {name[:80]!r}")
     return file
 
 
@@ -100,7 +101,7 @@ def parameters_of(deck: Deck, model: Any, path: Path) -> dict[str, str]:
     head = deck.text[: start.start()] if (start := re.search(r"^\s*begin\s+bulk", deck.text, re.I | re.M)) else ""
     for name, value in _CASE_PARAM.findall(head):
         if found.setdefault(name.upper(), value).upper() != value.upper():
-            raise ValueError(f"{path}: PARAM,{name.upper()} must have one value, got {found[name.upper()]}, {value}")
+            raise InputError(f"{path}: PARAM,{name.upper()} must have one value, got {found[name.upper()]}, {value}")
     return found
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import RESULTS
 from titop_plant.structures.nastran_deck import Deck, read_deck
@@ -48,7 +49,7 @@ def read_model(path: Path) -> tuple[Deck, Any]:
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # pyNastran raises many types
-        raise ValueError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
+        raise InputError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
     return deck, model
 
 
@@ -69,7 +70,7 @@ def read_results(path: Path) -> Any:
     except (ImportError, MemoryError):
         raise
     except Exception as error:
-        raise ValueError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
+        raise InputError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
 
 
 def _one_line(error: Exception) -> str:
@@ -87,13 +88,13 @@ def of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | N
     """
     found = {int(key[0] if isinstance(key, tuple) else key): table for key, table in tables.items()}
     if not found:
-        raise ValueError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none")
+        raise InputError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none")
     if subcase is None:
         if len(found) > 1:
-            raise ValueError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
+            raise InputError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
         return next(iter(found.values()))
     if subcase not in found:
-        raise ValueError(f"{path}: subcase of {what} must be one of {sorted(found)}, got {subcase}")
+        raise InputError(f"{path}: subcase of {what} must be one of {sorted(found)}, got {subcase}")
     return found[subcase]
 
 
@@ -107,7 +108,7 @@ def rows_of(table: Any, grid: int, path: str, name: str) -> FloatArray:
     """
     index = np.flatnonzero(np.asarray(table.node_gridtype)[:, 0] == grid)
     if index.size != 1:
-        raise ValueError(f"{path}: each mode must have one result row of GRID {grid} ({name!r}), got {index.size}")
+        raise InputError(f"{path}: each mode must have one result row of GRID {grid} ({name!r}), got {index.size}")
     return np.asarray(table.data[:, index[0], :], dtype=float)
 
 
@@ -132,10 +133,10 @@ def grid_positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str,
     for name, grid in grids.items():
         node = model.nodes.get(grid)
         if node is None:
-            raise ValueError(
+            raise InputError(
                 f"{path}: grid point of {name!r} must be one of the {len(model.nodes)} in the file, got GRID {grid}"
             )
         positions[name] = np.asarray(node.get_position(), dtype=float)
         if not np.all(np.isfinite(positions[name])):
-            raise ValueError(f"{path}: GRID {grid} must have a finite position, got {positions[name].tolist()}")
+            raise InputError(f"{path}: GRID {grid} must have a finite position, got {positions[name].tolist()}")
     return positions

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.nastran_axes import six_axes
 from titop_plant.structures.nastran_files import grid_positions, rows_of
@@ -58,9 +59,9 @@ class Interface:
         try:
             clamped = tuple(int(grid) for grid in self.clamped)
         except (TypeError, ValueError):
-            raise ValueError(f"interface {self.name!r}: clamped must be grid points, got {self.clamped!r}") from None
+            raise InputError(f"interface {self.name!r}: clamped must be grid points, got {self.clamped!r}") from None
         if not clamped:
-            raise ValueError(f"interface {self.name!r}: clamped must have at least one grid point, got none")
+            raise InputError(f"interface {self.name!r}: clamped must have at least one grid point, got none")
         object.__setattr__(self, "clamped", clamped)
 
     @classmethod
@@ -82,11 +83,11 @@ class Interface:
         if isinstance(self.at, (int, np.integer)):
             node = model.nodes.get(int(self.at))
             if node is None:
-                raise ValueError(f"{path}: grid point of {self.name!r} must be in the file, got GRID {self.at}")
+                raise InputError(f"{path}: grid point of {self.name!r} must be in the file, got GRID {self.at}")
             return np.asarray(node.get_position(), dtype=float)
         place = np.asarray(self.at, dtype=float)
         if place.shape != (3,) or not np.all(np.isfinite(place)):
-            raise ValueError(f"interface {self.name!r}: at must be a grid point or a position (3,), got {self.at!r}")
+            raise InputError(f"interface {self.name!r}: at must be a grid point or a position (3,), got {self.at!r}")
         return place
 
 
@@ -103,7 +104,7 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
     held = _constrained(model)
     first = interface.clamped[0]
     if not held:
-        raise ValueError(
+        raise InputError(
             f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got nothing: modes of a free body have "
             "no flexibility of the interface; ask for SOL 103 with the interface in SPC1 and SPCFORCES(PLOT)=ALL, or "
             "for the reduced matrices KAAX and MAAX (read_nastran_matrices)"
@@ -120,8 +121,8 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
         if len(got) == 1:
             others = sorted(set(held) - set(got))
             also = f" and SPC at {others[:12]}: Interface({interface.name!r}, ...) takes several" if others else ""
-            raise ValueError(f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got {got[first]}{also}")
-        raise ValueError(f"{path}: SPC at the interface must hold all six rigid motions, got {got}")
+            raise InputError(f"{path}: the parent GRID {first} must be clamped (SPC1 123456), got {got[first]}{also}")
+        raise InputError(f"{path}: SPC at the interface must hold all six rigid motions, got {got}")
     others = [
         grid
         for grid in sorted(set(held) - set(interface.clamped))
@@ -131,13 +132,13 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
         where = f"GRID {first}" if len(interface.clamped) == 1 else f"grid points {list(interface.clamped)}"
         both = (*interface.clamped, *others)
         several = str(both) if len(both) <= 12 else "..."
-        raise ValueError(
+        raise InputError(
             f"{path}: SPC must be at the parent {where} alone, got SPC at {others[:12]} too; "
             f"Interface({interface.name!r}, {several}) takes them as one rigid part"
         )
     for grid in interface.clamped:
         if _largest(model, table, grid, held, path, absent=0.0) > STILL:
-            raise ValueError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")
+            raise InputError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")
 
 
 def held_wrench(model: Any, interface: Interface, forces: Any, path: str) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.kinematics import skew, tau
 
 BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
@@ -106,7 +107,7 @@ def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) ->
     """
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
-        raise ValueError(f"{path}: mass elements must be CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}")
+        raise InputError(f"{path}: mass elements must be CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}")
     total = np.zeros((6, 6))
     for grid, momentum in maps.items():
         total += momentum @ tau(_position(model.nodes[grid]), point)
@@ -148,7 +149,7 @@ def rigid_mass(model: Any, results: Any, point: FloatArray, path: str, coupled: 
         found = found.copy()
         found[3:, 3:] += polar_inertia(model)
     if lacks_inertia(found):
-        raise ValueError(
+        raise InputError(
             f"{path}: mass must have inertia about every axis, got none about one, and no bars with a density and "
             "second moments of area along it: give a CONM2 an inertia, or mass_matrix"
         )

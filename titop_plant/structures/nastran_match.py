@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.kinematics import tau
 
 MASS = 0.02
@@ -30,7 +31,7 @@ def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
     known = {*model.nodes, *model.spoints, *model.epoints}
     rows = {int(grid) for grid in np.asarray(table.node_gridtype)[:, 0]}
     if others := sorted(rows - known):
-        raise ValueError(
+        raise InputError(
             f"{path}: results must be of the model of the deck, got {len(others)} unknown grid points: {others[:5]}"
         )
     stated = getattr(getattr(results, "op2_results", None), "gpdt", None)
@@ -39,12 +40,12 @@ def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
     numbers, xyz = np.asarray(stated.nid_cp_cd_ps), np.asarray(stated.xyz, dtype=float)
     grids = {int(row[0]): place for row, place in zip(numbers, xyz) if row[1] == 0 and int(row[0]) in model.nodes}
     if missing := sorted(set(model.nodes) - {int(row[0]) for row in numbers}):
-        raise ValueError(f"{path}: grid points must be those of the deck, got none with the numbers {missing[:5]}")
+        raise InputError(f"{path}: grid points must be those of the deck, got none with the numbers {missing[:5]}")
     ours = {grid: np.asarray(model.nodes[grid].get_position(), dtype=float) for grid in grids}
     size = max((float(np.abs(place).max()) for place in ours.values()), default=0.0)
     for grid, place in grids.items():
         if np.abs(place - ours[grid]).max() > POSITION * size:
-            raise ValueError(
+            raise InputError(
                 f"{path}: GRID {grid} must be where the deck has it, at {ours[grid].tolist()}, got {place.tolist()}"
             )
 
@@ -58,7 +59,7 @@ def check_mass(total: float, stated: float, path: str) -> None:
         They differ by more than `MASS`.
     """
     if abs(total - stated) > MASS * max(total, stated):
-        raise ValueError(
+        raise InputError(
             f"{path}: results must be of the model of the deck, whose mass is {total:.6g}, got a mass of {stated:.6g}"
         )
 
@@ -123,7 +124,7 @@ def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: Fl
         held, has = participation[:, part], momentum[:, part]
         size = max(float(linalg.norm(held)), float(linalg.norm(has)))
         if linalg.norm(held - has) > MOMENTUM * size:
-            raise ValueError(
+            raise InputError(
                 f"{path}: results must be of the model of the deck, got {name} of constraint that differ from the "
                 f"momentum of its masses by {100 * linalg.norm(held - has) / size:.0f} %"
             )

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.ports import AXES
 from titop_plant.structures.clamped_modes import FreeStructure, clamped_body
 from titop_plant.structures.kinematics import tau
@@ -101,7 +102,7 @@ def read_nastran_matrices(
     clamped = np.array([k for k, (grid, _) in enumerate(coordinates) if grid in interface.clamped])
     if linalg.svdvals(rigid[clamped] / np.maximum(1e-300, np.abs(rigid[clamped]).max(axis=0)))[-1] < 1e-6:
         got = {grid: "".join(str(one) for of, one in coordinates if of == grid) for grid in interface.clamped}
-        raise ValueError(f"{path}: interface must hold all six rigid motions, got {got} in the matrices")
+        raise InputError(f"{path}: interface must hold all six rigid motions, got {got} in the matrices")
     rows = {}
     for port, grid in ports.items():
         first = coordinates.index((grid, 1))
@@ -119,12 +120,12 @@ def _coordinates(model: Any, path: str) -> list[Coordinate]:
     for key in (STIFFNESS, MASS):
         matrix = model.dmigs.get(key)
         if matrix is None:
-            raise ValueError(
+            raise InputError(
                 f"{path}: punch file must have DMIG {STIFFNESS} and {MASS} (EXTSEOUT(STIFFNESS,MASS,DMIGPCH)), "
                 f"got {sorted(model.dmigs) or 'none'}"
             )
         if matrix.matrix_form not in (1, 6) or matrix.tin not in (1, 2):
-            raise ValueError(
+            raise InputError(
                 f"{path}: DMIG {key} must be real and square or symmetric (form 1 or 6, type 1 or 2), "
                 f"got form {matrix.matrix_form}, type {matrix.tin}"
             )
@@ -162,7 +163,7 @@ def _to_basic(geometry: Any, coordinates: list[Coordinate], path: str) -> FloatA
             if len(there) == 3:
                 turn[np.ix_(there, there)] = axes
             elif there:
-                raise ValueError(
+                raise InputError(
                     f"{path}: GRID {grid} must have all three translations or rotations in the matrices, since its "
                     f"displacement coordinates are CD {geometry.nodes[grid].Cd()}, got {len(there)}"
                 )
@@ -173,14 +174,14 @@ def _check_known(interface: Interface, ports: Mapping[str, int], coordinates: li
     known = {grid for grid, component in coordinates if component}
     for label, grid in (*((interface.name, grid) for grid in interface.clamped), *ports.items()):
         if grid not in known:
-            raise ValueError(
+            raise InputError(
                 f"{path}: grid point of {label!r} must be one of the {len(known)} in the matrices "
                 f"{sorted(known)[:12]} (ASET), got GRID {grid}"
             )
     for port, grid in ports.items():
         components = "".join(str(one) for of, one in coordinates if of == grid)
         if components != "123456":
-            raise ValueError(
+            raise InputError(
                 f"{path}: GRID {grid} ({port!r}) must have six components in the matrices, got {components}"
             )
 
@@ -208,7 +209,7 @@ def _check_free(coordinates: list[Coordinate], rigid: FloatArray, stiffness: Flo
     if share.max() > RIGID:
         axis = int(share.argmax())
         where = coordinates[int(forces[:, axis].argmax())]
-        raise ValueError(
+        raise InputError(
             f"{path}: {STIFFNESS} must have no force for rigid motions, got {share[axis]:.2g} of those of single "
             f"coordinates in {AXES[axis]} at GRID {where[0]}: a grounded component, or positions of another one"
         )

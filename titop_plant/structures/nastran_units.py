@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.nastran_deck import Deck, number_of, parameters_of
 
 FOOT, INCH, POUND_FORCE, POUND = 0.3048, 0.0254, 4.4482216152605, 0.45359237
@@ -57,7 +58,7 @@ class DeckUnits:
         for name in ("length", "mass", "weight"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"units: {name} must be positive, got {value}")
+                raise InputError(f"units: {name} must be positive, got {value}")
 
     def by_axis(self) -> FloatArray:
         """Factors of a motion with mass-normalised modes, shape (6,): 1 for translation, the length for rotation."""
@@ -108,23 +109,23 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
     parameters = parameters_of(deck, model, path)
     weight = number_of(parameters.get("WTMASS", "1.0"))
     if not (np.isfinite(weight) and weight > 0):
-        raise ValueError(f"{path}: PARAM,WTMASS must be a positive number, got {parameters['WTMASS']}")
+        raise InputError(f"{path}: PARAM,WTMASS must be a positive number, got {parameters['WTMASS']}")
     system = parameters.get("UNITSYS", "").upper().strip()
     if system and system not in UNIT_SYSTEMS:
-        raise ValueError(f"{path}: PARAM,UNITSYS must be one of {', '.join(UNIT_SYSTEMS)}, got {system}")
+        raise InputError(f"{path}: PARAM,UNITSYS must be one of {', '.join(UNIT_SYSTEMS)}, got {system}")
     if stated is not None:
         found = _stated(stated)
         if system and not np.allclose(
             (found.length, found.mass), (UNIT_SYSTEMS[system].length, UNIT_SYSTEMS[system].mass), rtol=SAME
         ):
-            raise ValueError(f"{path}: units must be those of PARAM,UNITSYS,{system} in the deck, got {stated}")
+            raise InputError(f"{path}: units must be those of PARAM,UNITSYS,{system} in the deck, got {stated}")
         if found.weight != 1.0 != weight and abs(found.weight / weight - 1.0) > SAME:
-            raise ValueError(f"{path}: units must have the weight of PARAM,WTMASS, {weight:g}, got {found.weight:g}")
+            raise InputError(f"{path}: units must have the weight of PARAM,WTMASS, {weight:g}, got {found.weight:g}")
         found = found if found.weight != 1.0 else replace(found, weight=weight)
     elif system:
         found = replace(UNIT_SYSTEMS[system], weight=weight)
     elif weight != 1.0:
-        raise ValueError(
+        raise InputError(
             f"{path}: units must be given with PARAM,WTMASS,{weight:g}, as units='inch-lbf-s' "
             f"(one of {', '.join([*STATED_SYSTEMS, *UNIT_SYSTEMS])}), got none"
         )
@@ -141,12 +142,12 @@ def _stated(stated: str | DeckUnits | tuple[float, float]) -> DeckUnits:
     if isinstance(stated, str):
         known = {name.upper(): one for name, one in {**STATED_SYSTEMS, **UNIT_SYSTEMS}.items()}
         if stated.upper() not in known:
-            raise ValueError(f"units must be one of {', '.join([*STATED_SYSTEMS, *UNIT_SYSTEMS])}, got {stated}")
+            raise InputError(f"units must be one of {', '.join([*STATED_SYSTEMS, *UNIT_SYSTEMS])}, got {stated}")
         return known[stated.upper()]
     try:
         length, mass = (float(factor) for factor in stated)
     except (TypeError, ValueError):
-        raise ValueError(f"units must be a name, or two factors (length [m], mass [kg]), got {stated!r}") from None
+        raise InputError(f"units must be a name, or two factors (length [m], mass [kg]), got {stated!r}") from None
     return DeckUnits(length, mass)
 
 
@@ -161,11 +162,11 @@ def _check_materials(model: Any, path: Path, units: DeckUnits, stated: str | Non
     if not moduli or any(least <= modulus * pascal <= largest for modulus in moduli):
         return
     if stated is None:
-        raise ValueError(
+        raise InputError(
             f"{path}: units must be given (units='mm-t-s', 'inch-lbf-s', ..., or PARAM,UNITSYS), got none, and "
             f"E = {max(moduli):.3g} of the stiffest material is that of no structure in SI"
         )
-    raise ValueError(
+    raise InputError(
         f"{path}: units must be those of the deck, got {stated}, in which the stiffest material has "
         f"E = {max(moduli) * pascal:.3g} Pa"
     )

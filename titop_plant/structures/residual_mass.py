@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, eigh, eigvalsh, solve_triangular
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.ports import AXES
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ModalData
@@ -61,7 +62,7 @@ def check_residual_mass(data: ModalData, tolerance: float = TOLERANCE) -> None:
     direction = vectors[:, 0] * np.sqrt(np.diag(data.mass_matrix))
     axis = int(np.abs(direction).argmax())
     unit = "kg" if axis < 3 else "kg m2"
-    raise ValueError(
+    raise InputError(
         f"{data.name}: residual mass M_rr - L'L must be positive semidefinite, got {values[0]:.3g} "
         f"of the rigid mass in a direction that is mostly {AXES[axis]} (residual there "
         f"{residual[axis, axis]:.4g} {unit} of {data.mass_matrix[axis, axis]:.6g} {unit}; "
@@ -120,7 +121,7 @@ def repair_residual_mass(data: ModalData, *, mode: int | None = None, margin: fl
         ``mode`` or ``margin`` out of range, or the other modes alone exceed the rigid mass.
     """
     if not 0 <= margin < 1:
-        raise ValueError(f"{data.name}: margin must be in [0, 1), got {margin}")
+        raise InputError(f"{data.name}: margin must be in [0, 1), got {margin}")
     before = smallest_residual_fraction(data)
     scale = np.ones(data.n_modes)
     if before < margin:
@@ -136,11 +137,11 @@ def repair_residual_mass(data: ModalData, *, mode: int | None = None, margin: fl
 
 def _row_scale(data: ModalData, whitened: FloatArray, mode: int, margin: float) -> float:
     if not 0 <= mode < data.n_modes:
-        raise ValueError(f"{data.name}: mode must be 0 to {data.n_modes - 1}, got {mode}")
+        raise InputError(f"{data.name}: mode must be 0 to {data.n_modes - 1}, got {mode}")
     others = np.delete(whitened, mode, axis=0)
     rest = (1.0 - margin) * np.eye(6) - others.T @ others
     if eigvalsh(rest)[0] <= 0:
-        raise ValueError(f"{data.name}: modes other than {mode} must leave residual mass, got none")
+        raise InputError(f"{data.name}: modes other than {mode} must leave residual mass, got none")
     row = solve_triangular(_lower(rest), whitened[mode], lower=True)
     return float(min(1.0, 1.0 / np.sqrt(row @ row)))
 
@@ -170,9 +171,9 @@ class ResidualMode:
         direction = read_only(self.direction, (6,), "direction of a residual mode")
         object.__setattr__(self, "direction", direction)
         if not 0 < self.share <= 1:
-            raise ValueError(f"share of a residual mode must be in (0, 1], got {self.share}")
+            raise InputError(f"share of a residual mode must be in (0, 1], got {self.share}")
         if not np.any(direction):
-            raise ValueError("direction of a residual mode must be nonzero, got zeros")
+            raise InputError("direction of a residual mode must be nonzero, got zeros")
 
 
 def add_residual_modes(data: ModalData, modes: Sequence[ResidualMode]) -> ModalData:
@@ -200,14 +201,14 @@ def add_residual_modes(data: ModalData, modes: Sequence[ResidualMode]) -> ModalD
         The data have child ports, their residual is not physical, or it is zero along a direction.
     """
     if data.children:
-        raise ValueError(f"{data.name}: a body with residual modes must have no child ports, got {len(data.children)}")
+        raise InputError(f"{data.name}: a body with residual modes must have no child ports, got {len(data.children)}")
     check_residual_mass(data)
     residual, rows = data.residual_mass(), []
     for k, mode in enumerate(modes):
         along = float(mode.direction @ residual @ mode.direction)
         rigid = float(mode.direction @ data.mass_matrix @ mode.direction)
         if along <= 1e-12 * rigid:
-            raise ValueError(
+            raise InputError(
                 f"{data.name}: residual mass along the direction of residual mode {k + 1} must be positive, "
                 f"got {along:.3g}"
             )
@@ -232,7 +233,7 @@ def _factor(data: ModalData) -> FloatArray:
     try:
         return _lower(data.mass_matrix)
     except LinAlgError:
-        raise ValueError(
+        raise InputError(
             f"{data.name}: mass_matrix must be positive definite for the check of the residual mass, "
             f"got a smallest eigenvalue of {eigvalsh(data.mass_matrix)[0]:.3g}"
         ) from None

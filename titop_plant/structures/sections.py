@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import pi
 
+from lftkit.errors import InputError
 from titop_plant.structures.beam_element import Section
 
 
@@ -29,7 +30,7 @@ def tube(material: Mapping[str, float], diameter: float, thickness: float) -> Se
     3.141593
     """
     if not 0 < 2 * thickness <= diameter:
-        raise ValueError(f"tube: thickness must be in (0, diameter / 2], got {thickness} of {diameter} m")
+        raise InputError(f"tube: thickness must be in (0, diameter / 2], got {thickness} of {diameter} m")
     inner = diameter - 2 * thickness
     bending = pi / 64 * (diameter**4 - inner**4)
     area = pi / 4 * (diameter**2 - inner**2)
@@ -47,7 +48,7 @@ def box(material: Mapping[str, float], height: float, width: float, thickness: f
         Wall thickness not in (0, smaller side / 2).
     """
     if not 0 < 2 * thickness < min(height, width):
-        raise ValueError(f"box: thickness must be in (0, side / 2), got {thickness} of {height} and {width} m")
+        raise InputError(f"box: thickness must be in (0, side / 2), got {thickness} of {height} and {width} m")
     h, w = height - 2 * thickness, width - 2 * thickness
     middle = (height - thickness) * (width - thickness)
     around = 2 * ((height - thickness) + (width - thickness))
@@ -71,7 +72,7 @@ def bar(material: Mapping[str, float], height: float, width: float) -> Section:
         A side is not positive.
     """
     if min(height, width) <= 0:
-        raise ValueError(f"bar: sides must be positive, got {height} and {width} m")
+        raise InputError(f"bar: sides must be positive, got {height} and {width} m")
     a, b = max(height, width), min(height, width)
     torsion = a * b**3 * (1 / 3 - 0.21 * b / a * (1 - b**4 / (12 * a**4)))
     return Section(**material, A=height * width, Iy=height * width**3 / 12, Iz=width * height**3 / 12, J=torsion)

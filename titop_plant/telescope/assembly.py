@@ -53,6 +53,7 @@ from scipy import linalg
 
 from lftkit import Connection, Port, System, connect, invert, static_gain, transform
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
@@ -165,7 +166,7 @@ def build_telescope(
 def _from_file(system: System, isolated: bool) -> AssembledTelescope:
     """The plant of a file; its bodies, inertia and mass are not known."""
     if not isolated:
-        raise ValueError(f"a plant from a file must have its isolator, got a run without it ({system.name})")
+        raise InputError(f"a plant from a file must have its isolator, got a run without it ({system.name})")
     unknown = np.full((6, 6), np.nan)
     return AssembledTelescope(system, unknown[:3, :3], (), unknown)
 

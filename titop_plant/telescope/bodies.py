@@ -23,6 +23,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.structures.beam_element import Section
 from titop_plant.structures.beam_frame import (
     Beam,
@@ -108,12 +109,12 @@ def _from_file(table: BodyTable | PayloadTable, name: str, points: Sequence[str]
     try:
         data = read_modal_data(path)
     except OSError as error:
-        raise ValueError(f"{name}.modal_data must be a readable file, got {path}: {error.strerror}") from None
+        raise InputError(f"{name}.modal_data must be a readable file, got {path}: {error.strerror}") from None
     if data.parent != PARENTS[name]:
-        raise ValueError(f"{path}: {data.name}: parent must be {PARENTS[name]!r}, got {data.parent!r}")
+        raise InputError(f"{path}: {data.name}: parent must be {PARENTS[name]!r}, got {data.parent!r}")
     missing = sorted(set(points) - {child.name for child in data.children})
     if missing:
-        raise ValueError(f"{path}: {data.name}: child ports must be {list(points)}, got no {missing[0]!r}")
+        raise InputError(f"{path}: {data.name}: child ports must be {list(points)}, got no {missing[0]!r}")
     return data
 
 
@@ -184,7 +185,7 @@ def _brackets(
     structure = {name: xyz for name, xyz in nodes.items() if name not in supports}
     for name in (name for name in table.ports if name not in supports):
         if name in nodes or name == "G":
-            raise ValueError(f"body.ports: name of a point must not be that of a node of the frame, got {name!r}")
+            raise InputError(f"body.ports: name of a point must not be that of a node of the frame, got {name!r}")
         place = nodes[name] = np.array(table.ports[name], dtype=float)
         bracket = section.get(f"bracket_{name}", section[f"bracket_{PORTS['body'][0]}"])
         beams += [Beam(end, name, bracket) for end in sorted(structure, key=_distance(place, structure))[:SUPPORTS]]
@@ -267,9 +268,9 @@ def _section(materials: Mapping[str, Material], spec: SectionTable) -> Section:
     """Section of a table such as ``{ shape = "bar", material = "cfrp", height = 0.06, width = 0.006 }``."""
     shapes: dict[str, Callable[..., Section]] = {"tube": tube, "box": box, "bar": bar}
     if spec.shape not in shapes:
-        raise ValueError(f"section shape must be one of {sorted(shapes)}, got {spec.shape!r}")
+        raise InputError(f"section shape must be one of {sorted(shapes)}, got {spec.shape!r}")
     if spec.material not in materials:
-        raise ValueError(f"section material must be one of {sorted(materials)}, got {spec.material!r}")
+        raise InputError(f"section material must be one of {sorted(materials)}, got {spec.material!r}")
     return shapes[spec.shape](asdict(materials[spec.material]), **spec.size)
 
 

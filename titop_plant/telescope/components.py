@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator
@@ -67,10 +68,10 @@ def _from_file(body: MountedBody, name: str) -> ModalData:
     try:
         data = read_modal_data(path)
     except OSError as error:
-        raise ValueError(f"{body.name}: modal_data must be a readable file, got {path}: {error.strerror}") from None
+        raise InputError(f"{body.name}: modal_data must be a readable file, got {path}: {error.strerror}") from None
     if data.children or not data.n_modes:
         got = f"{len(data.children)} points and {data.n_modes} modes"
-        raise ValueError(f"{body.name}: modal_data must hold modes and no points for other bodies, got {got} in {path}")
+        raise InputError(f"{body.name}: modal_data must hold modes and no points for other bodies, got {got} in {path}")
     return replace(data, name=name)
 
 

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit import Connection, Port, System, connect, state_space, static_gain, transform
+from lftkit.errors import InputError
 from lftkit.systems.connection.filters import high_pass
 from lftkit.systems.delay import delayed_port
 from titop_plant.blocks.uncertain_gain import uncertain_gain
@@ -109,7 +110,7 @@ def sample_hold(port: Port, period: float) -> System:
     one tick.
     """
     if not period >= 0.0:
-        raise ValueError(f"period of {port.name} must not be negative, got {period} s")
+        raise InputError(f"period of {port.name} must not be negative, got {period} s")
     return delayed_port(port, max(0.0, 0.5 * (period - DT)), PADE_ORDER)
 
 

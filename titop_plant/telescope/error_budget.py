@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lftkit.errors import InputError
 from titop_plant.telescope.requirements import instant_probability, window_probability
 from titop_plant.telescope.telescope import FIRST_PROBABILITY, Telescope
 
@@ -128,9 +129,9 @@ def combined_level(
     31.3
     """
     if not (tone >= 0.0 and noise >= 0.0 and turn >= 0.0):
-        raise ValueError(f"tone, noise and turn must not be negative, got {tone}, {noise} and {turn}")
+        raise InputError(f"tone, noise and turn must not be negative, got {tone}, {noise} and {turn}")
     if not LEAST_ON_AXIS <= on_axis <= 1.0:
-        raise ValueError(f"on_axis must be from {LEAST_ON_AXIS:g} to 1, got {on_axis}")
+        raise InputError(f"on_axis must be from {LEAST_ON_AXIS:g} to 1, got {on_axis}")
     if noise <= NEGLIGIBLE * tone:
         modulation, _ = _in_window(turn)
         least = max(least, float(tone * np.sqrt(0.5 * (1.0 - abs(modulation) * np.cos(np.pi * probability)))))
@@ -167,7 +168,7 @@ def two_tone_level(
     41.9
     """
     if not (slow >= 0.0 and fast >= 0.0 and noise >= 0.0 and turn >= 0.0):
-        raise ValueError(f"tones, noise and turn must not be negative, got {slow}, {fast}, {noise} and {turn}")
+        raise InputError(f"tones, noise and turn must not be negative, got {slow}, {fast}, {noise} and {turn}")
     noise = max(noise, NEGLIGIBLE * max(slow, fast))
     outside = partial(_outside, tone=fast, noise=noise, on_axis=on_axis, turn=turn, slow=slow)
     return _root(lambda level: outside(level) - (1.0 - probability), 1.5 * (slow + fast) + 5.0 * noise)

@@ -26,6 +26,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.errors import InputError
 from titop_plant.interface import DT, RATE
 from titop_plant.telescope.sections import CameraTable, ImageOptics, made
 from titop_plant.telescope.tables.parameter_check import ParameterFile
@@ -130,9 +131,9 @@ def star_noise(camera: StarCamera, file: str, where: str) -> float:
     if not file:
         return noise_equivalent_angle(camera)
     if curve is None:
-        raise ValueError(f"{where}: {TABLE}.{NOISE_CURVE} must have a curve of this detector, got none in {file}")
+        raise InputError(f"{where}: {TABLE}.{NOISE_CURVE} must have a curve of this detector, got none in {file}")
     low, high = curve.magnitude[0], curve.magnitude[-1]
-    raise ValueError(
+    raise InputError(
         f"{where}: {TABLE}.magnitude must be from {low:g} to {high:g} with {NOISE_CURVE} {file}, got {magnitude:g}"
     )
 

@@ -10,8 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
-from lftkit.support.structured_text import StructuredTextError, parse
+from lftkit.support.structured_text import parse
 from titop_plant.telescope.guide_camera import with_guide_camera
 from titop_plant.telescope.plant_file import PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
@@ -188,11 +189,11 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
         text = read_text(path)
         return pickle.loads(_parsed(text)), text
     except OSError as error:
-        raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
+        raise InputError(f"cannot read the parameter file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
-    except StructuredTextError as error:
-        raise ValueError(f"{path} is not a TOML file: {error}") from None
+        raise InputError(f"{path} is not a TOML file: expected UTF-8 text") from None
+    except InputError as error:
+        raise InputError(f"{path} is not a TOML file: {error}") from None
 
 
 @lru_cache(maxsize=4)

@@ -24,6 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, port_indices, total_size
 from titop_plant.interface import (
     COLUMNS,
@@ -186,7 +187,7 @@ class LoopPorts:
         for what, names, rows in (("sensors", sensors, [*known]), ("actuators", actuators, [*driven])):
             if isinstance(names, str) or len(set(names)) < len(names) or set(names) - set(rows):
                 listed = ", ".join(rows) or "none, as in the telescope's file"
-                raise ValueError(f"{what} must be distinct names among {listed}, got {names!r}")
+                raise InputError(f"{what} must be distinct names among {listed}, got {names!r}")
         chosen, commanded = (known[name] for name in sensors), (driven[name] for name in actuators)
         first = self.reference
         return LoopPorts((*first.sensors, *chosen), (*first.actuators, *commanded))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.input_limits import LINES
 
@@ -149,14 +150,14 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
     try:
         text = read_text(path).removeprefix("\ufeff").rstrip()
         if text.count("\n") > LINES:
-            raise ValueError(f"{path} must have at most {LINES} lines, got more")
+            raise InputError(f"{path} must have at most {LINES} lines, got more")
         lines = list(csv.reader(text.splitlines()))
     except OSError as error:
-        raise ValueError(
+        raise InputError(
             f"{what} must be one of {', '.join(choices)} or a CSV file, got {path}: {error.strerror}"
         ) from None
     except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text") from None
+        raise InputError(f"{path} is not a CSV file: expected UTF-8 text") from None
     return [name.strip() for name in lines[0]] if lines else [], lines[1:]
 
 
@@ -171,7 +172,7 @@ def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> MotionProfile:
     known = columns(wheels)
     header, lines = read_csv(path, "profile", PROFILES)
     if header != list(known):
-        raise ValueError(f"{path}: the header must be {','.join(known)}, got {','.join(header) or 'nothing'}")
+        raise InputError(f"{path}: the header must be {','.join(known)}, got {','.join(header) or 'nothing'}")
     rows = []
     for number, line in enumerate(lines, start=2):
         try:
@@ -179,8 +180,8 @@ def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> MotionProfile:
         except ValueError:
             rows.append([np.nan])
         if len(rows[-1]) != len(known) or not np.isfinite(rows[-1]).all():
-            raise ValueError(f"{path}, line {number}: must hold {len(known)} finite numbers, got {','.join(line)!r}")
+            raise InputError(f"{path}, line {number}: must hold {len(known)} finite numbers, got {','.join(line)!r}")
     values = np.array(rows).reshape(-1, len(known))
     if len(values) < 2 or values[0, 0] != 0.0 or not (np.diff(values[:, 0]) > 0.0).all():
-        raise ValueError(f"{path}: time must increase from 0 over two lines or more, got {len(values)} lines")
+        raise InputError(f"{path}: time must increase from 0 over two lines or more, got {len(values)} lines")
     return MotionProfile(values[:, 0], values[:, 1], values[:, 2:])

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class TwoMirrorTelescope:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.mirror_distance < self.primary_focal_length:
-            raise ValueError(
+            raise InputError(
                 f"mirror distance must be between 0 and the primary focal length "
                 f"{self.primary_focal_length} m, got {self.mirror_distance} m"
             )
@@ -89,6 +90,6 @@ class TwoMirrorTelescope:
             "DET": (0.0, -1.0 / f),
         }
         if element not in table:
-            raise ValueError(f"optical element must be one of {', '.join(table)}, got {element!r}")
+            raise InputError(f"optical element must be one of {', '.join(table)}, got {element!r}")
         tilt, decenter = table[element]
         return np.array([[0.0, -decenter, 0.0, tilt, 0.0, 0.0], [decenter, 0.0, 0.0, 0.0, tilt, 0.0]])

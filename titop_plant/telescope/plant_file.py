@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
@@ -93,7 +94,7 @@ def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sens
     try:
         content = read_bytes(path)
     except OSError as error:
-        raise ValueError(f"cannot read the plant {path}: {error.strerror or error}") from None
+        raise InputError(f"cannot read the plant {path}: {error.strerror or error}") from None
     return _completed(path, content, tuple(disturbances), forces, los_sensitivity)
 
 
@@ -104,7 +105,7 @@ def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces
     system = _read(path)
     system.require_real()
     if system.dt:
-        raise ValueError(f"{path}: the plant must be continuous, got the period {system.dt:g} s")
+        raise InputError(f"{path}: the plant must be continuous, got the period {system.dt:g} s")
     mirror, force = COMMAND_PORTS
     known = {port.name: port for port in system.outputs}
     (truth,) = TRUTH_PORTS
@@ -138,7 +139,7 @@ def _check_speeds(path: str, system: System, wheels: int) -> None:
     """Refuse speeds of some of the wheels, or of other ones."""
     named = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
     if named and named != set(speed_names(wheels)):
-        raise ValueError(f"{path}: blocks must have {', '.join(speed_names(wheels))} or none, got {', '.join(named)}")
+        raise InputError(f"{path}: blocks must have {', '.join(speed_names(wheels))} or none, got {', '.join(named)}")
 
 
 def _read(path: str) -> System:
@@ -159,11 +160,11 @@ def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Por
     for port in ports:
         own = known.get(port.name)
         if own is None:
-            raise ValueError(f"{path}: the plant must have the {kind} {port.name}, got {', '.join(known)}")
+            raise InputError(f"{path}: the plant must have the {kind} {port.name}, got {', '.join(known)}")
         if own.size != port.size:
-            raise ValueError(f"{path}: {kind} {port.name} must have {port.size} signals, got {own.size}")
+            raise InputError(f"{path}: {kind} {port.name} must have {port.size} signals, got {own.size}")
         if own.unit not in UNKNOWN and own.units != port.units:
-            raise ValueError(f"{path}: {kind} {port.name} must be in {port.unit}, got {own.unit}")
+            raise InputError(f"{path}: {kind} {port.name} must be in {port.unit}, got {own.unit}")
         known[port.name] = port
     return tuple(known.values())
 

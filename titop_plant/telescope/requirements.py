@@ -22,7 +22,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pointing_analysis.requirements.requirement import Requirement, RequirementError, entries, parse
+from lftkit.errors import InputError
+from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
@@ -88,7 +89,7 @@ def with_limits(
         key = f"requirement[{names.index(entry['name'])}]" if entry["name"] in names else "requirement"
         try:
             found.append(_parsed(entry))
-        except RequirementError as error:
+        except InputError as error:
             raise file.error(f"{key}.text", f"must be a requirement: {error}") from None
         for loop in found[-1].loops:
             if loop not in STAGES:
@@ -123,14 +124,14 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
     mirror = MIRROR_STAGES[0]
     fine, means = _finest(requirements)
     if ape is None or fine is None:
-        raise ValueError(f"must hold one on |APE| and one on rms RPE for the stages {' and '.join(MIRROR_STAGES)}")
+        raise InputError(f"must hold one on |APE| and one on rms RPE for the stages {' and '.join(MIRROR_STAGES)}")
     window = requirements[fine].times[0]
     rpe = _strictest(
         requirements,
         lambda r: r.index == "RPE" and r.of_windows == means and _holds(r, mirror) and r.times[0] == window,
     )
     if rpe is None:
-        raise ValueError(f"must hold one on the RPE of {1e3 * window:g} ms for the stage {mirror}")
+        raise InputError(f"must hold one on the RPE of {1e3 * window:g} ms for the stage {mirror}")
     made = {"ape_limit": [ape], "rpe_limit": [rpe], "rpe_limit_fine": [fine], "rpe_window": sorted({rpe, fine})}
     values = {key: requirements[made[key][0]].limit for key in LIMITS[:3]}
     return {**values, "rpe_window": window}, made

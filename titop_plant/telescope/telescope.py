@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
@@ -453,7 +454,7 @@ class Telescope:
         """
         table = {**self.spreads, **dict(map(spread_of, spreads))}
         if table and self.plant is not None:
-            raise ValueError(f"uncertain entries must be blocks of the plant's file, got {', '.join(table)}")
+            raise InputError(f"uncertain entries must be blocks of the plant's file, got {', '.join(table)}")
         require_modes(table, self._tables)
         return Telescope({**self._tables, UNCERTAIN: table}) if table else self
 
@@ -514,7 +515,7 @@ class Telescope:
         """
         exposure, frame = self.camera.exposure, frame_ticks * DT
         if self.camera_kind != guide_camera.VECTOR and exposure > frame * (1.0 + 1e-9):
-            raise ValueError(
+            raise InputError(
                 f"camera.exposure must be at most the {frame:g} s between frames of the run, got {exposure:g} s"
             )
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from lftkit import Port, System, cascade, state_space
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -74,7 +75,7 @@ def relative_error_weight(window: float, size: int = 2) -> System:
     0.360016
     """
     if not window > 0.0:
-        raise ValueError(f"window must be positive, got {window} s")
+        raise InputError(f"window must be positive, got {window} s")
     a1, a0, b1 = RPE_DENOMINATOR[0] / window, RPE_DENOMINATOR[1] / window**2, RPE_NUMERATOR / window
     each = np.eye(size)
     return state_space(
@@ -108,7 +109,7 @@ def band_weight(band: str, edge: float, size: int = 2) -> System:
     [0.24, 0.99, 1.0]
     """
     if band not in ("slow", "fast"):
-        raise ValueError(f"band must be slow or fast, got {band!r}")
+        raise InputError(f"band must be slow or fast, got {band!r}")
     from scipy import signal  # slow to import, and disturbances in time need none of it
 
     denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real

@@ -19,6 +19,7 @@ from lftkit.analysis.hinf.interval_cover import INSIDE, PEAK_CUTS, above_level
 from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
 from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, Matrices
+from lftkit.errors import InputError
 
 CHUNK = 40_000  # entries of the arrays of one step, so that they stay in the cache
 GROWTH = 4.0  # of the intervals away from a pole
@@ -97,7 +98,7 @@ def interval_test(
     largest pole the same is done in 1/w, down to 0, so that infinity is covered too.
     """
     if not response.modal:
-        raise ValueError("response must be in modal form, got a Schur form")
+        raise InputError("response must be in modal form, got a Schur form")
     poles = response.poles
     residue = response.residue_norms
     top = 2.0 * float(np.abs(poles).max(initial=1.0))

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
@@ -76,7 +77,7 @@ class _Axis:
             not stable, or its poles can't be separated.
         """
         if not system.elements:
-            raise ValueError("the system must have uncertain elements, got none")
+            raise InputError("the system must have uncertain elements, got none")
         q, disks = len(system.channels), disks_of(system, radii)
         inner = slice(0, q if kind == "stability" else None)
         names = [p.name for p in system.parameters]
@@ -107,7 +108,7 @@ class _Axis:
             border,
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.system.nominal_stable():
-            raise ValueError(SEPARATE)
+            raise InputError(SEPARATE)
         widths = [p.upper - p.lower for p in system.parameters]
         whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
@@ -281,7 +282,7 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
     inverse, singular = linalg.lapack.zgetri(factors, pivots)
     if singular or not 1.0 / linalg.norm(inverse, 2) > BASIS:
-        raise ValueError(SEPARATE)
+        raise InputError(SEPARATE)
     return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
 
 

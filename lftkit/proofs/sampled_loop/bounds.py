@@ -19,6 +19,7 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.responses import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
@@ -78,9 +79,9 @@ class BisectionOptions:
 
     def __post_init__(self) -> None:
         if not self.part > 0.0:
-            raise ValueError(f"part must be positive, got {self.part}")
+            raise InputError(f"part must be positive, got {self.part}")
         if self.deepest < 0 or self.samples < 1:
-            raise ValueError(f"deepest must be at least 0 and samples 1, got {self.deepest} and {self.samples}")
+            raise InputError(f"deepest must be at least 0 and samples 1, got {self.deepest} and {self.samples}")
 
 
 @dataclass

@@ -8,6 +8,7 @@ import numpy as np
 
 from lftkit import SampledSystem, System
 from lftkit.analysis.eigenvectors import modal
+from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.trusted.proof import Interval
 
@@ -62,12 +63,12 @@ def loop_model(
     y = sum(system.output_port(name).size for name in measurements)
     u = sum(system.input_port(name).size for name in commands)
     if controller is not None and (controller.D.shape != (u, y) or controller.dt != dt):
-        raise ValueError(f"controller must be {u} by {y} with dt {dt} s, got {controller.D.shape}, {controller.dt} s")
+        raise InputError(f"controller must be {u} by {y} with dt {dt} s, got {controller.D.shape}, {controller.dt} s")
     if (u or y) and controller is None:
-        raise ValueError("commands and measurements need a controller, got none")
+        raise InputError("commands and measurements need a controller, got none")
     poles, B, C = modal(chosen.A, chosen.B, chosen.C)
     if not np.all(np.isfinite(B)) or not np.all(poles.real < 0.0):
-        raise ValueError("the nominal plant must be stable, with poles that can be separated, got another")
+        raise InputError("the nominal plant must be stable, with poles that can be separated, got another")
     none = np.zeros((0, 0)), np.zeros((0, y)), np.zeros((u, 0))
     K_poles, K_B, K_C = modal(*(none if controller is None else (controller.A, controller.B, controller.C)))
     K_D = np.zeros((u, y)) if controller is None else np.asarray(controller.D)

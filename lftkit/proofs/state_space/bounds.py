@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from lftkit.errors import InputError
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached
@@ -78,9 +79,9 @@ class ProvenBounds:
 def checked_band(band: tuple[float, float], level: float | None) -> None:
     """Refuse a band or a level that makes no sense with a ValueError."""
     if level is not None and not level > 0.0:
-        raise ValueError(f"level must be positive, got {level}")
+        raise InputError(f"level must be positive, got {level}")
     if not 0.0 <= band[0] < band[1]:
-        raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
+        raise InputError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
 
 
 def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) -> list[tuple[float, float]]:
@@ -96,7 +97,7 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
     for name, (low, high) in given.items():
         parameter = system.parameter(name)
         if not low <= high:
-            raise ValueError(f"box of {name!r} must have lower <= upper, got {low} and {high}")
+            raise InputError(f"box of {name!r} must have lower <= upper, got {low} and {high}")
         parameter.check(low), parameter.check(high)
     return [
         (float(given[p.name][0]), float(given[p.name][1])) if p.name in given else (p.lower, p.upper)
@@ -107,7 +108,7 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
 def require_nominal(system: System, box: Sequence[tuple[float, float]]) -> None:
     """Raise a ValueError where a box, in the order of the parameters, does not contain the nominal values."""
     if not all(low <= p.nominal <= high for p, (low, high) in zip(system.parameters, box)):
-        raise ValueError("box must contain the nominal values, got another")
+        raise InputError("box must contain the nominal values, got another")
 
 
 def least_level(system: System) -> float:

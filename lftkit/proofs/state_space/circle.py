@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
+from lftkit.errors import InputError
 from lftkit.proofs.state_space.disk_search import DiskMember
 from lftkit.proofs.state_space.search import Member
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
@@ -36,7 +37,7 @@ def over_axis(system: System) -> System:
     try:
         A, B, C, D = to_continuous(*system.lft)
     except ValueError as error:
-        raise ValueError(f"nominal member of {system.name}: {error}") from None
+        raise InputError(f"nominal member of {system.name}: {error}") from None
     return system.with_lft((A, 2.0 * B, 0.5 * C, D), dt=0.0)
 
 
@@ -59,7 +60,7 @@ def band_over_axis(band: tuple[float, float], dt: float) -> tuple[float, float]:
         return band
     low, high = (warped_frequency(0.5 * dt * end) for end in band)
     if not low < math.inf:
-        raise ValueError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {band[0]}")
+        raise InputError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {band[0]}")
     return (1.0 - OUTWARD) * low, (1.0 + OUTWARD) * high
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
 from lftkit.systems.sampled.sampling import discretise
@@ -65,7 +66,7 @@ def disks_of(system: System, radii: Mapping[str, float] | None = None) -> list[D
         outputs, inputs = (e.outputs, e.inputs) if isinstance(e, DynamicElement) else (1, 1)
         channels = tuple(i for i, name in enumerate(system.channels) if name == e.name)
         if width(e) > 1 and len(channels) > width(e):
-            raise ValueError(
+            raise InputError(
                 f"{system.name}: a matrix of dynamics must occur once in a bound, got element {e.name!r} "
                 f"{len(channels) // width(e)} times"
             )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import ComplexArray
+from lftkit.errors import InputError
 from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
 from lftkit.proofs.structured.upper import upper_bound
@@ -81,7 +82,7 @@ def mu(
     3.162 3.162
     """
     if not rtol > 0.0 or starts < 1:
-        raise ValueError(f"rtol and starts must be positive, got {rtol} and {starts}")
+        raise InputError(f"rtol and starts must be positive, got {rtol} and {starts}")
     matrix = checked_matrix(M, structure)  # type: ignore[arg-type]
     with one_thread():
         lower, perturbation = lower_bound(balanced_matrix(matrix, structure)[0], structure, starts=starts, seed=seed)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
+from lftkit.errors import InputError
 from lftkit.systems.operand import common_period
 from lftkit.systems.system import System
 
@@ -14,7 +15,7 @@ from lftkit.systems.system import System
 def cascade(first: System, second: System, name: str = "") -> System:
     """`second` after `first`: y = second(first(u)); sizes must match, the ports of both ends are kept."""
     if first.D.shape[0] != second.D.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"cascade: {first.name} has {first.D.shape[0]} outputs, {second.name} takes {second.D.shape[1]} inputs"
         )
     (A1, B1, C1, D1), (A2, B2, C2, D2) = first.matrices, second.matrices
@@ -39,7 +40,7 @@ def close_loop(plant: System, controller: System, inputs: Sequence[str], outputs
     cu, ry = plant.input_indices(u), plant.output_indices(y)
     cw, rz = plant.input_indices(inputs), plant.output_indices(outputs)
     if (len(cu), len(ry)) != controller.D.shape:
-        raise ValueError(
+        raise InputError(
             f"{controller.name} is {controller.D.shape[0]} x {controller.D.shape[1]}, the plant's ports "
             f"{u} and {y} need {len(cu)} x {len(ry)}"
         )
@@ -47,7 +48,7 @@ def close_loop(plant: System, controller: System, inputs: Sequence[str], outputs
     Ak, Bk, Ck, Dk = controller.matrices
     loop = np.eye(len(cu)) - Dk @ D[np.ix_(ry, cu)]
     if np.abs(linalg.det(loop)) < 1e-12:
-        raise ValueError(f"the loop of {plant.name} and {controller.name} is not well posed (I - D_K D_22 singular)")
+        raise InputError(f"the loop of {plant.name} and {controller.name} is not well posed (I - D_K D_22 singular)")
     E = linalg.inv(loop)
     B2, C2, D12, D21, D22 = B[:, cu], C[ry], D[np.ix_(rz, cu)], D[np.ix_(ry, cw)], D[np.ix_(ry, cu)]
     X, U, W = E @ Dk @ C2, E @ Ck, E @ Dk @ D21  # u = X x + U x_K + W w

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.interconnection import connect
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space
@@ -27,7 +28,7 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
     numerator = np.atleast_1d(np.asarray(num, dtype=float))
     denominator = np.atleast_1d(np.asarray(den, dtype=float))
     if len(numerator) > len(denominator) or denominator[0] == 0.0:
-        raise ValueError(
+        raise InputError(
             f"{name}: expected a proper transfer function with leading denominator coefficient other than 0, "
             f"got {numerator.tolist()} / {denominator.tolist()}"
         )
@@ -70,7 +71,7 @@ def high_pass(port: Port, corner: float) -> System:
     (0.0, 1.0)
     """
     if not corner > 0.0:
-        raise ValueError(f"washout corner must be positive, got {corner} rad/s")
+        raise InputError(f"washout corner must be positive, got {corner} rad/s")
     eye = np.eye(port.size)
     return state_space(-corner * eye, corner * eye, -eye, eye, [port], [port])
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period, same_size
@@ -74,11 +75,11 @@ def connect(
     for source, target in connections:
         wiring.target(target)
         if target in drivers:
-            raise ValueError(f"input {target!r} must have one driver, got two: {drivers[target]} and {source}")
+            raise InputError(f"input {target!r} must have one driver, got two: {drivers[target]} and {source}")
         drivers[target] = source
     free = [t for t in wiring.targets if t not in drivers]
     if free:
-        raise ValueError(
+        raise InputError(
             f"every input must have a driver, got none for {', '.join(free)} (sources: {', '.join(wiring.sources)})"
         )
     whole = _side_by_side(systems)
@@ -95,7 +96,7 @@ class _Wiring:
     def __init__(self, systems: Mapping[str, System], external: Sequence[Port]) -> None:
         for name in systems:
             if "." in name or name.startswith("-"):
-                raise ValueError(f"name of a system must not contain a dot or start with a minus sign, got {name!r}")
+                raise InputError(f"name of a system must not contain a dot or start with a minus sign, got {name!r}")
         self.targets = {f"{s}.{p.name}": p for s, system in systems.items() for p in system.inputs}
         inner = {f"{s}.{p.name}": p for s, system in systems.items() for p in system.outputs}
         self.sources = {**inner, **{p.name: p for p in external}}
@@ -106,7 +107,7 @@ class _Wiring:
 
     def target(self, name: str) -> Port:
         if name not in self.targets:
-            raise ValueError(f"input must be one of {', '.join(self.targets)}, got {name!r}")
+            raise InputError(f"input must be one of {', '.join(self.targets)}, got {name!r}")
         return self.targets[name]
 
     def terms(self, source: Source) -> list[tuple[float, str, Port]]:
@@ -115,10 +116,10 @@ class _Wiring:
         for part in parts:
             name = part.removeprefix("-")
             if name not in self.sources:
-                raise ValueError(f"source must be one of {', '.join(self.sources)}, got {name!r}")
+                raise InputError(f"source must be one of {', '.join(self.sources)}, got {name!r}")
             result.append((-1.0 if part.startswith("-") else 1.0, name, self.sources[name]))
         if not result:
-            raise ValueError("sum must have at least one source, got an empty tuple")
+            raise InputError("sum must have at least one source, got an empty tuple")
         return result
 
     def shape_of(self, source: Source) -> tuple[int, str]:
@@ -150,9 +151,9 @@ class _Wiring:
 
 def _check_same(source: Port, target: Port, where: str) -> None:
     if source.size != target.size:
-        raise ValueError(f"{where}: ports must have the same size, got {source.size} and {target.size}")
+        raise InputError(f"{where}: ports must have the same size, got {source.size} and {target.size}")
     if source.unit != target.unit:
-        raise ValueError(f"{where}: ports must have the same unit, got {source.unit!r} and {target.unit!r}")
+        raise InputError(f"{where}: ports must have the same unit, got {source.unit!r} and {target.unit!r}")
 
 
 def _side_by_side(systems: Mapping[str, System]) -> System:
@@ -203,7 +204,7 @@ def feedback(forward: System, backward: System | None = None, *, sign: float = -
     [-4.0]
     """
     if sign not in (1.0, -1.0):
-        raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
+        raise InputError(f"sign must be 1.0 or -1.0, got {sign}")
     forward, backward = as_system(forward), None if backward is None else as_system(backward)
     if backward is None:
         same_size(forward.inputs, forward.outputs, "feedback without a second system: inputs and outputs")
@@ -245,11 +246,11 @@ def series(first: System, second: System, via: Mapping[str, str]) -> System:
 def parallel(first: System, second: System, sign: float = 1.0) -> System:
     """Sum (or with ``sign=-1.0`` difference) of two systems with the same ports."""
     if sign not in (1.0, -1.0):
-        raise ValueError(f"sign must be 1.0 or -1.0, got {sign}")
+        raise InputError(f"sign must be 1.0 or -1.0, got {sign}")
     first, second = as_system(first), as_system(second)
     if first.inputs != second.inputs or first.outputs != second.outputs:
         ports = [[[p.name for p in side] for side in (s.inputs, s.outputs)] for s in (first, second)]
-        raise ValueError(f"parallel systems must have the same ports, got {ports[0]} and {ports[1]}")
+        raise InputError(f"parallel systems must have the same ports, got {ports[0]} and {ports[1]}")
     minus = "-" if sign < 0 else ""
     return connect(
         {"first": first, "second": second},
@@ -275,7 +276,7 @@ def star(upper: System, lower: System, via: Mapping[str, str]) -> System:
     free_out = [(n, p) for n, s in systems.items() for p in s.outputs if f"{n}.{p.name}" not in via]
     names = [p.name for _, p in free_out]
     if len(set(names)) < len(names):
-        raise ValueError(f"free output names of upper and lower must differ, got {sorted(names)}: rename a port")
+        raise InputError(f"free output names of upper and lower must differ, got {sorted(names)}: rename a port")
     return connect(
         systems,
         [*via.items(), *((p.name, f"{n}.{p.name}") for n, p in free_in)],
@@ -330,10 +331,10 @@ def transform(
     left = [outputs.get(p.name, (np.eye(p.size), p)) for p in system.outputs]
     for old, (T, new) in zip(system.inputs, right):
         if np.shape(T) != (old.size, new.size):
-            raise ValueError(f"matrix of input {old.name!r} must be {old.size} x {new.size}, got {np.shape(T)}")
+            raise InputError(f"matrix of input {old.name!r} must be {old.size} x {new.size}, got {np.shape(T)}")
     for old, (T, new) in zip(system.outputs, left):
         if np.shape(T) != (new.size, old.size):
-            raise ValueError(f"matrix of output {old.name!r} must be {new.size} x {old.size}, got {np.shape(T)}")
+            raise InputError(f"matrix of output {old.name!r} must be {new.size} x {old.size}, got {np.shape(T)}")
     R = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in right)))
     Lm = np.asarray(linalg.block_diag(np.eye(q), *(T for T, _ in left)))
     return replace(
@@ -371,7 +372,7 @@ def invert(system: System, channels: Mapping[str, str]) -> System:
     outs = [system.output_port(b) for b in channels.values()]
     for a, b in zip(ins, outs):
         if a.size != b.size:
-            raise ValueError(f"channel {a.name} -> {b.name} must be square to be inverted, got {b.size} x {a.size}")
+            raise InputError(f"channel {a.name} -> {b.name} must be square to be inverted, got {b.size} x {a.size}")
     q = len(system.channels)
     i, o = (
         q + port_indices(system.inputs, channels, "input"),

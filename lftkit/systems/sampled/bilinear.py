@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.support.regular_solve import lu_factors
 
 RCOND = 1e-13
@@ -86,7 +87,7 @@ def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: 
     [0.0, 1.0, 0.5, 0.5]
     """
     if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt must be positive, got {dt}")
+        raise InputError(f"dt must be positive, got {dt}")
     n = len(A)
     if n == 0:
         return A, B, C, D
@@ -164,5 +165,5 @@ def _factors(M: FloatArray, pole: str, rcond: float) -> tuple[FloatArray, NDArra
     """LU factors of a matrix that is singular where the system has the named pole."""
     factors = lu_factors(M, rcond)
     if factors is None:
-        raise ValueError(f"system must have no pole at {pole}, got one")
+        raise InputError(f"system must have no pole at {pole}, got one")
     return factors

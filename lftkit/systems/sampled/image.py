@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lftkit.arrays import ComplexArray
+from lftkit.errors import InputError
 from lftkit.systems.sampled.bilinear import to_continuous, to_discrete, warped_frequency
 from lftkit.systems.system import System
 
@@ -27,7 +28,7 @@ def image_of(model: System) -> System:
     try:
         A, B, C, D = to_continuous(*model.matrices, model.dt)
     except ValueError as error:
-        raise ValueError(f"{model.name}: {error}") from None
+        raise InputError(f"{model.name}: {error}") from None
     root = float(np.sqrt(model.dt))  # the Gramians stay
     return System(A, root * B, C / root, D, model.inputs, model.outputs, model.name)
 

@@ -27,10 +27,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
-from lftkit.support.structured_text import StructuredTextError, load_json
+from lftkit.support.structured_text import load_json
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.ports import Port, as_ports, spread_columns, total_size
@@ -99,11 +100,11 @@ class SampledSystem:
         try:
             matrices = checked_matrices(self.A, self.B, self.C, self.D, *sizes)
         except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
+            raise InputError(f"{self.name}: {error}") from None
         for key, matrix in zip("ABCD", matrices):
             object.__setattr__(self, key, matrix)
         if not (np.isfinite(self.dt) and self.dt > 0):
-            raise ValueError(f"{self.name}: sampling period must be positive, got {self.dt}")
+            raise InputError(f"{self.name}: sampling period must be positive, got {self.dt}")
         object.__setattr__(self, "_product", OrderedProduct(np.block([[self.A, self.B], [self.C, self.D]])))
 
     def __repr__(self) -> str:
@@ -135,9 +136,9 @@ class SampledSystem:
         for kind, expected, present in (("inputs", inputs, self.inputs), ("outputs", outputs, self.outputs)):
             required, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
             if got != required:
-                raise ValueError(f"{self.name}: {kind} must be {required}, got {got}")
+                raise InputError(f"{self.name}: {kind} must be {required}, got {got}")
         if abs(self.dt - dt) > 1e-12:
-            raise ValueError(f"{self.name}: sampling period must be {dt} s, got {self.dt}")
+            raise InputError(f"{self.name}: sampling period must be {dt} s, got {self.dt}")
 
     def with_inputs(self, ports: Sequence[Port]) -> SampledSystem:
         """The system with its inputs in another order, or behind more inputs, whose columns of B and D are zero.
@@ -207,7 +208,7 @@ class SampledSystem:
         """
         matrices, inputs, outputs = ports_and_matrices(system, units)
         if not system.dt or system.dt is True:
-            raise ValueError(f"system must have a sampling period in seconds, got dt {system.dt}")
+            raise InputError(f"system must have a sampling period in seconds, got dt {system.dt}")
         return cls(*matrices, inputs, outputs, float(system.dt), name or str(system.name))
 
     def to_control(self, name: str | None = None) -> control.StateSpace:
@@ -233,21 +234,21 @@ class SampledSystem:
         try:
             content = load_json(read_text(path), "it")
         except OSError as error:
-            raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
-        except StructuredTextError as error:
-            raise ValueError(f"{path} is not a controller file: {error}") from None
+            raise InputError(f"cannot read the controller file {path}: {error.strerror}") from None
+        except InputError as error:
+            raise InputError(f"{path} is not a controller file: {error}") from None
         except UnicodeDecodeError:
-            raise ValueError(f"{path} is not a controller file: it must be JSON, got no text in UTF-8") from None
+            raise InputError(f"{path} is not a controller file: it must be JSON, got no text in UTF-8") from None
         if not isinstance(content, dict) or current_name(content.get("format")) != FORMAT:
-            raise ValueError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
+            raise InputError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
-            raise ValueError(f"{path}: expected version {VERSION}, got {content.get('version')}")
+            raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')}")
         missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]
         if missing:
-            raise ValueError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
+            raise InputError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
         for key in ("design_basis", "provenance"):
             if not isinstance(content.get(key, {}), dict):
-                raise ValueError(f"{path}: {key} must be an object of names and values, got {content[key]!r}")
+                raise InputError(f"{path}: {key} must be an object of names and values, got {content[key]!r}")
         try:
             inputs, outputs = (tuple(Port(**port) for port in content[key]) for key in ("inputs", "outputs"))
             return cls(
@@ -263,8 +264,8 @@ class SampledSystem:
                 provenance=content.get("provenance", {}),
             )
         except TypeError:
-            raise ValueError(f"{path}: expected ports as objects with name, size and unit") from None
+            raise InputError(f"{path}: expected ports as objects with name, size and unit") from None
         except OverflowError:
-            raise ValueError(f"{path}: numbers must be finite, got one that is too large") from None
+            raise InputError(f"{path}: numbers must be finite, got one that is too large") from None
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.system import System
@@ -43,9 +44,9 @@ def sampled(
         Unknown method, or a period that is not positive.
     """
     if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt must be positive, got {dt}")
+        raise InputError(f"dt must be positive, got {dt}")
     system.require_continuous()
     s = system.nominal()
     matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
@@ -76,9 +77,9 @@ def discretise(system: System, dt: float, *, method: str = "tustin") -> System:
     True
     """
     if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt must be positive, got {dt}")
+        raise InputError(f"dt must be positive, got {dt}")
     system.require_continuous()
     matrices = to_discrete(*system.lft, dt) if method == "tustin" else _zero_order_hold(*system.matrices, dt)
     return system.with_lft(matrices, dt=dt)

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.delta import Value, chosen_values
 from lftkit.systems.operand import constant_matrix
 from lftkit.systems.ports import Port
@@ -209,7 +210,7 @@ class Expression:
 
     def __pow__(self, exponent: int) -> Expression:
         if not isinstance(exponent, int | np.integer):
-            raise ValueError(f"exponent must be an integer, got {exponent!r}")
+            raise InputError(f"exponent must be an integer, got {exponent!r}")
         if exponent == 0:
             return constant(np.eye(self.shape[0]), self.dt)
         base = self if exponent > 0 else self.inverse()
@@ -228,7 +229,7 @@ class Expression:
         """
         rows, columns = self.shape
         if rows != columns:
-            raise ValueError(f"inverse must be of a square expression, got {rows} x {columns}")
+            raise InputError(f"inverse must be of a square expression, got {rows} x {columns}")
         n, eye = self.inner, np.eye(rows)
         corner = np.vstack([np.zeros((n, rows)), -eye])
         below = np.hstack([np.zeros((rows, n)), eye])
@@ -242,14 +243,14 @@ class Expression:
     def T(self) -> Expression:
         """Transpose; a matrix of dynamics, whose transpose is another element, is refused."""
         if self.dynamics:
-            raise ValueError(f"transpose must be of an expression without matrices of dynamics, got {self!r}")
+            raise InputError(f"transpose must be of an expression without matrices of dynamics, got {self!r}")
         turned = {name: C.T.copy() for name, C in self.coefficients.items()}
         return replace(self, constant=self.constant.T.copy(), coefficients=turned)
 
     def __getitem__(self, key: Any) -> Expression:
         """Entries ``e[rows, columns]`` by index, slice or list."""
         if not isinstance(key, tuple) or len(key) != 2:
-            raise ValueError(f"index must be [row, column], got {key!r}")
+            raise InputError(f"index must be [row, column], got {key!r}")
         chosen = [np.atleast_1d(np.arange(size)[k]) for size, k in zip(self.shape, key)]
         left, right = (np.eye(size)[picked] for size, picked in zip(self.shape, chosen))
         return _multiplied(self, left, right.T)
@@ -330,7 +331,7 @@ def scalar(element: Element) -> Expression:
 def _period(parts: Sequence[Expression]) -> float:
     periods = {e.dt for e in parts if OPERATOR in e.coefficients or e.dt}
     if len(periods) > 1:
-        raise ValueError(f"expressions must have the same sampling period, got {', '.join(map(str, sorted(periods)))}")
+        raise InputError(f"expressions must have the same sampling period, got {', '.join(map(str, sorted(periods)))}")
     return periods.pop() if periods else 0.0
 
 
@@ -361,7 +362,7 @@ def _sum(a: Expression, b: Expression) -> Expression:
         for one, other in ((a, b), (b, a)):
             if one.shape == (1, 1):  # as for systems: added to every entry
                 return _sum(_multiplied(one, np.ones((other.shape[0], 1)), np.ones((1, other.shape[1]))), other)
-        raise ValueError(f"sum must be of expressions of the same size, got {_size(a)} and {_size(b)}")
+        raise InputError(f"sum must be of expressions of the same size, got {_size(a)} and {_size(b)}")
     (p, m), n = a.shape, a.inner + b.inner
     y, u = n + np.arange(p), n + np.arange(m)
     first, second = np.arange(a.inner), a.inner + np.arange(b.inner)
@@ -372,7 +373,7 @@ def _sum(a: Expression, b: Expression) -> Expression:
 def _series(a: Expression, b: Expression) -> Expression:
     """Product of matrices."""
     if a.shape[1] != b.shape[0]:
-        raise ValueError(f"product must be of matrices that fit, got {_size(a)} and {_size(b)}")
+        raise InputError(f"product must be of matrices that fit, got {_size(a)} and {_size(b)}")
     if a.is_constant:
         return replace(_multiplied(b, a.constant, np.eye(b.shape[1])), dt=_period([a, b]))
     if b.is_constant:
@@ -446,7 +447,7 @@ def ports_for(given: Any, size: int) -> tuple[Port, ...]:
         return (Port(given, size),)
     ports = tuple(p if isinstance(p, Port) else Port(p, 1) if isinstance(p, str) else Port(*p) for p in given)
     if sum(p.size for p in ports) != size:
-        raise ValueError(f"ports must have {size} signals, got {', '.join(f'{p.name}[{p.size}]' for p in ports)}")
+        raise InputError(f"ports must have {size} signals, got {', '.join(f'{p.name}[{p.size}]' for p in ports)}")
     return ports
 
 
@@ -467,12 +468,12 @@ def matrix(rows: Any) -> Expression:
     """
     entries = [[as_expression(e) for e in row] for row in rows]
     if not entries or not entries[0] or any(e is None for row in entries for e in row):
-        raise ValueError(f"matrix must have rows of expressions and numbers, got {rows!r}")
+        raise InputError(f"matrix must have rows of expressions and numbers, got {rows!r}")
     known = [[e for e in row if e is not None] for row in entries]
     heights, widths = [row[0].shape[0] for row in known], [e.shape[1] for e in known[0]]
     if any([e.shape[1] for e in row] != widths or {e.shape[0] for e in row} != {h} for row, h in zip(known, heights)):
         sizes = "; ".join(", ".join(_size(e) for e in row) for row in known)
-        raise ValueError(f"entries of a matrix must fit in rows and columns, got {sizes}")
+        raise InputError(f"entries of a matrix must fit in rows and columns, got {sizes}")
     flat = [e for row in known for e in row]
     n = sum(e.inner for e in flat)
     parts, start = [], 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.scalars import is_number
 from lftkit.systems.symbolic.expressions import Expression, scalar, variable
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
@@ -45,7 +46,7 @@ def real(
     """
     given = [percent is not None, plus_minus is not None, lower is not None or upper is not None]
     if sum(given) != 1 or (lower is None) != (upper is None):
-        raise ValueError(f"range of {name!r} must be given once: lower and upper, percent, or plus_minus")
+        raise InputError(f"range of {name!r} must be given once: lower and upper, percent, or plus_minus")
     if lower is None or upper is None:
         size = percent if percent is not None else plus_minus
         ends = (-float(size), float(size)) if is_number(size) else tuple(float(x) for x in size)  # type: ignore
@@ -82,5 +83,5 @@ def z(dt: float) -> Expression:
     [0.5]
     """
     if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt must be positive, got {dt}")
+        raise InputError(f"dt must be positive, got {dt}")
     return variable(float(dt))

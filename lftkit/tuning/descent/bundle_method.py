@@ -18,6 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrix
+from lftkit.errors import InputError
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.linearisation_bundle import LinearisationBundle
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
@@ -115,7 +116,7 @@ class _Running:
         self.stationarity = np.inf
         self.x, self.result = x, self._ask(x)
         if not self.result.inside and not np.isfinite(self.result.constraint):
-            raise ValueError("x0 must be inside the domain, got an unstable loop: stabilise it first")
+            raise InputError("x0 must be inside the domain, got an unstable loop: stabilise it first")
         self._first_value = self._metric_value = max(abs(self.result.objective), 1e-12)
         self._metric = metric_source(x, self.result)
         self._curvature = LagrangianCurvature(len(x))

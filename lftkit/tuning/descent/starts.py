@@ -11,6 +11,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.system import System
 from lftkit.tuning.descent.gain_moves import with_gain
 from lftkit.tuning.problem import Problem
@@ -105,12 +106,12 @@ def start_checked(x: ArrayLike, structure: Structure) -> FloatArray:
     """A given start as an array, or ValueError."""
     start: Any = np.asarray(x, dtype=float)
     if start.shape != (structure.size,) or not np.all(np.isfinite(start)):
-        raise ValueError(f"a start must be {structure.size} finite parameters, got an array of shape {start.shape}")
+        raise InputError(f"a start must be {structure.size} finite parameters, got an array of shape {start.shape}")
     bounds = bounds_of(structure)
     outside = [] if bounds is None else np.flatnonzero((start < bounds.lower) | (start > bounds.upper)).tolist()
     for k in outside[:1]:
         assert bounds is not None
         name = getattr(structure, "names", {k: f"x[{k}]"})[k]
         interval = f"({bounds.lower[k]:g}, {bounds.upper[k]:g})"
-        raise ValueError(f"start of {name} must be within its bounds {interval}, got {start[k]:g}")
+        raise InputError(f"start of {name} must be within its bounds {interval}, got {start[k]:g}")
     return np.asarray(start)

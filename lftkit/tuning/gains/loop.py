@@ -16,6 +16,7 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.norms import schur_lyapunov
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
@@ -161,7 +162,7 @@ class LoopSpectrum:
     def gradient(self, i: int) -> ComplexArray:
         """Derivative of pole i with respect to the gain matrix."""
         if self.rows is None or self.columns is None:
-            raise ValueError("this spectrum was computed without derivatives")
+            raise InputError("this spectrum was computed without derivatives")
         return np.asarray(np.outer(self.rows[:, i], self.columns[:, i]))
 
     def barriers(self, max_poles: int = 6) -> list[tuple[float, FloatArray]]:

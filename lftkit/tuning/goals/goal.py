@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import TuningRequirement
@@ -32,7 +33,7 @@ def resolved(
 ) -> tuple[tuple[System, ...], tuple[TuningRequirement, ...]]:
     """Models with the ports of all goals, and the requirements that the goals are."""
     if not models:
-        raise ValueError("a design needs at least one model, got none")
+        raise InputError("a design needs at least one model, got none")
     for model in models:
         model.require_certain()
     ready = tuple(_prepared(model, goals) for model in models)

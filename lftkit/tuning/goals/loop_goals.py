@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
@@ -34,7 +35,7 @@ class _AtLoop:
     def __post_init__(self) -> None:
         location = (self.location,) if isinstance(self.location, str) else tuple(self.location)
         if not location:
-            raise ValueError("location must name at least one command or measurement of the controller, got none")
+            raise InputError("location must name at least one command or measurement of the controller, got none")
         object.__setattr__(self, "location", location)
 
     def prepared(self, model: System) -> System:
@@ -130,12 +131,12 @@ class Margins(_AtLoop):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.gain_margin >= 1.0 or not 0.0 <= self.phase_margin < 180.0:
-            raise ValueError(
+            raise InputError(
                 "gain_margin must be at least 1 and phase_margin between 0 and 180 degrees, got "
                 f"{self.gain_margin} and {self.phase_margin}"
             )
         if not self.size > 0.0:
-            raise ValueError("gain_margin or phase_margin must ask for something, got 1 and 0")
+            raise InputError("gain_margin or phase_margin must ask for something, got 1 and 0")
 
     @property
     def size(self) -> float:
@@ -166,7 +167,7 @@ class _LoopGain(_AtLoop):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (np.isfinite(self.crossover) and self.crossover > 0.0):
-            raise ValueError(f"crossover must be positive [rad/s], got {self.crossover}")
+            raise InputError(f"crossover must be positive [rad/s], got {self.crossover}")
 
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain, of all bounds."""
@@ -249,7 +250,7 @@ def _opened(model: System, name: str) -> System:
         return model
     commands, measurements = {p.name for p in model.inputs}, {p.name for p in model.outputs}
     if name not in commands | measurements:
-        raise ValueError(
+        raise InputError(
             f"location must be an input or an output of {model.name}: {', '.join(sorted(commands | measurements))}; "
             f"got {name!r}"
         )

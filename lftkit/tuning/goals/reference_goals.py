@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
@@ -32,7 +33,7 @@ class _FromReference:
         """
         name, columns, rows = self._error, model.input_indices([self.reference]), model.output_indices([self.output])
         if len(columns) != len(rows):
-            raise ValueError(
+            raise InputError(
                 f"{self.output} and {self.reference} must have the same size, got {len(rows)} and {len(columns)}"
             )
         D = model.D[rows].copy()
@@ -74,7 +75,7 @@ class Tracking(_FromReference):
     def __post_init__(self) -> None:
         for name in ("response_time", "dc_error", "peak_error"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
 
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
@@ -109,7 +110,7 @@ class StepTracking(_FromReference):
     def __post_init__(self) -> None:
         for name in ("time_constant", "relative_gap"):
             if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
 
     def prepared(self, model: System) -> System:
         """The model with an input for what the reference model says, and the output's difference from it."""
@@ -179,7 +180,7 @@ class Overshoot(_FromReference):
 
     def __post_init__(self) -> None:
         if not 0.0 < self.percent < 100.0:
-            raise ValueError(f"percent must be between 0 and 100, got {self.percent}")
+            raise InputError(f"percent must be between 0 and 100, got {self.percent}")
 
     @property
     def peak_gain(self) -> float:

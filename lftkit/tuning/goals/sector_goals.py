@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from lftkit.errors import InputError
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.requirements.sector import SectorGain
@@ -39,7 +40,7 @@ class _OfChannel:
         """
         columns, rows = model.input_indices(self.inputs), model.output_indices(self.outputs)
         if len(columns) != len(rows):
-            raise ValueError(
+            raise InputError(
                 f"{type(self).__name__} must be asked of as many outputs as inputs, got {len(rows)} and {len(columns)}"
             )
         return model
@@ -53,7 +54,7 @@ class _OfChannel:
         columns, rows = model.input_indices(self.inputs), model.output_indices(self.outputs)
         without = not (model.D[rows].any() and model.D[:, columns].any())
         if hard and without and band[1] == np.inf and abs(fraction[1]) > (1.0 - LEAST_MARGIN) * abs(fraction[3]):
-            raise ValueError(
+            raise InputError(
                 f"{called}: a channel without feedthrough is at the edge of the sector at infinite frequency; a hard "
                 "goal must have a band that ends before, or a sector with zero inside, got none"
             )
@@ -62,7 +63,7 @@ class _OfChannel:
 
 def _check_unit(unit: float) -> None:
     if not (np.isfinite(unit) and unit > 0.0):
-        raise ValueError(f"unit must be positive, got {unit}")
+        raise InputError(f"unit must be positive, got {unit}")
 
 
 @dataclass(frozen=True)
@@ -118,12 +119,12 @@ class Passivity(_OfChannel):
         super().__post_init__()
         _check_unit(self.unit)
         if not (np.isfinite(self.input_index) and np.isfinite(self.output_index) and self.output_index >= 0.0):
-            raise ValueError(
+            raise InputError(
                 "input_index must be finite and output_index finite and not negative, got "
                 f"{self.input_index} and {self.output_index}"
             )
         if not 4.0 * self.input_index * self.output_index < 1.0:
-            raise ValueError(
+            raise InputError(
                 f"input_index times output_index must be below 1/4, got {self.input_index} and {self.output_index}"
             )
 
@@ -175,7 +176,7 @@ class ConicSector(_OfChannel):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.low < self.high or (np.isinf(self.low) and np.isinf(self.high)):
-            raise ValueError(f"low must be below high, one of them finite, got {self.low} and {self.high}")
+            raise InputError(f"low must be below high, one of them finite, got {self.low} and {self.high}")
         _check_unit(self.unit)
 
     @property

@@ -18,6 +18,7 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.sampled.image import rates
 from lftkit.systems.system import System
@@ -82,12 +83,12 @@ def plot_goals(
     """
     given = [models] if isinstance(models, System) else list(models)
     if not goals:
-        raise ValueError("expected at least one goal, got none")
+        raise InputError("expected at least one goal, got none")
     ready, needs = resolved(given, goals)
     K = delayed_controller(controller, loop_delay)
     certificate = certify(ready, controller, needs, loop_delay)
     if not certificate.stable:
-        raise ValueError(f"{controller.name}: controller must make every loop stable, got an unstable one")
+        raise InputError(f"{controller.name}: controller must make every loop stable, got an unstable one")
     panels = [(goal, r) for goal in goals for r in resolved(given, [goal])[1]]
     rows = -(-len(panels) // COLUMNS)
     figure = Figure(figsize=(4.2 * min(len(panels), COLUMNS), 3.2 * rows), layout="constrained")

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from lftkit.arrays import ComplexArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.delay import delay_radius, pade_delay
 from lftkit.systems.sampled.image import rates
@@ -35,7 +36,7 @@ class AssembledLoop:
 
     def __init__(self, model: System, controller: System, loop_delay: float = 0.0) -> None:
         if model.dt and loop_delay:
-            raise ValueError(f"{NO_DELAY}, got {loop_delay:g} s")
+            raise InputError(f"{NO_DELAY}, got {loop_delay:g} s")
         self.model, self._plain, self.loop_delay = model, controller, loop_delay
         self.controller = delayed_controller(controller, loop_delay)
         self._closed = close_loop(model, self.controller, (), ())

@@ -10,6 +10,7 @@ import numpy as np
 
 from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, is_stable
 from lftkit.arrays import BoolArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.exchange import as_system
@@ -43,10 +44,10 @@ class Gain(TuningRequirement):
             ports = getattr(self, side)
             ports = (ports,) if isinstance(ports, str) else tuple(ports)
             if not ports:
-                raise ValueError(f"a gain requirement needs at least one port among its {side}")
+                raise InputError(f"a gain requirement needs at least one port among its {side}")
             object.__setattr__(self, side, ports)
         if not (np.isfinite(self.bound) and self.bound > 0):
-            raise ValueError(f"the bound of a gain requirement must be positive, got {self.bound}")
+            raise InputError(f"the bound of a gain requirement must be positive, got {self.bound}")
         for side in ("weight_in", "weight_out"):
             object.__setattr__(self, side, as_weight(getattr(self, side), side))
         if not self.name:
@@ -63,7 +64,7 @@ class Gain(TuningRequirement):
                 continue
             found, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
             if found != needed:
-                raise ValueError(
+                raise InputError(
                     f"{self.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {found}"
                 )
 
@@ -108,7 +109,7 @@ class Gain(TuningRequirement):
             weight: System | None = getattr(self, name)
             if weight is not None and weight.order and weight.dt:
                 if weight.dt != model.dt:
-                    raise ValueError(
+                    raise InputError(
                         f"{self.name}: {name} must have the sampling period {model.dt} s, got {weight.dt} s"
                     )
                 weight = image_of(weight)
@@ -143,7 +144,7 @@ class HinfGain(Gain):
         super().__post_init__()
         low, high = self.band
         if not 0.0 <= low < high:
-            raise ValueError(f"band must be a lowest and a higher highest frequency [rad/s], got ({low:g}, {high:g})")
+            raise InputError(f"band must be a lowest and a higher highest frequency [rad/s], got ({low:g}, {high:g})")
 
     def counts(self, omega: FloatArray) -> BoolArray:
         """Which of the frequencies (N,) are in the band."""
@@ -159,7 +160,7 @@ class HinfGain(Gain):
         dt, changes = float(model.dt), self._weights_on_image(model)
         if self.banded:
             if not self.band[0] < np.pi / dt:
-                raise ValueError(
+                raise InputError(
                     f"{self.name}: band must begin below pi / T = {np.pi / dt:.6g} rad/s, got {self.band[0]:g}"
                 )
             changes["band"] = band_of_image(self.band, dt)
@@ -230,7 +231,7 @@ def as_weight(value: Any, what: str) -> System | None:
         weight = as_system(value)
         weight.require_certain()
     except ValueError as error:
-        raise ValueError(f"{what}: {error}") from None
+        raise InputError(f"{what}: {error}") from None
     if not is_stable(weight.A, weight.dt):
-        raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
+        raise InputError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
     return weight

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.sampled.bilinear import discrete_point
 from lftkit.systems.sampled.image import DEADBEAT, rates
 from lftkit.systems.system import System
@@ -36,13 +37,13 @@ class Poles(TuningRequirement):
 
     def __post_init__(self) -> None:
         if not self.min_decay >= 0:
-            raise ValueError(f"min_decay must be zero or positive [rad/s], got {self.min_decay}")
+            raise InputError(f"min_decay must be zero or positive [rad/s], got {self.min_decay}")
         if not 0 <= self.min_damping < 1:
-            raise ValueError(f"min_damping must be in [0, 1), got {self.min_damping}")
+            raise InputError(f"min_damping must be in [0, 1), got {self.min_damping}")
         if not self.max_frequency > 0:
-            raise ValueError(f"max_frequency must be positive [rad/s], got {self.max_frequency}")
+            raise InputError(f"max_frequency must be positive [rad/s], got {self.max_frequency}")
         if not (self.min_decay or self.min_damping or np.isfinite(self.max_frequency)):
-            raise ValueError("a pole requirement needs min_decay, min_damping or max_frequency")
+            raise InputError("a pole requirement needs min_decay, min_damping or max_frequency")
         if not self.name:
             object.__setattr__(self, "name", type(self).__name__)
 

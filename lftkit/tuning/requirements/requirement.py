@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from lftkit.errors import InputError
 from lftkit.systems.system import System
 
 if TYPE_CHECKING:
@@ -71,8 +72,8 @@ def check_names(requirements: Sequence[TuningRequirement]) -> None:
         Naming what is wrong.
     """
     if not requirements:
-        raise ValueError("a design needs at least one requirement, got none")
+        raise InputError("a design needs at least one requirement, got none")
     names = [r.name for r in requirements]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise ValueError(f"requirement names must be unique, got {twice} twice")
+        raise InputError(f"requirement names must be unique, got {twice} twice")

@@ -10,6 +10,7 @@ import numpy as np
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.passivity import linear_fraction
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.system import System
 from lftkit.tuning.requirements.gains import HinfGain, peak_gain
 from lftkit.tuning.requirements.requirement import CertifiedValue
@@ -44,7 +45,7 @@ class SectorGain(HinfGain):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (np.all(np.isfinite(self.fraction)) and self._determinant != 0.0):
-            raise ValueError(f"fraction must be finite numbers (a, b, c, d) with a d - b c != 0, got {self.fraction}")
+            raise InputError(f"fraction must be finite numbers (a, b, c, d) with a d - b c != 0, got {self.fraction}")
 
     def held(self, level: float) -> SectorGain:
         """As of :meth:`lftkit.tuning.HinfGain.held`."""

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.tuning.structures.structures import gain_sizes
 
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
@@ -87,7 +88,7 @@ def parameters_of(blocks: Sequence[ControllerBlock], matrices: Sequence[FloatArr
     """
     for block, matrix in zip(blocks, matrices, strict=True):
         if matrix.shape != block.shape:
-            raise ValueError(f"gain matrix of {block.name} must have the shape {block.shape}, got {matrix.shape}")
+            raise InputError(f"gain matrix of {block.name} must have the shape {block.shape}, got {matrix.shape}")
     return np.concatenate([np.asarray(m, dtype=float).ravel() for m in matrices])
 
 
@@ -258,7 +259,7 @@ class ActiveCommands:
         asked = np.arange(commands.start, commands.stop)
         table = {int(command): position for position, command in enumerate(self.commands)}
         if missing := [int(k) for k in asked if int(k) not in table]:
-            raise ValueError(f"commands must be of the blocks that are active, got {missing}")
+            raise InputError(f"commands must be of the blocks that are active, got {missing}")
         return _slice_if_consecutive(np.array([table[int(k)] for k in asked], dtype=np.intp))
 
 

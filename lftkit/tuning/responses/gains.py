@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.tuning.responses.samples import PlantSamples
 
 
@@ -69,9 +70,9 @@ class ResponseNoise:
     def __post_init__(self) -> None:
         shape = (len(self.samples), self.samples.measurements)
         if self.density.shape != shape or self.step.shape != shape[:1]:
-            raise ValueError(
+            raise InputError(
                 f"density and step must have the shapes {shape} and {shape[:1]}, "
                 f"got {self.density.shape} and {self.step.shape}"
             )
         if not self.limit > 0.0:
-            raise ValueError(f"limit must be positive, got {self.limit}")
+            raise InputError(f"limit must be positive, got {self.limit}")

@@ -23,6 +23,7 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains, singular_triples
 from lftkit.analysis.lft_response import feedback
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.tuning.responses.blocks import (
     ActiveCommands,
     BlockFactors,
@@ -130,7 +131,7 @@ class ResponseProblem:
     def __post_init__(self) -> None:
         commands = active_commands(self.blocks, range(len(self.blocks))).commands.tolist()
         if len(set(commands)) < len(commands):
-            raise ValueError(f"blocks must have commands of their own, got {sorted(commands)}")
+            raise InputError(f"blocks must have commands of their own, got {sorted(commands)}")
         omega, at_frequency = np.unique(self.samples.omega, return_inverse=True)
         made: dict[str, Any] = {
             "scales": np.array([gain.scale(self.samples.omega) for gain in self.gains]),

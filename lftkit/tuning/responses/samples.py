@@ -7,6 +7,7 @@ from dataclasses import InitVar, dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -39,18 +40,18 @@ class PlantSamples:
         if not check:
             return
         if self.response.ndim != 3 or len(self.response) != len(self.omega):
-            raise ValueError(
+            raise InputError(
                 f"response must have one matrix for each of {len(self.omega)} frequencies, got {self.response.shape}"
             )
         rows, columns = self.response.shape[1:]
         if not (0 < self.measurements < rows and 0 < self.commands < columns):
-            raise ValueError(
+            raise InputError(
                 f"response must have more rows than {self.measurements} measurements and more columns than "
                 f"{self.commands} commands, got {rows} x {columns}"
             )
         if not np.isfinite(self.response).all():
             at = float(self.omega[~np.isfinite(self.response).all(axis=(1, 2))][0])
-            raise ValueError(f"response must be finite, got a value that is not at {at:.6g} rad/s")
+            raise InputError(f"response must be finite, got a value that is not at {at:.6g} rad/s")
 
     def __len__(self) -> int:
         return len(self.omega)

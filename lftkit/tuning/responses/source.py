@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.tuning.descent.minimax.prox_linear import ACCEPTED, FIRST_WEIGHT, prox_linear
 from lftkit.tuning.responses.blocks import entry_sizes, with_least_decay
 from lftkit.tuning.responses.problem import ResponseProblem
@@ -84,10 +85,10 @@ class ResponseSource:
     def begin(self, x: FloatArray) -> FloatArray:
         """A start with the least decay of the controllers' own poles."""
         if not self.stable(x):
-            raise ValueError("start must be a stabilising controller, got one that is not")
+            raise InputError("start must be a stabilising controller, got one that is not")
         moved = with_least_decay(self.problem.blocks, np.array(x, dtype=float))
         if not np.array_equal(x, moved) and not self.stable(moved):
-            raise ValueError(
+            raise InputError(
                 "start must be a stabilising controller, got one that is not with poles of the least decay"
             )
         return moved

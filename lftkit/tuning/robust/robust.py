@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.tuning.descent.grid_source import FEASIBLE
@@ -78,11 +79,11 @@ class RobustOptions:
 
     def __post_init__(self) -> None:
         if not self.slack >= 0.0:
-            raise ValueError(f"slack must be zero or positive, got {self.slack}")
+            raise InputError(f"slack must be zero or positive, got {self.slack}")
         if self.max_rounds < 1 or self.carried < 1:
-            raise ValueError(f"expected max_rounds >= 1 and carried >= 1, got {self.max_rounds} and {self.carried}")
+            raise InputError(f"expected max_rounds >= 1 and carried >= 1, got {self.max_rounds} and {self.carried}")
         if not (0.0 < self.first_share <= 1.0 and 0.0 < self.round_share <= 1.0):
-            raise ValueError(
+            raise InputError(
                 f"first_share and round_share must be above 0 and at most 1, got {self.first_share} and "
                 f"{self.round_share}"
             )
@@ -126,7 +127,7 @@ def tune_robust(
     """
     options = options or RobustOptions()
     if not isinstance(options, RobustOptions):
-        raise ValueError(f"options must be RobustOptions, got {type(options).__name__}")
+        raise InputError(f"options must be RobustOptions, got {type(options).__name__}")
     start_time = time.monotonic()
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(parameters) for parameters in active] or [middle]

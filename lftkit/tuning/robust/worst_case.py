@@ -16,6 +16,7 @@ import scipy.optimize
 
 from lftkit.analysis.frequency_response import PoleError
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import unwarped_frequency
@@ -65,12 +66,12 @@ class WorstCaseOptions:
 
     def __post_init__(self) -> None:
         if self.samples < 0 or self.climbs < 0 or self.iterations < 1:
-            raise ValueError(
+            raise InputError(
                 "expected samples >= 0, climbs >= 0 and iterations >= 1, got "
                 f"{self.samples}, {self.climbs} and {self.iterations}"
             )
         if not 0 < self.step < 0.1:
-            raise ValueError(f"step must be between 0 and 0.1 of the box, got {self.step}")
+            raise InputError(f"step must be between 0 and 0.1 of the box, got {self.step}")
 
 
 def worst_case(
@@ -130,10 +131,10 @@ def worst_case(
 
 def _check_box(box: Box) -> None:
     if not box:
-        raise ValueError("the box of parameters is empty: there is nothing to search")
+        raise InputError("the box of parameters is empty: there is nothing to search")
     for name, (low, high) in box.items():
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
-            raise ValueError(f"parameter {name!r}: expected finite bounds, lowest first, got ({low}, {high})")
+            raise InputError(f"parameter {name!r}: expected finite bounds, lowest first, got ({low}, {high})")
 
 
 class _Search:
@@ -219,7 +220,7 @@ class _Search:
             return model
         if not self._dt:
             if self._delay:
-                raise ValueError(f"{NO_DELAY}, got {self._delay:g} s")
+                raise InputError(f"{NO_DELAY}, got {self._delay:g} s")
             self._dt = common_period([model, self._controller])
             self._requirements = tuple(r.on_image(model) for r in self._requirements)
             self._controller = image_of(self._controller) if self._controller.dt else self._controller

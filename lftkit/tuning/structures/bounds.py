@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import read_only
 from lftkit.tuning.pieces import HARD_TARGET, Piece
 
@@ -28,7 +29,7 @@ class Bounds:
         wrong = np.flatnonzero(~(self.lower < self.upper))
         if len(wrong):
             low, high = float(self.lower[wrong[0]]), float(self.upper[wrong[0]])
-            raise ValueError(f"bounds must be a lowest and a higher highest value, got ({low:g}, {high:g})")
+            raise InputError(f"bounds must be a lowest and a higher highest value, got ({low:g}, {high:g})")
 
     def of(self, numbers: IntArray) -> Bounds:
         """Those of some of the parameters."""
@@ -79,7 +80,7 @@ def bounds_of(structure: object) -> Bounds | None:
     """Bounds of a structure; None where it has none."""
     bounds = getattr(structure, "bounds", None)
     if bounds is not None and not isinstance(bounds, Bounds):
-        raise ValueError(f"bounds of a structure must be Bounds or None, got {type(bounds).__name__}")
+        raise InputError(f"bounds of a structure must be Bounds or None, got {type(bounds).__name__}")
     if bounds is None or not (np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any()):
         return None
     return bounds
@@ -94,7 +95,7 @@ def number_of(name: str, names: Sequence[str]) -> int:
         An unknown name, with those that there are.
     """
     if name not in names:
-        raise ValueError(f"parameter must be one of {', '.join(names)}, got {name!r}")
+        raise InputError(f"parameter must be one of {', '.join(names)}, got {name!r}")
     return list(names).index(name)
 
 
@@ -111,7 +112,7 @@ def bounds_by_name(names: Sequence[str], before: Bounds | None, limits: Mapping[
     for name, (low, high) in limits.items():
         number = number_of(name, names)
         if not low < high:
-            raise ValueError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
+            raise InputError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
         lower[number], upper[number] = low, high
     return Bounds(lower, upper)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, total_size
 from lftkit.tuning.structures.bounds import Bounds, bounds_of
 from lftkit.tuning.structures.structures import AffineStructure, Structure
@@ -46,11 +47,11 @@ class Decentralised:
         object.__setattr__(self, "parts", tuple(self.parts))
         commands = [p.name for part in self.parts for p in part.outputs]
         if len(set(commands)) < len(commands):
-            raise ValueError(f"decentralised parts must not share outputs, got {commands}")
+            raise InputError(f"decentralised parts must not share outputs, got {commands}")
         sizes: dict[str, int] = {}
         for port in (p for part in self.parts for p in part.inputs):
             if sizes.setdefault(port.name, port.size) != port.size:
-                raise ValueError(
+                raise InputError(
                     f"measurement {port.name!r} must have one size, got {sizes[port.name]} and {port.size}"
                 )
 
@@ -116,7 +117,7 @@ class Decentralised:
                     own[number][rows.tolist().index(key[0]), columns.tolist().index(key[1])] = value
                     break
             else:
-                raise ValueError(f"entry {key} of the gain matrix is in no part of the structure")
+                raise InputError(f"entry {key} of the gain matrix is in no part of the structure")
         return Decentralised(tuple(_affine(p).with_fixed(held) if held else p for p, held in zip(self.parts, own)))
 
     def with_bounds(self, limits: Mapping[str, tuple[float, float]]) -> Decentralised:
@@ -130,7 +131,7 @@ class Decentralised:
     def _part_of(self, key: str) -> tuple[int, str]:
         """Number of the part that a parameter belongs to, and its name there."""
         if key not in self.names:
-            raise ValueError(f"parameter must be one of {', '.join(self.names)}, got {key!r}")
+            raise InputError(f"parameter must be one of {', '.join(self.names)}, got {key!r}")
         prefixes = [f"{_prefix(part)}." for part in self.parts]
         number = next(k for k, prefix in enumerate(prefixes) if key.startswith(prefix))
         return number, key.removeprefix(prefixes[number])
@@ -174,5 +175,5 @@ def _prefix(part: Structure) -> str:
 
 def _affine(part: Structure) -> AffineStructure | Decentralised:
     if not isinstance(part, AffineStructure | Decentralised):
-        raise ValueError(f"parameters of {_prefix(part)} cannot be fixed or bounded, got a {type(part).__name__}")
+        raise InputError(f"parameters of {_prefix(part)} cannot be fixed or bounded, got a {type(part).__name__}")
     return part

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import discrete_gradient, to_continuous
 from lftkit.systems.system import System
@@ -103,4 +104,4 @@ def required_period(structure: Structure, dt: float) -> None:
     own = structure.dt if isinstance(structure, AffineStructure) else None
     if own is not None and own != dt:
         asked, got = (f"sampling period {t:g} s" if t else "continuous time" for t in (dt, own))
-        raise ValueError(f"structure of {structure.outputs[0].name} must be made for {asked}, got {got}")
+        raise InputError(f"structure of {structure.outputs[0].name} must be made for {asked}, got {got}")

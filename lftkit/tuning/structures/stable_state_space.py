@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrix
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.structures.structures import total_size
@@ -42,7 +43,7 @@ class StableStateSpace:
             ports = tuple(p if isinstance(p, Port) else Port(*p) for p in getattr(self, side))
             object.__setattr__(self, side, ports)
         if self.order < 1 or not self.min_decay > 0:
-            raise ValueError(f"order must be at least 1 and min_decay positive, got {self.order} and {self.min_decay}")
+            raise InputError(f"order must be at least 1 and min_decay positive, got {self.order} and {self.min_decay}")
 
     @property
     def _sizes(self) -> tuple[int, int, int, int, int]:
@@ -98,7 +99,7 @@ class StableStateSpace:
         n = self.order
         shifted = model.A + self.min_decay * np.eye(n)
         if model.order != n or np.any(cast("ComplexArray", linalg.eigvals(shifted)).real >= 0.0):
-            raise ValueError(
+            raise InputError(
                 f"{model.name}: expected order {n} and every pole left of -{self.min_decay} rad/s, got order "
                 f"{model.order} and poles {np.round(linalg.eigvals(model.A), 6).tolist()}"
             )

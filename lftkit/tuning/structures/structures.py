@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, read_only
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.system import System
@@ -121,7 +122,7 @@ class AffineStructure:
                 named[int(k)] = _entry_name(int(row), int(column), self.order)
             object.__setattr__(self, "names", tuple(named.values()))
         if len(self.names) != self.size or len(set(self.names)) < self.size:
-            raise ValueError(f"names must be {self.size} different ones, got {self.names}")
+            raise InputError(f"names must be {self.size} different ones, got {self.names}")
 
     @property
     def size(self) -> int:
@@ -157,7 +158,7 @@ class AffineStructure:
         """
         K = gain_matrix_of(model)
         if K.shape != self.base.shape or model.order != self.order:
-            raise ValueError(
+            raise InputError(
                 f"{model.name} has order {model.order} and gain matrix {K.shape}, "
                 f"the structure has order {self.order} and {self.base.shape}"
             )
@@ -167,7 +168,7 @@ class AffineStructure:
         x = linalg.lstsq(selection, (K - self.base).ravel())[0] if self.size else np.zeros(0)
         residual = np.abs(self.gain_matrix(x) - K).max(initial=0.0)
         if residual > 1e-9 * max(1.0, np.abs(K).max(initial=0.0)):
-            raise ValueError(f"{model.name} does not have this structure: an entry differs by {residual:.3g}")
+            raise InputError(f"{model.name} does not have this structure: an entry differs by {residual:.3g}")
         return np.asarray(x, dtype=float)
 
     def with_fixed(self, entries: Mapping[str | tuple[int, int], float]) -> AffineStructure:
@@ -194,13 +195,13 @@ class AffineStructure:
                 continue
             row, column = key
             if not (0 <= row < base.shape[0] and 0 <= column < base.shape[1]):
-                raise ValueError(
+                raise InputError(
                     f"entry ({row}, {column}) is outside the {base.shape[0]} x {base.shape[1]} gain matrix"
                 )
             own = np.flatnonzero((self.rows == row) & (self.columns == column))
             if len(own) > 1:
                 names = " and ".join(self.names[k] for k in self.parameters[own])
-                raise ValueError(f"entry ({row}, {column}) depends on {names}: fix parameters by name")
+                raise InputError(f"entry ({row}, {column}) depends on {names}: fix parameters by name")
             if len(own):
                 difference = (value - self.base[row, column]) / self.coefficients[own[0]]
                 self._hold(held, int(self.parameters[own[0]]), float(difference))
@@ -213,9 +214,9 @@ class AffineStructure:
 
     def _hold(self, held: dict[int, float], number: int, value: float) -> None:
         if not np.isfinite(value):
-            raise ValueError(f"value of {self.names[number]} must be finite, got {value}")
+            raise InputError(f"value of {self.names[number]} must be finite, got {value}")
         if abs(held.get(number, value) - value) > 1e-12 * abs(value):
-            raise ValueError(f"{self.names[number]} must be fixed once, got {held[number]:g} and {value:g}")
+            raise InputError(f"{self.names[number]} must be fixed once, got {held[number]:g} and {value:g}")
         held[number] = value
 
     def with_entries(self, kept: BoolArray) -> AffineStructure:
@@ -296,7 +297,7 @@ def state_space(
     """
     ny, nu = total_size(inputs), total_size(outputs)
     if order < 0:
-        raise ValueError(f"the order of a controller must be zero or positive, got {order}")
+        raise InputError(f"the order of a controller must be zero or positive, got {order}")
     free = np.ones((order + nu, order + ny), dtype=bool)
     i, j = np.indices((order, order))
     forms = {
@@ -306,7 +307,7 @@ def state_space(
         "companion": i == order - 1,
     }
     if form not in forms:
-        raise ValueError(f"form must be one of {', '.join(forms)}, got {form!r}")
+        raise InputError(f"form must be one of {', '.join(forms)}, got {form!r}")
     free[:order, :order] = forms[form]
     free[order:, order:] = feedthrough
     structure = _affine(inputs, outputs, order, free)
@@ -335,11 +336,11 @@ def pid(
     12.0
     """
     if not derivative_filter > 0:
-        raise ValueError(f"derivative_filter must be a positive time constant [s], got {derivative_filter}")
+        raise InputError(f"derivative_filter must be a positive time constant [s], got {derivative_filter}")
     if not terms or set(terms) - set("PID"):
-        raise ValueError(f"terms must be letters of 'PID', got {terms!r}")
+        raise InputError(f"terms must be letters of 'PID', got {terms!r}")
     if not (dt >= 0 and np.isfinite(dt)):
-        raise ValueError(f"dt must be a sampling period [s], or 0 for continuous time, got {dt}")
+        raise InputError(f"dt must be a sampling period [s], or 0 for continuous time, got {dt}")
     rate = 1.0 / derivative_filter
     # states: integral of y; filtered y, of which Kd s / (tau s + 1) = Kd / tau (1 - 1 / (tau s + 1))
     A, B = np.diag([0.0, -rate]), np.array([[1.0], [rate]])

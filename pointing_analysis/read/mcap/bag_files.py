@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import MAX_NAME
-from pointing_analysis.files.structured_text import StructuredTextError, load_yaml, read_text
+from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.read.mcap.records import SQLITE, BagError
 
 _FILE = re.compile(r"\.mcap(\.zst|\.zstd)?$")
@@ -109,7 +110,7 @@ def _description(path: Path) -> tuple[dict[str, Any], list[str]]:
         return {}, [f"no metadata.yaml (the recorder was killed): {NAME_ORDER}"]
     try:
         content = load_yaml(read_text(file), "metadata.yaml")
-    except StructuredTextError as error:
+    except InputError as error:
         return {}, [f"metadata.yaml cannot be read ({error}): {NAME_ORDER}"]
     info = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     if not isinstance(info, dict):

@@ -11,8 +11,9 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.input_limits import DIGITS
-from lftkit.support.structured_text import StructuredTextError, parse
+from lftkit.support.structured_text import parse
 from pointing_analysis.read.mcap.records import FileInfo
 
 METADATA_NAME = "los_testbed"
@@ -71,7 +72,7 @@ def value_of(text: str) -> Any:
     """Value of an entry: JSON where it is, else the text."""
     try:
         return parse(text, "entry", "JSON", _with_long_integers)
-    except StructuredTextError:
+    except InputError:
         return text
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import IntArray
 from pointing_analysis.read.mcap.chain import Chain
 
@@ -44,7 +45,7 @@ MAX_NOTES = 10_000
 """Largest number of damaged places listed individually."""
 
 
-class BagError(ValueError):
+class BagError(InputError):
     """The file is not a readable bag; the message has the requirement and the value."""
 
 

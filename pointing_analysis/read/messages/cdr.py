@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import (
@@ -118,11 +119,11 @@ class Encoder:
 
     def __init__(self, type_name: str, size: int, frame_id: str, names: Sequence[str] = JOINT_NAMES) -> None:
         if type_name not in (*_FIXED, JOINT_STATE, IMAGE):
-            raise ValueError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE, IMAGE))}, got {type_name!r}")
+            raise InputError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE, IMAGE))}, got {type_name!r}")
         if not 0 <= size <= _FIXED.get(type_name, size):
-            raise ValueError(f"size must be 0 to {_FIXED.get(type_name)} for {type_name}, got {size}")
+            raise InputError(f"size must be 0 to {_FIXED.get(type_name)} for {type_name}, got {size}")
         if type_name == IMAGE and math.isqrt(size) ** 2 != size:
-            raise ValueError(f"size must be the square of a whole number for {type_name}, got {size}")
+            raise InputError(f"size must be the square of a whole number for {type_name}, got {size}")
         self.type_name = type_name
         self.size = size
         self.frame_id = frame_id

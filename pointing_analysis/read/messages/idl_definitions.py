@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from lftkit.errors import InputError
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.ros_definitions import BUILT_IN, Definitions, Field, short_name
 
@@ -74,9 +75,9 @@ class _Reader:
     def _take(self, expected: str = "") -> str:
         found = self._next
         if found is None:
-            raise ValueError("a truncated one")
+            raise InputError("a truncated one")
         if expected and found != expected:
-            raise ValueError(f"{found[:40]!r} instead of {expected!r}")
+            raise InputError(f"{found[:40]!r} instead of {expected!r}")
         self._next = next(self._tokens, None)
         return found
 
@@ -99,7 +100,7 @@ class _Reader:
                 while self._next not in (None, ";"):
                     self._take()
             else:
-                raise ValueError(f"{kind[:40]!r}, which messages of ROS do not have")
+                raise InputError(f"{kind[:40]!r}, which messages of ROS do not have")
             self._take(";")
 
     def _structure(self, scope: tuple[str, ...]) -> None:
@@ -131,7 +132,7 @@ class _Reader:
             self._take("<")
             kind, count = self._type()
             if count is not None:
-                raise ValueError("a sequence of sequences or arrays")
+                raise InputError("a sequence of sequences or arrays")
             self._bound()
             return kind, 0
         if name in ("string", "wstring"):
@@ -155,5 +156,5 @@ def _in_all(count: int | None, size: int | None) -> int | None:
     if size is None:
         return count
     if count == 0:
-        raise ValueError("an array of sequences")
+        raise InputError("an array of sequences")
     return (count or 1) * size

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pointing_analysis.read.tables.table import Column, Gathered, Table, TableError, check_unpacked
+from lftkit.errors import InputError
+from pointing_analysis.read.tables.table import Column, Gathered, Table, check_unpacked
 
 READ_FROM_PARQUET = ("timestamp", "duration", "integer", "floating", "decimal")
 """Types of columns with numbers or times."""
@@ -20,14 +21,14 @@ def read_parquet(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         pyarrow is not installed, the file is damaged, unpacks to too much, or has columns of the same name.
     """
     try:
         import pyarrow
         from pyarrow import parquet
     except ModuleNotFoundError:
-        raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
+        raise InputError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
 
     def numbers(kind: pyarrow.DataType) -> bool:
         return any(getattr(pyarrow.types, f"is_{name}")(kind) for name in READ_FROM_PARQUET)
@@ -40,9 +41,9 @@ def read_parquet(path: Path) -> Table:
         table = file.read(columns=names)
         others = {name: f"{kind}" for name, kind in zip(schema.names, schema.types) if not numbers(kind)}
     except (pyarrow.ArrowException, OSError) as error:
-        raise TableError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
+        raise InputError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
     if len(set(table.column_names)) < len(table.column_names):
-        raise TableError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
+        raise InputError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
     found: dict[str, Column] = {}
     units: dict[str, list[str]] = {}
     for name in table.column_names:
@@ -73,7 +74,7 @@ def _check_shapes(archive: zipfile.ZipFile) -> None:
             read = heads.read_array_header_1_0 if version[0] == 1 else heads.read_array_header_2_0
             shape, _, dtype = read(file)
         if math.prod(shape) * dtype.itemsize > entry.file_size:
-            raise ValueError(
+            raise InputError(
                 f"{entry.filename} must have the numbers of its shape {shape}, got {entry.file_size} bytes"
             )
 
@@ -83,7 +84,7 @@ def read_numpy(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         Damaged, with objects of Python in it, unpacking to too much, or of another shape.
     """
     try:
@@ -102,15 +103,17 @@ def read_numpy(path: Path) -> Table:
             return found.table(path, "NumPy")
         # mapped, not read: the shape that a file declares may be any
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (TableError, MemoryError):
+    except MemoryError:
         raise
+    except InputError as error:
+        raise InputError.of_file(path, error) from None
     except Exception as error:  # of a damaged file numpy raises a dozen kinds, that of its tokenizer included
-        raise TableError(
+        raise InputError(
             f"{path}: file must hold plain NumPy arrays, got {str(error) or type(error).__name__}"
         ) from None
     if array.dtype.names:
         columns = {name: array[name] for name in array.dtype.names if array.dtype[name].kind in "fiuM"}
         return Table(path, "NumPy", columns)
     if array.ndim != 2 or not 2 <= array.shape[1] <= 12 or array.dtype.kind not in "fiu":
-        raise TableError(f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {array.shape}")
+        raise InputError(f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {array.shape}")
     return Table(path, "NumPy", {f"column_{i + 1}": np.array(array[:, i]) for i in range(array.shape[1])})

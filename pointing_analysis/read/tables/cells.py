@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from lftkit.errors import InputError
 from pointing_analysis.read.tables.dates import dates
-from pointing_analysis.read.tables.table import TableError
 
 DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*$")
@@ -40,7 +40,7 @@ def number(text: str) -> float:
     if not text:
         return math.nan
     if "_" in text:  # Python's own numbers may have it, no other program's
-        raise ValueError("number must be without underscores")
+        raise InputError("number must be without underscores")
     try:
         return float(text)
     except ValueError:
@@ -91,7 +91,7 @@ def check_decimal_mark(path: Path, numbers: Sequence[int], rows: Sequence[Sequen
             if point is None and "." in cell and DECIMAL_POINT.match(cell):
                 point = row_number, cell.strip()
         if comma and point:
-            raise TableError(
+            raise InputError(
                 f"{path}: numbers must have one decimal mark and no marks of thousands, got {comma[1]!r} in row "
                 f"{comma[0]} and {point[1]!r} in row {point[0]}"
             )
@@ -103,7 +103,7 @@ def check_decimal_mark(path: Path, numbers: Sequence[int], rows: Sequence[Sequen
         whole = [cell for cell in given if re.fullmatch(r"\s*[-+]?\d{1,3}\s*", cell)]
         if groups and whole and len(groups) + len(whole) >= len(given) - 1 and len(given) > 2:
             row_number = next(n for n, row in zip(numbers, rows) if groups[0] in row)
-            raise TableError(
+            raise InputError(
                 f"{path}: row {row_number} must be without marks of thousands, got {groups[0].strip()!r} "
                 f"in a column with {whole[0].strip()!r}"
             )

@@ -21,6 +21,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
+
 DATES = "a date such as 2026-11-20T12:00:00"
 """What `dates` reads, for messages."""
 _ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?\s*"
@@ -64,7 +66,7 @@ def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
         return _times_of_day(cells)
     found = [next((m for kind in _DATE if (m := kind.fullmatch(cell))), None) for cell in cells]
     if not cells or any(match is None for match in found):
-        raise ValueError("cells must be dates with a time of day")
+        raise InputError("cells must be dates with a time of day")
     parts = [match.groupdict() for match in found if match is not None]
     moments = np.array([_moment(part) for part in parts], "datetime64[ns]")
     return np.asarray(moments - np.array([_offset(part["zone"]) for part in parts], "timedelta64[m]"))
@@ -83,7 +85,7 @@ def _moment(part: dict[str, str | None]) -> str:
 def _day_of_year(year: str, number: int) -> str:
     day = np.datetime64(f"{year}-01-01", "D") + np.timedelta64(number - 1, "D")
     if not number or str(day)[:4] != year:
-        raise ValueError("cells must be dates with a time of day")
+        raise InputError("cells must be dates with a time of day")
     return str(day)
 
 
@@ -99,10 +101,10 @@ def _times_of_day(cells: Sequence[str]) -> NDArray[np.datetime64]:
     """Times of day; each step back by more than half a day is one over midnight."""
     found = [_TIME_OF_DAY.fullmatch(cell) for cell in cells]
     if any(match is None for match in found):
-        raise ValueError("cells must be times of day")
+        raise InputError("cells must be times of day")
     texts = [match.groups() for match in found if match is not None]
     if any(int(h) > 23 or int(m) > 59 or float(s.replace(",", ".")) >= 60 for h, m, s in texts):
-        raise ValueError("cells must be times of day")
+        raise InputError("cells must be times of day")
     moments = np.array([f"1970-01-01T{int(h):02d}:{m}:{s.replace(',', '.')}" for h, m, s in texts], "datetime64[ns]")
     days = np.concatenate([[0], np.cumsum(np.diff(moments.astype(np.int64)) < -_DAY // 2)])
     return np.asarray(moments + (days * _DAY).astype("timedelta64[ns]"))

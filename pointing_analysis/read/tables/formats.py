@@ -6,9 +6,9 @@ import zipfile
 from enum import Enum
 from pathlib import Path
 
+from lftkit.errors import InputError
 from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.tables.table import TableError
 
 HEAD = 512
 """First bytes of a file that identify its format."""
@@ -82,7 +82,7 @@ def format_of(path: Path) -> Format:
 
     Raises
     ------
-    TableError
+    InputError
         No such file, or none of the formats that are read; the message lists them.
     BagError
         No such file, where the name is that of no table.
@@ -92,13 +92,13 @@ def format_of(path: Path) -> Format:
     if not path.is_file():
         if path.suffix.lower() in ("", ".mcap", ".db3", ".bag", ".zstd"):
             raise BagError(f"{path}: no such bag")
-        raise TableError(f"{path}: no such file")
+        raise InputError(f"{path}: no such file")
     try:
         with path.open("rb") as file:
             head = file.read(HEAD)
             marks = [head[: len(HDF5)], *(_at(file, offset) for offset in HDF5_OFFSETS[1:])]
     except OSError as error:
-        raise TableError(f"{path}: {error.strerror}") from None
+        raise InputError(f"{path}: {error.strerror}") from None
     if (found := _by_mark(path, head, marks)) is not None:
         return found
     kind = kind_of_file(path)
@@ -110,7 +110,7 @@ def format_of(path: Path) -> Format:
         kind = kind or f"a file that begins with {head[:8]!r}"
         how = next((how for name, how in CONVERSIONS.items() if kind.startswith(name)), "")
         advice = f"; to convert it: {how}" if how else ""
-        raise TableError(f"{path}: file must be one of {FORMATS}; got {kind}{advice}")
+        raise InputError(f"{path}: file must be one of {FORMATS}; got {kind}{advice}")
     return found
 
 
@@ -118,7 +118,7 @@ def _folder(path: Path) -> Format:
     """A bag, if anything in the folder is of one; the reader reports a bag with missing files."""
     names = [entry.name for entry in path.iterdir()]
     if not any(name == "metadata.yaml" or ".mcap" in name or ".db3" in name for name in names):
-        raise TableError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")
+        raise InputError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")
     return Format.BAG
 
 

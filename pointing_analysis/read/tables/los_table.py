@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.arrays import FloatArray, IntArray
@@ -21,7 +22,7 @@ from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.dates import DATES
 from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
-from pointing_analysis.read.tables.table import Column, Table, TableError, same_rate, split_unit, unit_name
+from pointing_analysis.read.tables.table import Column, Table, same_rate, split_unit, unit_name
 from pointing_analysis.read.tables.text import read_text
 from pointing_analysis.read.tables.times import (
     FEWEST,
@@ -56,20 +57,20 @@ def read_table(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         No such file, a bag or no format that is read, or a file that is damaged.
     """
     found = format_of(path)
     if found not in READERS:
-        raise TableError(f"{path}: file must be a table, got a bag")
+        raise InputError(f"{path}: file must be a table, got a bag")
     try:
         check_file(path, TABLE)
     except OSError as error:
-        raise TableError(f"cannot read {path}: {error.strerror}") from None
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
     table = READERS[found](path)
     if not table.columns:
         table.refuse_text(next(iter(table.texts), ""))
-        raise TableError(f"{path}: table must have numeric columns, got none")
+        raise InputError(f"{path}: table must have numeric columns, got none")
     return table
 
 
@@ -90,7 +91,7 @@ def read_los_table(
 
     Raises
     ------
-    TableError
+    InputError
         A file that cannot be read, or columns that are not there.
     ValueError
         Unknown unit, another one than that of the file, or neither times nor a rate.
@@ -103,12 +104,12 @@ def read_los_table(
     stated_rate, problems = table.rate((x, y)), list(table.left_out)
     if when is not None and (lost := _lost_digits(when, columns[when])):
         if rate is None:
-            raise TableError(f"{path}: {lost}; --rate HERTZ reads the rows in their order")
+            raise InputError(f"{path}: {lost}; --rate HERTZ reads the rows in their order")
         when, problems = None, [*problems, f"{lost}: rows read at {rate:g} Hz in their order"]
     unused = _others(columns, x, y) if when is None else ""
     if when is None and stated_rate is not None:
         if rate is not None and not same_rate(rate, stated_rate):
-            raise TableError(f"{path}: rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
+            raise InputError(f"{path}: rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
         rate = stated_rate
     stated = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
     try:
@@ -121,7 +122,7 @@ def read_los_table(
             times = since_first_week(when, columns, unit_of_time)
             stamps = column_stamps(when, times, rate, unit_of_time)
     except ValueError as error:
-        raise TableError(f"{path}: {error}{unused}") from None
+        raise InputError(f"{path}: {error}{unused}") from None
     _check_rows(table, stamps, xy)
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
@@ -135,14 +136,14 @@ def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
     """Refuse fewer than two samples, and two samples of one time that differ: of two records in one file."""
     count = int(np.isfinite(xy).all(axis=1).sum())
     if count < 2:
-        raise TableError(f"{table.path}: line of sight must have two or more rows with both values, got {count}")
+        raise InputError(f"{table.path}: line of sight must have two or more rows with both values, got {count}")
     order = np.argsort(stamps, kind="stable")
     same = np.diff(stamps[order]) == 0
     differ = same & ~(np.diff(xy[order], axis=0) == 0).all(axis=1)
     if differ.any():
         first = int(order[1:][differ].min())
         since = (int(stamps[first]) - int(stamps.min())) / NANO
-        raise TableError(
+        raise InputError(
             f"{table.path}: times must differ from row to row, got {int(differ.sum())} with the time of another row, "
             f"the first in sample {first + 1}, {since:g} s after the earliest one (two records in one file?)"
         )
@@ -167,18 +168,18 @@ def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: st
     stated = [table.unit(name) for name in names]
     for name, unit in zip(names, stated):
         if unit and unit not in ANGLES:
-            raise TableError(f"{table.path}: unit of {name} must be an angle, {NAMES}, got {unit!r} in the file")
+            raise InputError(f"{table.path}: unit of {name} must be an angle, {NAMES}, got {unit!r} in the file")
     if given is not None:
         given = unit_name(given)
         for name, unit in zip(names, stated):
             if unit and unit != given:
-                raise TableError(f"{table.path}: unit must be {unit}, stated in the file for {name}, got {given!r}")
+                raise InputError(f"{table.path}: unit must be {unit}, stated in the file for {name}, got {given!r}")
         scale_of(given)
         return xy, given
     if not all(stated):
         name = names[0] if not stated[0] else names[1]
         missing = f"which the file does not state for {name}, got none"
-        raise TableError(f"{table.path}: unit must be given (--unit {NAMES}), {missing}")
+        raise InputError(f"{table.path}: unit must be given (--unit {NAMES}), {missing}")
     scales = [scale_of(unit) for unit in stated]
     return (xy, stated[0]) if stated[0] == stated[1] else (xy * np.array(scales), "rad")
 
@@ -208,13 +209,13 @@ def _asked_time(table: Table, time: str) -> tuple[str, str]:
     asked = table.find(time)
     if asked is None and unit in TIME_UNITS and (asked := table.find(base)) is not None:
         if (stated := table.unit(asked)) not in ("", *ANGLES, unit):
-            raise TableError(f"{table.path}: time must be in {stated}, stated in the file for {asked}, got {time!r}")
+            raise InputError(f"{table.path}: time must be in {stated}, stated in the file for {asked}, got {time!r}")
         return asked, unit
     if asked is None and time.isdecimal() and 0 < int(time) <= len(every := table.names or tuple(table.columns)):
         asked = every[int(time) - 1]
     table.refuse_text(time if asked is None else asked, f"a number or {DATES}")
     if asked is None:
-        raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
+        raise InputError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
     return asked, ""
 
 
@@ -230,7 +231,7 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
         for name in _texts_of_angles(table):
             table.refuse_text(name)
     if len(found) != 1:
-        raise TableError(f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none")
+        raise InputError(f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none")
     return found[0]
 
 
@@ -251,13 +252,13 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     if all(name is None and part.isdecimal() and 0 < int(part) <= len(every) for name, part in zip(names, parts)):
         names = [every[int(part) - 1] for part in parts]
         if texts := [name for name in names if name not in table.columns]:
-            raise TableError(f"{table.path}: los must be two columns of numbers, got {', '.join(map(str, texts))}")
+            raise InputError(f"{table.path}: los must be two columns of numbers, got {', '.join(map(str, texts))}")
     if len(names) != 2 or names[0] is None or names[1] is None:
-        raise TableError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
+        raise InputError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
     if names[0] == names[1]:
-        raise TableError(f"{table.path}: los must be two different columns, got {los!r}")
+        raise InputError(f"{table.path}: los must be two different columns, got {los!r}")
     if len(table.columns[names[0]]) != len(table.columns[names[1]]):
-        raise TableError(f"{table.path}: los must be two columns of equal length, got {los!r}")
+        raise InputError(f"{table.path}: los must be two columns of equal length, got {los!r}")
     return names[0], names[1]
 
 

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from lftkit.support.input_limits import HDF5_DEPTH, HDF5_OBJECTS
 from lftkit.support.mat_structure import check_mat
-from pointing_analysis.read.tables.table import Gathered, Table, TableError, check_unpacked
+from pointing_analysis.read.tables.table import Gathered, Table, check_unpacked
 
 DEEPEST = 8
 """Levels of structures and groups that are gone into."""
@@ -31,21 +32,24 @@ def read_mat(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         The file is damaged, unpacks to too much, or holds nothing but objects of MATLAB classes.
     """
     from scipy import io
 
     try:
         check_mat(path)
+    except InputError as error:
+        raise InputError(f"{path}: file must be a MATLAB file, got: {error}") from None
+    try:
         sizes = [int(np.prod(shape, dtype=np.int64)) for _, shape, kind in io.whosmat(path) if kind != "object"]
         check_unpacked(path, 8 * sum(sizes))
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
-    except (TableError, MemoryError):
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # of a damaged file scipy raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TableError(f"{path}: file must be a MATLAB file, got: {text}") from None
+        raise InputError(f"{path}: file must be a MATLAB file, got: {text}") from None
     found = Gathered()
     for name, value in content.items():
         if not name.startswith("__"):
@@ -71,13 +75,13 @@ def read_hdf5(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         h5py is not installed, the file is damaged or unpacks to too much, or no dataset can be used.
     """
     try:
         import h5py
     except ModuleNotFoundError:
-        raise TableError(f"{path}: h5py must be installed: pip install 'los-testbed[hdf5]'") from None
+        raise InputError(f"{path}: h5py must be installed: pip install 'los-testbed[hdf5]'") from None
     found, notes = Gathered(), dict[str, None]()
     try:
         with h5py.File(path, "r") as file:
@@ -90,12 +94,11 @@ def read_hdf5(path: Path) -> Table:
                 _add_dataset(found, name, dataset)
     except MemoryError:
         raise
-    except TableError as error:
-        text = str(error)
-        raise TableError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+    except InputError as error:
+        raise InputError.of_file(path, error) from None
     except Exception as error:  # of a damaged file h5py raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TableError(f"{path}: file must be HDF5, got: {text}") from None
+        raise InputError(f"{path}: file must be HDF5, got: {text}") from None
     return _made(found, path, "MATLAB 7.3" if matlab else "HDF5", list(notes))
 
 
@@ -107,10 +110,10 @@ def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> tuple[list[tuple[
     for prefix, group in waiting:  # grows while it is gone through
         depth = prefix.count("/")
         if depth > HDF5_DEPTH:
-            raise TableError(f"file must have groups of at most {HDF5_DEPTH} levels, got more")
+            raise InputError(f"file must have groups of at most {HDF5_DEPTH} levels, got more")
         for key in group:
             if len(seen) >= HDF5_OBJECTS:
-                raise TableError(f"file must have at most {HDF5_OBJECTS} groups and datasets, got more")
+                raise InputError(f"file must have at most {HDF5_OBJECTS} groups and datasets, got more")
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 continue  # a link by name may lead anywhere
             name, item = prefix + key, group[key]
@@ -182,5 +185,5 @@ def _text(value: Any) -> str:
 def _made(found: Gathered, path: Path, kind: str, notes: list[str]) -> Table:
     if not found.columns:
         advice = f" ({notes[0]})" if notes else ""
-        raise TableError(f"{path}: file must hold arrays of numbers with 2 or more rows, got none{advice}")
+        raise InputError(f"{path}: file must hold arrays of numbers with 2 or more rows, got none{advice}")
     return found.table(path, kind, notes)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from lftkit.support.input_limits import UNPACKED, UNPACKED_RATIO, most_unpacked
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.units import ANGLES
@@ -118,10 +119,6 @@ def same_rate(one: float, other: float) -> bool:
     return abs(one - other) <= SAME_RATE * one
 
 
-class TableError(ValueError):
-    """Invalid table; the message has the requirement and the value."""
-
-
 def unit_name(text: str) -> str:
     """The usual spelling of a unit.
 
@@ -197,7 +194,7 @@ class Table:
         """Refuse a column that was left out because of a cell; no effect on any other name."""
         if name in self.texts:
             row, cell = self.texts[name]
-            raise TableError(f"{self.path}: row {row}, column {name} must be {expected}, got {cell!r}")
+            raise InputError(f"{self.path}: row {row}, column {name} must be {expected}, got {cell!r}")
 
     def find(self, name: str) -> str | None:
         """Full name of a column that is named with or without its unit; None where there is none, or several."""
@@ -211,13 +208,13 @@ class Table:
 
         Raises
         ------
-        TableError
+        InputError
             Two units of one column.
         """
         stated = [unit_name(text) for text in self.units.get(name, ())]
         units = list(dict.fromkeys((*stated, *units_in(name))))
         if len(units) > 1:
-            raise TableError(f"{self.path}: unit of {name} must be one, got {' and '.join(units)} in the file")
+            raise InputError(f"{self.path}: unit of {name} must be one, got {' and '.join(units)} in the file")
         return units[0] if units else ""
 
     def rate(self, names: Sequence[str]) -> float | None:
@@ -225,13 +222,13 @@ class Table:
 
         Raises
         ------
-        TableError
+        InputError
             Two rates.
         """
         rates = sorted({rate for name in names for rate in self.rates.get(name, ())})
         if rates and not same_rate(rates[0], rates[-1]):
             rates_stated = f"{rates[0]:.9g} and {rates[-1]:.9g} Hz"
-            raise TableError(f"{self.path}: rate of {' and '.join(names)} must be one, got {rates_stated} in the file")
+            raise InputError(f"{self.path}: rate of {' and '.join(names)} must be one, got {rates_stated} in the file")
         return rates[0] if rates else None
 
     def of_length(self, n: int) -> dict[str, Column]:
@@ -247,7 +244,7 @@ class Table:
 def check_unpacked(path: Path, size: int) -> None:
     """Some kilobytes can stand for any number of rows: the declared size is checked before memory is taken."""
     if size > most_unpacked(path.stat().st_size):
-        raise TableError(
+        raise InputError(
             f"{path}: table must unpack to at most {UNPACKED / 1e6:g} MB or {UNPACKED_RATIO} times its size, "
             f"got {size / 1e6:.0f} MB"
         )

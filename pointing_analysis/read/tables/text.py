@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.read.tables.cells import SHOWN, SPREADSHEET_ERROR, are_values, is_number, number
 from pointing_analysis.read.tables.dates import dates
-from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit
+from pointing_analysis.read.tables.table import Column, Table, split_unit
 from pointing_analysis.read.tables.text_rows import rows_of
 from pointing_analysis.units import ANGLES
 
@@ -28,7 +29,7 @@ def read_text(path: Path) -> Table:
 
     Raises
     ------
-    TableError
+    InputError
         Not text, no rows, rows of different length, columns of the same name, a cell of text among numbers, two decimal
         marks.
     """
@@ -60,7 +61,7 @@ def _column(path: Path, name: str, cells: Sequence[tuple[int, str]]) -> Column |
 
     Raises
     ------
-    TableError
+    InputError
         Most cells are numbers or dates, and another one is not: a column with text in it is no column of text. So it is
         for each error of a spreadsheet.
     """
@@ -81,5 +82,5 @@ def _column(path: Path, name: str, cells: Sequence[tuple[int, str]]) -> Column |
         others = errors = min(kinds, key=len)
     if len(others) < MOST_TEXT * len(given) or (errors and len(others) < len(given)):
         row, cell = (errors or others)[0]
-        raise TableError(f"{path}: row {row}, column {name} must be a number, got {cell.strip()[:SHOWN]!r}")
+        raise InputError(f"{path}: row {row}, column {name} must be a number, got {cell.strip()[:SHOWN]!r}")
     return None

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.read.tables.cells import (
@@ -23,7 +24,7 @@ from pointing_analysis.read.tables.cells import (
     with_points,
 )
 from pointing_analysis.read.tables.formats import text_encoding
-from pointing_analysis.read.tables.table import TableError, unit_name
+from pointing_analysis.read.tables.table import unit_name
 from pointing_analysis.read.tables.times import UNITS as TIMES
 from pointing_analysis.units import ANGLES
 
@@ -70,7 +71,7 @@ def rows_of(path: Path) -> Rows:
 
     Raises
     ------
-    TableError
+    InputError
         Not text, no rows, rows of different length, columns of the same name, two decimal marks.
     """
     text, notes = _decoded(path)
@@ -79,7 +80,7 @@ def rows_of(path: Path) -> Rows:
     lines = [pair for pair in (every[1:] if named else every) if not _is_comment(pair[1])]
     lines = _without_comments_in_front(lines)
     if not lines:
-        raise TableError(f"{path}: table must have rows, got none")
+        raise InputError(f"{path}: table must have rows, got none")
     titles, separator = _titles(lines, named[1] if named else None)
     if titles:
         notes.append(f"{titles} lines in front of the header skipped")
@@ -96,24 +97,24 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     try:
         content = read_bytes(path, TABLE)
     except OSError as error:
-        raise TableError(f"{path}: table must be a readable file, got {error}") from None
+        raise InputError(f"{path}: table must be a readable file, got {error}") from None
     encoding, notes = text_encoding(content[:4]), list[str]()
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
         if _CONTROL.search(content):
-            raise TableError(f"{path}: table must be text, got {error.reason} at byte {error.start}") from None
+            raise InputError(f"{path}: table must be text, got {error.reason} at byte {error.start}") from None
         notes = ["text that is not UTF-8 read as Windows-1252"]
         try:
             text = content.decode("cp1252")
         except UnicodeDecodeError:
-            raise TableError(
+            raise InputError(
                 f"{path}: table must be text in UTF-8, UTF-16, UTF-32 or Windows-1252, got {error.reason}"
             ) from None
     text = text.rstrip("\x1a").replace("\N{MINUS SIGN}", "-")
     if (zero := text.find("\0")) >= 0:
         row = text.count("\n", 0, zero) + 1
-        raise TableError(f"{path}: row {row} must be text, got zero bytes: the file was not written to its end")
+        raise InputError(f"{path}: row {row} must be text, got zero bytes: the file was not written to its end")
     return text, notes
 
 
@@ -181,7 +182,7 @@ def _names_and_rows(
     try:
         cells = list(csv.reader(texts, delimiter=separator)) if separator else [line.split() for line in texts]
     except csv.Error as error:
-        raise TableError(f"{path}: table must have rows of numbers, got {error}") from None
+        raise InputError(f"{path}: table must have rows of numbers, got {error}") from None
     numbers = [number for number, _ in lines] if len(cells) == len(lines) else list(range(1, len(cells) + 1))
     if separator != "," or any('"' in line for line in texts[:2]):
         check_decimal_mark(path, numbers, cells)
@@ -192,7 +193,7 @@ def _names_and_rows(
         return _names_in(comments, separator, count) or [f"column_{i + 1}" for i in range(count)], rows
     names = [cell.strip() for cell in rows.pop(0)[1]]
     if not any(letter.isalpha() for name in names for letter in name):
-        raise TableError(f"{path}: first row must be names or numbers, got {first.strip()[:SHOWN]!r}")
+        raise InputError(f"{path}: first row must be names or numbers, got {first.strip()[:SHOWN]!r}")
     return names, rows
 
 
@@ -213,10 +214,10 @@ def _even(path: Path, found: Rows) -> Rows:
         if least >= ends:
             names, rows = names[:ends], [(number, row[:ends]) for number, row in rows]
     if len(set(names)) < len(names):
-        raise TableError(f"{path}: columns must have different names, got {', '.join(names)}")
+        raise InputError(f"{path}: columns must have different names, got {', '.join(names)}")
     uneven = next(((number, len(row)) for number, row in rows if len(row) != len(names)), None)
     if uneven is not None:
-        raise TableError(f"{path}: every row must have {len(names)} cells, got {uneven[1]} in row {uneven[0]}")
+        raise InputError(f"{path}: every row must have {len(names)} cells, got {uneven[1]} in row {uneven[0]}")
     return replace(found, names=names, cells=rows, units=["" for _ in names], notes=notes)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
 from pointing_analysis.read.tables.dates import DATES
@@ -88,11 +89,11 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
     missing = np.flatnonzero(np.isnat(column) if column.dtype.kind == "M" else ~np.isfinite(column))
     if missing.size:
         which = f"the first in sample {missing[0] + 1}"
-        raise ValueError(f"time must be given for every row, got {missing.size} missing in column {name}, {which}")
+        raise InputError(f"time must be given for every row, got {missing.size} missing in column {name}, {which}")
     if column.dtype.kind == "M":
         whole = column.astype("datetime64[ns]").astype(np.int64)
     elif unit not in UNITS:
-        raise ValueError(f"unit of the time must be one of {', '.join(u for u in UNITS if u)}, got {unit!r} of {name}")
+        raise InputError(f"unit of the time must be one of {', '.join(u for u in UNITS if u)}, got {unit!r} of {name}")
     elif not unit and rate is not None and _are_sample_numbers(name, column):
         return stamps_of((column.astype(float) - float(column.min())) / rate, len(column), rate)
     elif unit == "ns":
@@ -134,14 +135,14 @@ def _check_seconds(name: str, times: FloatArray) -> None:
     """Refuse numbers without a unit that may be milliseconds, or days, as well."""
     step = float(np.median(np.diff(np.sort(times)))) if times.size > 1 else 0.0
     if _are_sample_numbers(name, times):
-        raise ValueError(f"rate must be given where the times are sample numbers (--rate HERTZ), got none for {name}")
+        raise InputError(f"rate must be given where the times are sample numbers (--rate HERTZ), got none for {name}")
     if 0.0 < step < CLOSEST:
-        raise ValueError(
+        raise InputError(
             f"unit of the times must be known where they are {step:.3g} apart, as days are: {name} (d) or {name} (s) "
             f"as the name of the column, or --time {name}_d, --time {name}_s; got {name!r} without one"
         )
     if step >= FARTHEST * (1 - 1e-9):
-        raise ValueError(
+        raise InputError(
             f"unit of the times must be known where they are {step:g} apart: {name} (s), {name} (ms) or the like as "
             f"the name of the column, or --time {name}_s, --time {name}_ms; got {name!r} without one"
         )

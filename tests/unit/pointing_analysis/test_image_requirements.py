@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lftkit.errors import InputError
 from pointing_analysis.image.motion_blur import exposures, worst_transfer
 from pointing_analysis.image.optics import NONE_KNOWN, with_optics
 from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.read.series import Series, series
-from pointing_analysis.requirements.requirement import RequirementError, entries, from_entries, parse
+from pointing_analysis.requirements.requirement import entries, from_entries, parse
 from pointing_analysis.requirements.rows import BRIEF, RequirementRow, overall, requirement_table
 from pointing_analysis.requirements.verdict import Verdict, decide, index_samples, judge
 from pointing_analysis.units import RAD_PER_MAS
@@ -73,7 +74,7 @@ def test_text_form(text: str, shown: str) -> None:
     ],
 )
 def test_text_that_cannot_be_understood(text: str, message: str) -> None:
-    with pytest.raises(RequirementError, match=message) as raised:
+    with pytest.raises(InputError, match=message) as raised:
         parse(text + TAIL)
     assert "\n" not in str(raised.value)
 

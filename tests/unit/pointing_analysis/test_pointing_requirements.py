@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from lftkit.errors import InputError
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.verdict import RequirementError, judge, parse
+from pointing_analysis.requirements.verdict import judge, parse
 from titop_plant.telescope.load import load_telescope
 
 MAS = np.pi / 648_000_000
@@ -46,7 +47,7 @@ def noise_run(tmp_path):
     ],
 )
 def test_text_that_cannot_be_understood(text: str, message: str) -> None:
-    with pytest.raises(RequirementError, match=message):
+    with pytest.raises(InputError, match=message):
         parse(text)
 
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lftkit.errors import InputError
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.image import optics as optics_module
 from pointing_analysis.image.fits_files import read_pupil
-from pointing_analysis.image.optics import Optics, OpticsError, from_mapping, load_optics
+from pointing_analysis.image.optics import Optics, from_mapping, load_optics
 from pointing_analysis.image.pupil import AnnularPupil, PixelPupil, with_spider
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -146,7 +147,7 @@ def test_pupils_that_are_none() -> None:
     ],
 )
 def test_optics_that_are_none(change: dict[str, Any], text: str) -> None:
-    with pytest.raises(OpticsError, match=text):
+    with pytest.raises(InputError, match=text):
         from_mapping({**GOOD, **change}, "f")
 
 
@@ -166,14 +167,14 @@ def test_files_of_optics(tmp_path: Path) -> None:
         ("[optics]\npupil = 'none.fits'\n", "cannot read the pupil .*none.fits: No such file"),
     ):
         file.write_text(content)
-        with pytest.raises(OpticsError, match=text):
+        with pytest.raises(InputError, match=text):
             load_optics(file)
-    with pytest.raises(OpticsError, match="cannot read"):
+    with pytest.raises(InputError, match="cannot read"):
         load_optics(tmp_path / "none.toml")
 
 
 def test_a_large_pupil_file_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "p.fits").open("wb") as file:
         file.truncate(PICTURE + 1)  # sparse: nothing is written
-    with pytest.raises(OpticsError, match="larger than 256 MB"):
+    with pytest.raises(InputError, match="larger than 256 MB"):
         optics_module.read_pupil_file(tmp_path / "p.fits")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
+from lftkit.errors import InputError
 from pointing_analysis.requirements.requirement import (
     INTERPRETATIONS,
     Requirement,
-    RequirementError,
     entries,
     from_entries,
     load,
@@ -92,14 +92,14 @@ def test_each_index_has_its_number_of_times_and_no_other(index: str) -> None:
             made = parse(text(quantity))
             assert (made.index, made.times, made.quantity) == (index, (1.0,) * count, quantity)
         else:
-            with pytest.raises(RequirementError, match=f"must have {INDICES[index]} times, got {count}"):
+            with pytest.raises(InputError, match=f"must have {INDICES[index]} times, got {count}"):
                 parse(text(quantity))
 
 
 @pytest.mark.parametrize("value", ["0", "1", "100 %", "0 %", "1.5", "150 %", "1.2.3"])
 def test_probability_and_confidence_are_inside_of_zero_and_one(value: str) -> None:
     for name in ("p", "c"):
-        with pytest.raises(RequirementError, match="must be between 0 and 1"):
+        with pytest.raises(InputError, match="must be between 0 and 1"):
             parse(text(**{name: value}))
 
 
@@ -113,13 +113,13 @@ def test_a_percentage_is_its_share(percent: str, share: float) -> None:
 
 @pytest.mark.parametrize("limit", ["0 mas", "-1 mas", "1e999 mas", "1.2.3 mas", "e mas"])
 def test_a_limit_is_positive_and_finite(limit: str) -> None:
-    with pytest.raises(RequirementError, match="limit must be positive"):
+    with pytest.raises(InputError, match="limit must be positive"):
         parse(text(limit=limit))
 
 
 @pytest.mark.parametrize("time", ["0 s", "1000000000 s", "1.2.3 s", "5", "5 h", "s"])
 def test_a_time_is_positive_and_below_a_billion(time: str) -> None:
-    with pytest.raises(RequirementError, match="time must read like '20 ms'"):
+    with pytest.raises(InputError, match="time must read like '20 ms'"):
         parse(text(f"|RPE({time})|"))
     assert parse(text("|RPE(999999999 s)|")).times == (999999999.0,)
     assert parse(text("|RPE(0.5 s)|")).times == (0.5,)
@@ -133,7 +133,7 @@ def test_rms_is_of_windows_and_of_two_indices() -> None:
             assert made.of_windows and not other.of_windows
             assert (made.quantity, other.quantity) == (f"rms {quantity}", f"|{quantity}|")
         else:
-            with pytest.raises(RequirementError, match="index of rms must be one of RPE, RKE"):
+            with pytest.raises(InputError, match="index of rms must be one of RPE, RKE"):
                 parse(text(f"rms {quantity}"))
 
 
@@ -180,7 +180,7 @@ def test_a_list_of_entries_holds_what_they_say() -> None:
     ],
 )
 def test_an_entry_of_another_form_is_refused_with_the_name_of_the_list(entry: object, message: str) -> None:
-    with pytest.raises(RequirementError, match=f"^here: {message}"):
+    with pytest.raises(InputError, match=f"^here: {message}"):
         from_entries([{"text": text()}, entry], "here")
 
 
@@ -198,9 +198,9 @@ def test_files_of_both_kinds_have_the_same_requirements(suffix: str, tmp_path: P
 def test_a_file_without_the_list_is_refused(content: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(content)
-    with pytest.raises(RequirementError, match="must hold a list 'requirement' whose entries have a 'text'"):
+    with pytest.raises(InputError, match="must hold a list 'requirement' whose entries have a 'text'"):
         load(path)
-    with pytest.raises(RequirementError, match="No such file"):
+    with pytest.raises(InputError, match="No such file"):
         load(tmp_path / "none.toml")
 
 

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from lftkit.errors import InputError
 from titop_plant.ports import AXES
 from titop_plant.sensors import SENSORS
 from titop_plant.telescope.sections import LOOP_FREQUENCIES
@@ -112,14 +113,14 @@ class ParameterFile:
         self.path = path
         self.lines = dict(_keys(text))
 
-    def error(self, key: str, problem: str) -> ValueError:
+    def error(self, key: str, problem: str) -> InputError:
         """A ValueError that names the file, the line and the key."""
         known = key
         while known not in self.lines and "[" in known:
             known = known.rpartition("[")[0]
         line = self.lines.get(known)
         about = f"unknown parameter {key!r}, {problem}" if problem.startswith("expected") else f"{key!r} {problem}"
-        return ValueError(f"{self.path}{f', line {line}' if line else ''}: {about}")
+        return InputError(f"{self.path}{f', line {line}' if line else ''}: {about}")
 
     def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         """The reference's table, its values replaced by the user's.

@@ -30,6 +30,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import COMMANDED, MEASURED
 from titop_plant.telescope.tables.parameter_check import ParameterFile
@@ -65,7 +66,7 @@ def spread_of(text: str) -> tuple[str, float]:
     try:
         spread = float(value.removesuffix("%")) * (0.01 if value.endswith("%") else 1.0)
     except ValueError:
-        raise ValueError(f"uncertain must be ENTRY=SPREAD, e.g. {STIFFNESS}=10%, got {text!r}") from None
+        raise InputError(f"uncertain must be ENTRY=SPREAD, e.g. {STIFFNESS}=10%, got {text!r}") from None
     return checked(name, spread), spread
 
 
@@ -84,9 +85,9 @@ def checked(name: str, spread: Any) -> str:
     """
     if not is_factor(name):
         modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (f"{FREQUENCY_OF}_1", f"{DAMPING_OF}_1"))
-        raise ValueError(f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, got {name!r}")
+        raise InputError(f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, got {name!r}")
     if isinstance(spread, bool) or not isinstance(spread, (int, float)) or not 0.0 < spread <= LARGEST:
-        raise ValueError(f"uncertain {name} must be above 0 and at most {LARGEST:g}, got {spread!r}")
+        raise InputError(f"uncertain {name} must be above 0 and at most {LARGEST:g}, got {spread!r}")
     return name
 
 
@@ -120,10 +121,10 @@ def require_modes(spreads: Iterable[str], tables: Mapping[str, Any]) -> None:
         if number is None:
             continue
         if kind.startswith(DAMPING_OF) and f"{body}.{DAMPING_OF}" in names:
-            raise ValueError(f"uncertain {body}.{DAMPING_OF} has all modes: it must be given without {name}, got both")
+            raise InputError(f"uncertain {body}.{DAMPING_OF} has all modes: it must be given without {name}, got both")
         modes = tables[body]["modes"]
         if int(number) > modes and not tables[body].get("modal_data"):
-            raise ValueError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")
+            raise InputError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")
 
 
 def factors(spreads: Mapping[str, float]) -> dict[str, RealParameter]:

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.tuning.descent.minimax.prox_linear import FIRST_WEIGHT, REJECTED, prox_linear
 from lftkit.tuning.source import DescentSource, Look, Merit, lower
 from lftkit.tuning.status import TuningStatus
@@ -205,7 +206,7 @@ class _Run(Generic[L]):
         now, history = self._now, self._now.history
         look = self._source.look(now.x)
         if not history and not np.isfinite(look.merit).all():
-            raise ValueError("start must have finite gains, got a value that is not")
+            raise InputError("start must have finite gains, got a value that is not")
         self._source.note(look, min(look.merit[1], history[-1][1] if history else np.inf))
         if not history or lower(look.merit, history[-1]):
             history.append(look.merit)

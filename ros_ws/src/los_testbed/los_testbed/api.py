@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from los_testbed.config.run_settings import completed, layered, of_designs, with_scenario, with_stage
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
@@ -337,7 +338,7 @@ def design(
     from titop_plant.telescope.load import load_telescope
 
     if effort not in ("full", "short"):
-        raise ValueError(f"effort must be full or short, got {effort!r}")
+        raise InputError(f"effort must be full or short, got {effort!r}")
     telescope = load_telescope(None if parameters is None else str(parameters))
     options = replace(PAIR, short=effort == "short", seed=seed, wall_limit=time_limit, workers=workers)
     return design_all(telescope, Path(output), options, resume=resume)

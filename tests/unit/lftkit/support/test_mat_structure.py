@@ -11,7 +11,8 @@ import scipy.io.matlab
 from scipy import io, sparse
 
 from lftkit import read_mat
-from lftkit.support.mat_structure import MatStructureError, check_mat
+from lftkit.errors import InputError
+from lftkit.support.mat_structure import check_mat
 
 DATA = Path(scipy.io.matlab.__file__).parent / "tests" / "data"
 HEAD = b"MATLAB 5.0 MAT-file".ljust(124, b" ") + struct.pack("<H", 0x0100) + b"IM"
@@ -97,7 +98,7 @@ BAD = {
 def test_what_ends_scipy_is_told(tmp_path: Path, name: str) -> None:
     content, message = BAD[name]
     (tmp_path / "x.mat").write_bytes(HEAD + content)
-    with pytest.raises(MatStructureError, match=message):
+    with pytest.raises(InputError, match=message):
         check_mat(tmp_path / "x.mat")
     with pytest.raises(ValueError, match=r"must be a \.mat file of version 7.2 or older, got"):
         read_mat(tmp_path / "x.mat")

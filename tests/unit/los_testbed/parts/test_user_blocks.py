@@ -14,10 +14,10 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import RunStart
 from los_testbed.parts.user_blocks import UserBlock
-from los_testbed.run.loop.contract import ContractError
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
@@ -125,7 +125,7 @@ def of_another_shape(given: np.ndarray, out: np.ndarray) -> None:
     ],
 )
 def test_a_broken_contract_is_named_with_port_and_shape(step: Any, words: str) -> None:
-    with pytest.raises(ContractError) as told:
+    with pytest.raises(InputError) as told:
         check(step)
     assert str(told.value).startswith("k_fsm mine:Block") and words in str(told.value)
 
@@ -272,7 +272,7 @@ def test_a_law_with_a_model_starts_and_is_judged_as_its_file(models: str, laws: 
     ],
 )
 def test_a_model_that_is_another_system_is_refused(models: str, name: str, words: str) -> None:
-    with pytest.raises(ContractError) as told:
+    with pytest.raises(InputError) as told:
         _ = RunParts(RunConfig(k_fsm=f"{models}:{name}")).k_fsm
     assert words in str(told.value) and "\n" not in str(told.value)
 

@@ -10,10 +10,11 @@ import pytest
 from los_testbed.cli import app
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.closed_loop import LoopDivergedError
-from los_testbed.run.loop.contract import ContractError, RunFailedError
+from los_testbed.run.loop.contract import RunFailedError
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
+from lftkit.errors import InputError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import scenario_of, summarise
 
@@ -56,7 +57,7 @@ def raises(command: np.ndarray, measurement: np.ndarray, truth: np.ndarray) -> N
 )
 def test_a_broken_contract_is_named_before_the_run(tmp_path: Path, fault: Any, words: list[str]) -> None:
     config = RunConfig(duration=0.5, mode="inprocess", **write_controllers(tmp_path))
-    with pytest.raises(ContractError) as told:
+    with pytest.raises(InputError) as told:
         run_in_process(config, tmp_path / "bag", Own(fault))
     assert all(word in str(told.value) for word in words)
     assert not (tmp_path / "bag").exists()

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.topics import TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
@@ -16,7 +17,7 @@ _FRAME_OFFSET = STAMP_OFFSET + STAMP.size
 _LITTLE_ENDIAN = ENCAPSULATION[:2]
 
 
-class CodecError(ValueError):
+class CodecError(InputError):
     """A message that does not have the type of its topic; `reason` is ``encoding`` or ``size``."""
 
     def __init__(self, reason: str, message: str) -> None:

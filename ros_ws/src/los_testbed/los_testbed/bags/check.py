@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lftkit.errors import InputError
 from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
 from los_testbed.config.exit_codes import ExitCode
@@ -129,9 +130,9 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     found, infos, files = _check(path, max_chunk, None)
     refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
-        raise ValueError(f"a bag must be intact to be signed, got {path}, {refused}")
+        raise InputError(f"a bag must be intact to be signed, got {path}, {refused}")
     if not all(info.chunks and _all_agree(info) for info in infos):
-        raise ValueError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
+        raise InputError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
     return write_signature(files[0], [info.chain for info in infos], key)
 
 

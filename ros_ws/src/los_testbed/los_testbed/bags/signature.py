@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_limits import SECRET
 from pointing_analysis.files.structured_text import load_json, read_text
@@ -42,14 +43,14 @@ def _pem(option: str, file: Path) -> bytes:
     try:
         return read_text(file, SECRET).encode()
     except (OSError, ValueError) as error:
-        raise ValueError(f"{option} must be a PEM file, got {file}: {error}") from None
+        raise InputError(f"{option} must be a PEM file, got {file}: {error}") from None
 
 
 def _check_installed() -> None:
     import importlib.util
 
     if importlib.util.find_spec("cryptography") is None:
-        raise ValueError("cryptography must be installed for signatures: pip install 'los-testbed[sign]'")
+        raise InputError("cryptography must be installed for signatures: pip install 'los-testbed[sign]'")
 
 
 def private_key(option: str, file: Path) -> Ed25519PrivateKey:
@@ -67,9 +68,9 @@ def private_key(option: str, file: Path) -> Ed25519PrivateKey:
     try:
         key = load_pem_private_key(_pem(option, file), None)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{option} must be an Ed25519 private key without password, got {file}: {error}") from None
+        raise InputError(f"{option} must be an Ed25519 private key without password, got {file}: {error}") from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise ValueError(f"{option} must be an Ed25519 private key, got {file}: {type(key).__name__}")
+        raise InputError(f"{option} must be an Ed25519 private key, got {file}: {type(key).__name__}")
     return key
 
 
@@ -82,9 +83,9 @@ def public_key(option: str, file: Path) -> Ed25519PublicKey:
     try:
         key = load_pem_public_key(_pem(option, file))
     except ValueError as error:
-        raise ValueError(f"{option} must be an Ed25519 public key, got {file}: {error}") from None
+        raise InputError(f"{option} must be an Ed25519 public key, got {file}: {error}") from None
     if not isinstance(key, Ed25519PublicKey):
-        raise ValueError(f"{option} must be an Ed25519 public key, got {file}: {type(key).__name__}")
+        raise InputError(f"{option} must be an Ed25519 public key, got {file}: {type(key).__name__}")
     return key
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS
@@ -81,11 +82,11 @@ def write_trace(run: Run, output: Path, start: float = 0.0, stop: float = np.inf
         A run that was not in real time, or a bag without messages of the loop in that part.
     """
     if run.parameters.get("mode") != "realtime":
-        raise ValueError(f"{run.path}: a trace must be of a run in real time, got mode {run.parameters.get('mode')}")
+        raise InputError(f"{run.path}: a trace must be of a run in real time, got mode {run.parameters.get('mode')}")
     namespace = str(run.parameters.get("namespace", "")).rstrip("/")
     sent, first = sent_times(run, namespace, start, stop)
     if not sent:
-        raise ValueError(f"{run.path}: the bag must hold {TRIGGER} between {start:g} and {stop:g} s, got none")
+        raise InputError(f"{run.path}: the bag must hold {TRIGGER} between {start:g} and {stop:g} s, got none")
     found = list(events(sent, first))
     with atomic_file(output) as path:
         path.write_text(json.dumps({"displayTimeUnit": "ns", "traceEvents": found}), "utf-8")

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import check_output, named_errors, write_text
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
@@ -113,7 +114,7 @@ class BagWriter:
         try:
             path.mkdir(parents=True)
         except OSError as error:
-            raise ValueError(f"the bag {path} cannot be created: {error.strerror}") from None
+            raise InputError(f"the bag {path} cannot be created: {error.strerror}") from None
         self.path = path
         self.file_name = f"{name or path.name}_0.mcap"
         self._mcap = McapBlockWriter(path / self.file_name)

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unused-ignore]
 
+from lftkit.errors import InputError
 from lftkit.support.workers import Workers
 from los_testbed import __version__
 from los_testbed.campaign.cluster.tls_files import TlsFiles
@@ -104,7 +105,7 @@ def connected(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
         here = versions()
         for address, found in client.run(versions, on_error="return").items():
             if found != here:
-                raise ValueError(f"worker {address} must have {here} as here, got {found}")
+                raise InputError(f"worker {address} must have {here} as here, got {found}")
         yield client
 
 
@@ -149,7 +150,7 @@ def results_on(client: Any, work: Work[Item, Result], items: Sequence[Item]) -> 
 def _computed(function: bytes, item: Any, expected: dict[str, str]) -> Any:
     """Result of an item, on a worker, with one thread of linear algebra."""
     if versions() != expected:  # of a worker that joined later
-        raise ValueError(f"a worker must have {expected} as the client, got {versions()}")
+        raise InputError(f"a worker must have {expected} as the client, got {versions()}")
     _one_thread()
     return _unpickled(function)(item)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import check_output, write_bytes
 from lftkit.support.input_files import read_text
 from lftkit.support.job import Job
@@ -187,21 +188,21 @@ def check_depth(base: RunConfig, depth: str) -> None:
         a camera rate that the depth model does not have; runs shorter than a window.
     """
     if depth not in DEPTHS:
-        raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
+        raise InputError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
     for name, setting in RunConfig.SETTINGS.items():
         value = getattr(base, name)
         if name in PLACE or value is None or value == setting.default:
             continue
         if name not in SIMULATED:
-            raise ValueError(f"{name} must be absent in a campaign, got {value}")
+            raise InputError(f"{name} must be absent in a campaign, got {value}")
         if depth == "model" and name not in MODELLED:
-            raise ValueError(f"{name} must be {setting.default} at depth model, got {value}")
+            raise InputError(f"{name} must be {setting.default} at depth model, got {value}")
     if base.scenario == "ramp":
-        raise ValueError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
+        raise InputError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "model" and base.frame_ticks != FRAME_TICKS:
-        raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
+        raise InputError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
     if depth == "time" and base.duration < (window := exposure_of(RunParts(base).telescope.requirements)):
-        raise ValueError(f"duration must be at least the window of {window:g} s, got {base.duration:g} s")
+        raise InputError(f"duration must be at least the window of {window:g} s, got {base.duration:g} s")
 
 
 class ResultFolder:
@@ -227,7 +228,7 @@ class ResultFolder:
         if resume:
             read_manifest(self.path)
         elif self.path.exists():
-            raise ValueError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
+            raise InputError(f"output must be a new folder, or --resume given, got {self.path}, which exists")
         check_output(self.path, "output", folder=True)
         if resume:
             with self.alone():
@@ -268,7 +269,7 @@ class ResultFolder:
         parts = {self.part(number): (number, members) for number, members in campaign.chunks()}
         for file in self.parts():
             if file not in parts:
-                raise ValueError(f"{self.path} must hold parts 0 to {len(parts) - 1} of its campaign, got {file.name}")
+                raise InputError(f"{self.path} must hold parts 0 to {len(parts) - 1} of its campaign, got {file.name}")
         wanted = frozenset(campaign.metrics)
         return frozenset(number for file, (number, members) in parts.items() if _complete(file, members, wanted))
 
@@ -308,7 +309,7 @@ class ResultFolder:
 
         found = [pyarrow.parquet.read_table(part, columns=columns) for part in self.parts()]
         if not found:
-            raise ValueError(f"{self.path} must hold rows of a campaign, got none")
+            raise InputError(f"{self.path} must hold rows of a campaign, got none")
         return pyarrow.concat_tables(found)
 
     def rows_hash(self) -> str:
@@ -328,11 +329,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
     try:
         content = load_json(read_text(path / MANIFEST), "it")
     except OSError as error:
-        raise ValueError(f"{path} must be the folder of a campaign: {MANIFEST}: {error.strerror}") from None
+        raise InputError(f"{path} must be the folder of a campaign: {MANIFEST}: {error.strerror}") from None
     except (ValueError, RecursionError):
-        raise ValueError(f"{path / MANIFEST} is not JSON") from None
+        raise InputError(f"{path / MANIFEST} is not JSON") from None
     if not isinstance(content, dict):
-        raise ValueError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")
+        raise InputError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")
     return content
 
 

@@ -14,6 +14,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.workers import processors
 from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
@@ -67,7 +68,7 @@ def cluster(scheduler: str, workers: int, tls: TlsFiles | None = None) -> Iterat
     if scheduler:
         with Client(scheduler, timeout=CONNECT, security=client_security(scheduler, tls)) as client:
             if not client.scheduler_info(n_workers=-1)["workers"]:
-                raise ValueError(f"scheduler must have workers, got none at {scheduler}")
+                raise InputError(f"scheduler must have workers, got none at {scheduler}")
             yield client
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -92,7 +93,7 @@ def check_cluster(scheduler: str, tls: TlsFiles | None = None) -> None:
     """
     for module, name in EXTRA.items():
         if find_spec(module) is None:
-            raise ValueError(f"{name} must be installed: pip install 'los-testbed[campaign]'")
+            raise InputError(f"{name} must be installed: pip install 'los-testbed[campaign]'")
     if scheduler:
         _check_address(scheduler, client_security(scheduler, tls).get_connection_args("client"))
 
@@ -121,7 +122,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
         if kind == "Scheduler":
             return
         reason = f"a {kind} answers"
-    raise ValueError(f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {reason}")
+    raise InputError(f"scheduler must be the address of a running Dask scheduler, got {scheduler}: {reason}")
 
 
 def _first_cause(error: BaseException, scheduler: str) -> str:
@@ -154,9 +155,9 @@ def check_workers(campaign: Campaign, client: Any) -> None:
     for address, found in client.run(worker_identity, content, on_error="return").items():
         if isinstance(found, BaseException):
             reason = " ".join(str(found).split()) or type(found).__name__
-            raise ValueError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
+            raise InputError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
         if difference := _difference(campaign.identity, found):
-            raise ValueError(f"worker {address}: {difference}")
+            raise InputError(f"worker {address}: {difference}")
 
 
 def run_campaign(

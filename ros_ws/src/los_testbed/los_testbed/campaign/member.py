@@ -22,6 +22,7 @@ from scipy.linalg import LinAlgError
 
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from los_loop.member_metrics import MemberMetrics, metric_names
 from los_testbed.campaign.campaign_verdict import judged, refused
@@ -236,7 +237,7 @@ class MemberEvaluator:
         unsteady = parts.start.states is None or bool(parts.sources)
         first = round((default_transient(config.duration) if unsteady else 0.0) / DT)
         if first >= config.ticks:
-            raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
+            raise InputError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
         record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
         SimulatedLoop.of(parts, readings=False).run(config.ticks, record.keep)

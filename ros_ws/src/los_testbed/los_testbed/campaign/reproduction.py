@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from lftkit.errors import InputError
 from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
@@ -60,11 +61,11 @@ def member_of(text: str, parameters: str | None) -> dict[str, float]:
     try:
         values = dict(zip(own.columns, map(float, text.split(",")), strict=True))
     except ValueError:
-        raise ValueError(f"--member must be {','.join(own.columns)}, got {text!r}") from None
+        raise InputError(f"--member must be {','.join(own.columns)}, got {text!r}") from None
     try:
         own.checked(values)
     except ValueError as error:
-        raise ValueError(f"--member: {error}") from None
+        raise InputError(f"--member: {error}") from None
     return values
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.members import family, member_settings
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.motion_profiles import read_csv
@@ -97,7 +98,7 @@ class MemberParameters:
         for column, (name, (low, high)) in zip(self.columns, self.ranges.items()):
             value, slack = float(row[column]), 1e-9 * (high - low)
             if not low - slack <= value <= high + slack:
-                raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
+                raise InputError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
             found[name] = value
         return found
 
@@ -149,17 +150,17 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     own = MemberParameters.of(parameters)
     ranges, count = own.limits, len(own.columns)
     if sampling == "adversarial":
-        raise ValueError("sampling must be one that needs no controllers here, got 'adversarial'")
+        raise InputError("sampling must be one that needs no controllers here, got 'adversarial'")
     if sampling not in SAMPLINGS:
         return _listed(Path(sampling), samples, own)
     if sampling == "corners":
         wanted = samples or 2**count
         if wanted > MOST_CORNERS:
-            raise ValueError(f"samples must be 1 to {MOST_CORNERS} of the 2^{count} corners, got {wanted}")
+            raise InputError(f"samples must be 1 to {MOST_CORNERS} of the 2^{count} corners, got {wanted}")
         bits = (np.arange(min(2**count, MOST_CORNERS))[:, None] >> np.arange(count)) & 1
         return _first(np.where(bits, ranges[:, 1], ranges[:, 0]), samples, "corners")
     if samples < 1:
-        raise ValueError(f"samples must be 1 or more, got {samples}")
+        raise InputError(f"samples must be 1 or more, got {samples}")
     if sampling == "lhs":
         from scipy.stats import qmc
 
@@ -177,22 +178,22 @@ def member_seeds(samples: int, seed: int) -> NDArray[np.int64]:
 
 def _sequence(seed: int, stream: int) -> np.random.SeedSequence:
     if seed < 0:
-        raise ValueError(f"seed must not be negative, got {seed}")
+        raise InputError(f"seed must not be negative, got {seed}")
     return np.random.SeedSequence(seed, spawn_key=(stream,))
 
 
 def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
     if samples > len(points):
-        raise ValueError(f"samples must be at most {len(points)}, the number of {what}, got {samples}")
+        raise InputError(f"samples must be at most {len(points)}, the number of {what}, got {samples}")
     if samples < 0 or not len(points):
-        raise ValueError(f"samples must be 1 or more, got {min(samples, len(points))}")
+        raise InputError(f"samples must be 1 or more, got {min(samples, len(points))}")
     return np.asarray(points[: samples or len(points)], dtype=float)
 
 
 def _listed(path: Path, samples: int, own: MemberParameters) -> FloatArray:
     header, lines = read_csv(path, "sampling", SAMPLINGS)
     if sorted(header) != sorted(own.columns):
-        raise ValueError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
+        raise InputError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
     points = np.empty((len(lines), len(own.columns)))
     for number, line in enumerate(lines, start=2):
         texts = {name: text.strip() for name, text in zip(header, line)}
@@ -200,11 +201,11 @@ def _listed(path: Path, samples: int, own: MemberParameters) -> FloatArray:
         for column, (low, high) in zip(own.columns, own.limits):
             if math.isnan(values[column]):
                 got = texts.get(column, "")
-                raise ValueError(f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}")
+                raise InputError(f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}")
         try:
             points[number - 2] = list(own.checked(values).values())
         except ValueError as error:
-            raise ValueError(f"{path}, line {number}: {error}") from None
+            raise InputError(f"{path}, line {number}: {error}") from None
     return _first(points, samples, "lines")
 
 

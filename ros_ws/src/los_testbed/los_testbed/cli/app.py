@@ -6,7 +6,6 @@ import errno
 import os
 import signal
 import sys
-import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -15,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-import los_testbed
+from lftkit.errors import InputError
 from lftkit.support.progress import choose_output, write_log
 from los_testbed import __version__
 from los_testbed.cli.command_group import CommandGroup
@@ -56,13 +55,13 @@ def _options(
 ) -> None:
     """Testbed for fine line-of-sight control of a flexible space telescope."""
     if quiet and verbose:
-        raise ValueError("--quiet and --verbose must not be given together, got both")
+        raise InputError("--quiet and --verbose must not be given together, got both")
     if verbose:
         os.environ[TRACEBACK] = "1"
     try:
         choose_output(quiet=quiet or bool(os.environ.get(QUIET)), interval=1.0 if verbose else 10.0, log=log)
     except OSError as error:
-        raise ValueError(f"--log must be a writable file, got {log}: {error.strerror}") from None
+        raise InputError(f"--log must be a writable file, got {log}: {error.strerror}") from None
 
 
 FOLDER = "folder"
@@ -102,7 +101,7 @@ def with_common_options_first(arguments: Sequence[str]) -> list[str]:
             first.append(argument)
             if argument == "--log":
                 if (file := next(waiting, None)) is None:
-                    raise ValueError("--log must be followed by a FILE, got nothing")
+                    raise InputError("--log must be followed by a FILE, got nothing")
                 first.append(file)
         else:
             rest.append(argument)
@@ -206,28 +205,13 @@ def _with_new_name(message: str, words: Sequence[str]) -> str:
     return message
 
 
-def _is_refusal(error: BaseException) -> bool:
-    """Whether an error was raised deliberately for a user error, and not by a failed operation.
-
-    An uncaught ValueError of numpy, scipy or Python's library is a bug of this program.
-    """
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames:
+def _is_refusal(error: ValueError) -> bool:
+    """Whether an error says what was wrong with the input; any other ValueError is a bug of this program."""
+    if isinstance(error, InputError):
         return True
-    last = Path(frames[-1].filename)
-    own = any(last.is_relative_to(folder) for folder in _packages())
-    if own:
-        return not frames[-1].line or frames[-1].line.startswith("raise")
-    return not any(last.is_relative_to(folder) for folder in map(sysconfig.get_path, ("stdlib", "purelib", "platlib")))
+    from lftkit.proofs.trusted.proof import ProofError  # the trusted code imports nothing else of the library
 
-
-@cache
-def _packages() -> tuple[Path, ...]:
-    """Folders of this distribution's packages."""
-    import lftkit
-    import pointing_analysis
-
-    return tuple(Path(package.__path__[0]).parent for package in (lftkit, pointing_analysis, los_testbed))
+    return isinstance(error, ProofError)
 
 
 def _with_memory(error: BaseException) -> str:

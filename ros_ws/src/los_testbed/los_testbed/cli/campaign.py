@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
 from los_testbed.cli.command_group import HelpAll
@@ -104,7 +105,7 @@ def campaign(
     number("--workers", workers, 0, 10_000)
     number("--keep", keep, 0, 1000)
     if resume and output is None:
-        raise ValueError("--output must be given with --resume, got none")
+        raise InputError("--output must be given with --resume, got none")
     stated = with_stage({"mode": "inprocess", **chosen(given, designs)})
     base = with_scenario(RunConfig.from_mapping(stated), usual="unit_norm")
     if member is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config.exit_codes import ExitCode
@@ -27,7 +28,7 @@ def refuse_beside_member(given: Mapping[str, Any]) -> None:
     """
     for name, value in given.items():
         if value:
-            raise ValueError(f"{name} must not be given with --member, got {value}")
+            raise InputError(f"{name} must not be given with --member, got {value}")
 
 
 def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) -> None:

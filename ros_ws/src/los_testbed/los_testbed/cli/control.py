@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import option
 from los_testbed.cli.output import number, seconds
 from los_testbed.config.run_config import NAMESPACE, RunConfig
@@ -69,7 +70,7 @@ def fault(
     owner_of(name)
     content = load_yaml(value, "VALUE")
     if not isinstance(content, (bool, int, float, str)):
-        raise ValueError(f"VALUE must be true, false, a number or a name, got {value!r}")
+        raise InputError(f"VALUE must be true, false, a number or a name, got {value!r}")
     with _remote(domain, namespace, timeout, at) as remote:
         remote.change(name, content, at)
 
@@ -103,7 +104,7 @@ def reset(at: At = None, domain: Domain = None, namespace: Namespace = NAMESPACE
 
 def _turn(node: str, transition: str, domain: int | None, namespace: str, timeout: float) -> None:
     if node not in ("estimator", "controller"):
-        raise ValueError(f"node must be estimator or controller, got {node!r}")
+        raise InputError(f"node must be estimator or controller, got {node!r}")
     with _remote(domain, namespace, timeout) as remote:
         remote.turn(node, transition)
 

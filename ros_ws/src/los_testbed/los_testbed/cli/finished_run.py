@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, say
 
@@ -35,10 +36,10 @@ def check_trace(path: Path, config: RunConfig) -> None:
     from lftkit.support.atomic_output import check_output
 
     if config.mode != "realtime":
-        raise ValueError(f"mode must be realtime with --trace, got {config.mode}")
+        raise InputError(f"mode must be realtime with --trace, got {config.mode}")
     check_output(path, "--trace", new=True)
     if path.absolute() == config.bag.absolute():
-        raise ValueError(f"--trace must be a file beside the bag, got the name of the bag, {path}")
+        raise InputError(f"--trace must be a file beside the bag, got the name of the bag, {path}")
 
 
 def write_ticks(console: Screen, bag: Path, path: Path) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.summary.screen import printable
 
@@ -77,11 +78,11 @@ def number(name: str, value: float, low: float, high: float, unit: str = "") -> 
     >>> number("--transient", 1e308, 0.0, 1e6, "s")
     Traceback (most recent call last):
     ...
-    ValueError: --transient must be between 0 and 1e+06 s, got 1e+308
+    lftkit.errors.InputError: --transient must be between 0 and 1e+06 s, got 1e+308
     """
     if not low <= value <= high:  # NaN is neither
         got = f"{value:g}" if isinstance(value, float) else str(value)[:40]
-        raise ValueError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {got}")
+        raise InputError(f"{name} must be between {low:g} and {high:g}{' ' if unit else ''}{unit}, got {got}")
     return value
 
 
@@ -101,7 +102,7 @@ def numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{name} must be numbers separated by commas, got {text!r}") from None
+        raise InputError(f"{name} must be numbers separated by commas, got {text!r}") from None
 
 
 def seconds(name: str, value: float | None, high: float = 1e7) -> None:

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table as ScreenTable
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
 from los_testbed.config.members import CASES, check_ranges, named_cases
@@ -170,7 +171,7 @@ def export(
     from titop_plant.telescope.load import load_telescope
 
     if output.suffix not in (".mat", ".json"):
-        raise ValueError(f"--output must end with .mat or .json, got {output}")
+        raise InputError(f"--output must end with .mat or .json, got {output}")
     check_output(output, "--output", new=True)
     telescope = load_telescope(parameters)
     with one_thread():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
@@ -75,7 +76,7 @@ def replay(
     from pointing_analysis.read.run import Run
 
     if to_ros and (k_fsm or k_pma or loop):
-        raise ValueError(
+        raise InputError(
             "--to-ros must be given without --k-fsm, --k-pma and --loop: the nodes have their own controllers"
         )
     seconds("--transient", transient)

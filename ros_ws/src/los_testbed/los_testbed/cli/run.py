@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.environment import SUPERVISED
@@ -154,9 +155,9 @@ def run(
             _watch_code_of_user(chosen.code_of_user, chosen.bag)
             _run_alone(only, chosen, sign_key is not None, isolated, trace)
         if isolated and chosen.mode == "inprocess":
-            raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
+            raise InputError("mode must be realtime or lockstep with --isolated, got inprocess")
         if isolated and chosen.device:
-            raise ValueError(
+            raise InputError(
                 f"--isolated must not be given with a device, which is on another network, got {chosen.device}"
             )
         if trace is not None:
@@ -184,11 +185,11 @@ def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
 def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace: Path | None) -> NoReturn:
     """Run one node in this process."""
     if signed:
-        raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
+        raise InputError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
     if isolated:
-        raise ValueError("--isolated must be given without --only: a single node belongs to a loop over several hosts")
+        raise InputError("--isolated must be given without --only: a single node belongs to a loop over several hosts")
     if trace is not None:
-        raise ValueError("--trace must be given without --only: los-testbed bag trace reads the recorder's bag")
+        raise InputError("--trace must be given without --only: los-testbed bag trace reads the recorder's bag")
     from los_testbed.run.processes.node_launch import run_alone
 
     raise typer.Exit(run_alone(name, config))
@@ -276,7 +277,7 @@ def configure(
     for setting in settings:
         name, sign, text = setting.partition("=")
         if not sign:
-            raise ValueError(f"--set must be NAME=VALUE, got {setting!r}")
+            raise InputError(f"--set must be NAME=VALUE, got {setting!r}")
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
@@ -301,15 +302,15 @@ DISTURBANCE_ON = "on"
 def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
     """Settings of ``--disturbance`` and ``--no-disturbance``."""
     if given and none:
-        raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
+        raise InputError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
     if not given:
         return {"disturbance": False} if none else {}
     classes = [name for name in given if name != DISTURBANCE_ON and is_code(name)]
     files = [name for name in given if name not in classes and name != DISTURBANCE_ON]
     if len(classes) > 1:
-        raise ValueError(f"--disturbance must name one class at most, got {', '.join(classes)}")
+        raise InputError(f"--disturbance must name one class at most, got {', '.join(classes)}")
     if odd := [name for name in files if ";" in name]:
-        raise ValueError(f"--disturbance must name files without a semicolon, got {odd[0]}")
+        raise InputError(f"--disturbance must name files without a semicolon, got {odd[0]}")
     found: dict[str, Any] = {"disturbance": True}
     if classes:
         found["disturbance_source"] = classes[0]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.progress import Progress
 from los_testbed.cli.command_group import HelpAll
@@ -85,7 +86,7 @@ def stages(
     settings = layered(of_designs(designs or ""), chosen_member(case, cases, None, {}, {})[0], chosen(given))
     scenario = settings.pop("scenario", "both")
     if scenario not in (*SCENARIOS, "both"):
-        raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
+        raise InputError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
     base = RunConfig.from_mapping({"mode": "inprocess", **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     if not (folder / PLAN).exists():

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_testbed.config.run_config import RunConfig, read_yaml
@@ -60,7 +61,7 @@ def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:
     content = read_yaml(path)
     for name, settings in content.items():
         if not isinstance(settings, dict):
-            raise ValueError(f"{path}: case {name!r} must be a table of parameters, got {settings!r}")
+            raise InputError(f"{path}: case {name!r} must be a table of parameters, got {settings!r}")
     return content
 
 
@@ -81,7 +82,7 @@ def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
     if name not in cases:
         near = difflib.get_close_matches(name, cases, 1)
         hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(cases)}"
-        raise ValueError(f"{path.name} has no case {name!r}: {hint}")
+        raise InputError(f"{path.name} has no case {name!r}: {hint}")
     return {key: value for key, value in cases[name].items() if key != "description"}
 
 
@@ -114,7 +115,7 @@ def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
     (True, False)
     """
     if seed < 0:
-        raise ValueError(f"sample must be a seed that is not negative, got {seed}")
+        raise InputError(f"sample must be a seed that is not negative, got {seed}")
     rng = np.random.default_rng(seed)
     drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
     return member_settings(drawn)
@@ -184,7 +185,7 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         stages = content["stages"]
         return member_settings(stages[loop][worst_of]["parameters"]) if loop in stages or not stages else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
+        raise InputError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
 
 
 def check_ranges(config: RunConfig, telescope: Telescope) -> None:
@@ -207,12 +208,12 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     >>> check_ranges(RunConfig(omega_1=2.0), load_telescope())
     Traceback (most recent call last):
         ...
-    ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
+    lftkit.errors.InputError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
     table = telescope.uncertain
     if config.loop not in (stages := telescope.stages):
         why = "without proof-mass actuators" if telescope.plant is None else "with a plant from a file"
-        raise ValueError(f"loop must be one of {', '.join(stages)} {why}, got {config.loop}")
+        raise InputError(f"loop must be one of {', '.join(stages)} {why}, got {config.loop}")
     for name, omega in frequencies(config, telescope).items():
         _within(_setting_of(name, config), table[name], omega)
     check_wheels(config, telescope)
@@ -262,4 +263,4 @@ def _within(name: str, parameter: RealParameter, value: float, when: str = "") -
 def _between(name: str, low: float, high: float, unit: str, value: float, when: str) -> None:
     if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
         unit = f" {unit}" if unit else ""
-        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}{unit}{when}")
+        raise InputError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}{unit}{when}")

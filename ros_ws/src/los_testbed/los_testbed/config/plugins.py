@@ -18,6 +18,7 @@ from typing import Any
 
 import los_testbed
 import pointing_analysis
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SYSTEM
 from los_testbed.config.run_config import RunConfig, is_library
@@ -58,8 +59,8 @@ def load(text: str, setting: str = "plant") -> Any:
     >>> load("math:no_such")
     Traceback (most recent call last):
         ...
-    ValueError: plant must be MODULE:NAME or an entry point of los_testbed.plants, got 'math:no_such' (AttributeError: \
-module 'math' has no attribute 'no_such')
+    lftkit.errors.InputError: plant must be MODULE:NAME or an entry point of los_testbed.plants, got 'math:no_such' \
+(AttributeError: module 'math' has no attribute 'no_such')
     """
     folder, group = str(Path.cwd()), GROUPS[setting]
     added = folder not in sys.path
@@ -80,7 +81,7 @@ module 'math' has no attribute 'no_such')
         return known[text].load()
     except RAISED as error:
         file = "a file, " if setting.startswith("k_") else ""
-        raise ValueError(
+        raise InputError(
             f"{setting} must be {file}MODULE:NAME or an entry point of {group}, got {text!r} ({in_one_line(error)})"
         ) from error
     finally:
@@ -101,13 +102,13 @@ def make(config: RunConfig, setting: str = "plant") -> Any:
     text = getattr(config, setting)
     made = load(text, setting)
     if not callable(made):
-        raise ValueError(f"{setting} must be a class or a function that makes one, got {type(made).__name__}")
+        raise InputError(f"{setting} must be a class or a function that makes one, got {type(made).__name__}")
     try:
         wants = "config" in inspect.signature(made).parameters
         return made(config=config) if wants else made()
     except RAISED as error:
         what = in_one_line(error)
-        raise ValueError(f"{setting} {text} must be made without arguments or with config, got {what}") from error
+        raise InputError(f"{setting} {text} must be made without arguments or with config, got {what}") from error
 
 
 def made_by(build: Callable[[RunConfig], Any], config: RunConfig, what: str) -> Any:
@@ -121,7 +122,7 @@ def made_by(build: Callable[[RunConfig], Any], config: RunConfig, what: str) -> 
     try:
         return build(config)
     except RAISED as error:
-        raise ValueError(f"{what} must be made from the configuration, got {in_one_line(error)}") from error
+        raise InputError(f"{what} must be made from the configuration, got {in_one_line(error)}") from error
 
 
 def source_hashes(code: Mapping[str, str]) -> dict[str, str]:

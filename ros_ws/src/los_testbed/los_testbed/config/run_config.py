@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass
 
+from lftkit.errors import InputError
 from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
@@ -68,7 +69,7 @@ class RunConfig(PhysicalSettings):
     >>> RunConfig.from_mapping({"durtion": 3.0})
     Traceback (most recent call last):
         ...
-    ValueError: unknown parameter 'durtion': did you mean duration?
+    lftkit.errors.InputError: unknown parameter 'durtion': did you mean duration?
     """
 
     duration: float = setting(10.0, "length of the run", "s", 1e-3, 86400.0)
@@ -154,28 +155,28 @@ class RunConfig(PhysicalSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace, re.ASCII):
-            raise ValueError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
+            raise InputError(f"namespace must be an absolute ROS name such as {NAMESPACE}, got {self.namespace!r}")
         self._check_code()
         if abs(self.ticks - self.duration * RATE) > 1e-6:
-            raise ValueError(f"duration must be a whole number of milliseconds, got {self.duration} s")
+            raise InputError(f"duration must be a whole number of milliseconds, got {self.duration} s")
 
     def _check_code(self) -> None:
         """Reject settings that are incompatible with a user's plant, controller or disturbance."""
         if self.device and (self.plant or self.mode != "realtime" or self.start != "rest"):
             got = f"plant {self.plant}, mode {self.mode}, start {self.start}"
-            raise ValueError(f"device must be given with mode realtime, start rest and no plant, got {got}")
+            raise InputError(f"device must be given with mode realtime, start rest and no plant, got {got}")
         if self.plant and self.start != "rest":
-            raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
+            raise InputError(f"start must be rest with a plant of your own, got {self.start}")
         if self.disturbance_source and self.plant:
-            raise ValueError(
+            raise InputError(
                 f"disturbance_source must be absent with a plant of your own, got {self.disturbance_source}"
             )
         if self.disturbance_files and self.plant:
-            raise ValueError(f"disturbance_files must be absent with a plant of your own, got {self.disturbance_files}")
+            raise InputError(f"disturbance_files must be absent with a plant of your own, got {self.disturbance_files}")
         if self.disturbance_files and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
-            raise ValueError("ramp_duration must be 0 and profile linear with files of disturbances, got a ramp")
+            raise InputError("ramp_duration must be 0 and profile linear with files of disturbances, got a ramp")
         if self.disturbance_source and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
-            raise ValueError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
+            raise InputError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
 
     @property
     def other_plant(self) -> str | None:
@@ -226,7 +227,7 @@ class RunConfig(PhysicalSettings):
             None was given.
         """
         if self.output is None:
-            raise ValueError("output must be the folder of the bag, got none")
+            raise InputError("output must be the folder of the bag, got none")
         return Path(self.output)
 
     def at_rest(self) -> RunConfig:
@@ -285,14 +286,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if isinstance(content, dict) and set(content) == {"/**"}:
         content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
     if not isinstance(content, dict):
-        raise ValueError(f"{path} must hold names and values, got {kind_of_file(path) or 'another content'}")
+        raise InputError(f"{path} must hold names and values, got {kind_of_file(path) or 'another content'}")
     return content
 
 
 def parse_value(name: str, text: str) -> Any:
     """Value of a ``NAME=VALUE`` on the command line."""
     if name not in RunConfig.SETTINGS:
-        raise ValueError(unknown(name, RunConfig.SETTINGS))
+        raise InputError(unknown(name, RunConfig.SETTINGS))
     if RunConfig.SETTINGS[name].kind is str:
         return text
     if RunConfig.SETTINGS[name].kind is tuple and "[" not in text:

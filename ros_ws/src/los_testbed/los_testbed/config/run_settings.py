@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.errors import InputError
 from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import NO_SCENARIO, SCENARIOS
@@ -64,7 +65,7 @@ def of_designs(designs: str) -> dict[str, Any]:
     settings = {name: str(folder / file) for name, file in DESIGN_FILES.items()}
     for path in settings.values():
         if not Path(path).exists():
-            raise ValueError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
+            raise InputError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
     telescope = folder / TELESCOPE_FILE
     return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
 
@@ -122,14 +123,14 @@ def chosen_member(
         No such case, a file of cases without a case, a seed that is no whole number.
     """
     if cases is not None and case is None:
-        raise ValueError(f"--case must be given with --cases {cases}, got none")
+        raise InputError(f"--case must be given with --cases {cases}, got none")
     named = {} if case is None else case_settings(case, cases or CASES)
     if sample is None:
         return named, {}
     try:
         seed = int(sample)
     except ValueError:
-        raise ValueError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
+        raise InputError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
     return named, random_member(seed, layered(before, named, after).get("parameters"))
 
 

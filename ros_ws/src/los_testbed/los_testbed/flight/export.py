@@ -17,6 +17,7 @@ from typing import Any
 
 import jinja2
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_folder
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -237,7 +238,7 @@ def windows_compiler() -> list[str]:
         return [MINGW]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu"]
-    raise ValueError(f"--windows needs {MINGW}, or the package ziglang: pip install 'los-testbed[win64]'")
+    raise InputError(f"--windows needs {MINGW}, or the package ziglang: pip install 'los-testbed[win64]'")
 
 
 def self_test(folder: Path, build: Path) -> SelfTest:

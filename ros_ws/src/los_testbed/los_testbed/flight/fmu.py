@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.systems.ports import Port
 from los_testbed import __version__
@@ -132,7 +133,7 @@ def plant_model(plant: object) -> Model:
         A plant of another kind, one with further parts, or one whose parameters change.
     """
     if not isinstance(plant, Plant) or not plant.is_plain or not isinstance(plant.dynamics, ConstantStep):
-        raise ValueError(f"the plant must be the telescope with constant parameters, got {_kind_of(plant)}")
+        raise InputError(f"the plant must be the telescope with constant parameters, got {_kind_of(plant)}")
     plant.reset()
     step, order = plant.dynamics.arrays, plant.dynamics.numbers.order
     tables = {
@@ -221,9 +222,9 @@ def _library(name: str, sources: dict[str, str], command: list[str], folder: Pat
     try:
         done = subprocess.run(line, capture_output=True, text=True, errors="replace", timeout=LONGEST_S)
     except subprocess.TimeoutExpired:
-        raise ValueError(f"{_named(command)} must compile the unit within {LONGEST_S:g} s, got no library") from None
+        raise InputError(f"{_named(command)} must compile the unit within {LONGEST_S:g} s, got no library") from None
     if done.returncode:
-        raise ValueError(f"{_named(command)} must compile the unit, got {done.stderr.strip().splitlines()[:1]}")
+        raise InputError(f"{_named(command)} must compile the unit, got {done.stderr.strip().splitlines()[:1]}")
     return (folder / name).read_bytes()
 
 

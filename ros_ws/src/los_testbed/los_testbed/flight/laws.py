@@ -11,6 +11,7 @@ import numpy as np
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
@@ -60,7 +61,7 @@ class FlightLaws:
             A proof-mass law that is no `SampledSystem`.
         """
         if not isinstance(controller.k_pma, SampledSystem):
-            raise ValueError(f"k_pma must be a SampledSystem, got {type(controller.k_pma).__name__}")
+            raise InputError(f"k_pma must be a SampledSystem, got {type(controller.k_pma).__name__}")
         run = RunConfig()
         return cls(
             estimator.k_fsm,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 
 UNITS = ("k_fsm", "k_pma", "controller", "gate")
@@ -122,7 +123,7 @@ def read_tables(path: Path) -> tuple[Tables, str]:
         for name, body in _TABLE.findall(text)
     }
     if not found:
-        raise ValueError(f"{path} must have tables of flight code, got none")
+        raise InputError(f"{path} must have tables of flight code, got none")
     return Tables(found), _stated(text, path)
 
 
@@ -155,13 +156,13 @@ def _text(path: Path) -> str:
     try:
         return read_text(path)
     except UnicodeDecodeError:
-        raise ValueError(f"{path} must be text in UTF-8, got other bytes") from None
+        raise InputError(f"{path} must be text in UTF-8, got other bytes") from None
     except OSError as error:
-        raise ValueError(f"cannot read the flight code {path}: {error.strerror}") from None
+        raise InputError(f"cannot read the flight code {path}: {error.strerror}") from None
 
 
 def _stated(text: str, path: Path) -> str:
     stated = _STATED.search(text)
     if stated is None:
-        raise ValueError(f"{path} must state the SHA-256 of its tables, got none")
+        raise InputError(f"{path} must state the SHA-256 of its tables, got none")
     return stated[1]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import SECRET
 
@@ -110,7 +111,7 @@ def check_origin(origin: str) -> None:
     """
     scheme, sign, rest = origin.partition("://")
     if origin != "null" and (not sign or not scheme or (not rest and scheme != "file") or "/" in rest):
-        raise ValueError(f"--live-origin must be SCHEME://HOST[:PORT], file:// or null, got {origin!r}")
+        raise InputError(f"--live-origin must be SCHEME://HOST[:PORT], file:// or null, got {origin!r}")
 
 
 def certificate(cert: Path | str | None, key: Path | str | None) -> ssl.SSLContext | None:
@@ -124,7 +125,7 @@ def certificate(cert: Path | str | None, key: Path | str | None) -> ssl.SSLConte
     if cert is None and key is None:
         return None
     if cert is None or key is None:
-        raise ValueError("--live-tls-cert and --live-tls-key must be given together, got one of them")
+        raise InputError("--live-tls-cert and --live-tls-key must be given together, got one of them")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
         for path in (cert, key):
@@ -132,7 +133,7 @@ def certificate(cert: Path | str | None, key: Path | str | None) -> ssl.SSLConte
         context.load_cert_chain(cert, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
         reason = error.strerror or str(error)
-        raise ValueError(
+        raise InputError(
             f"--live-tls-cert must be a certificate and --live-tls-key its key, got {cert}, {key} ({reason})"
         ) from None
     return context

@@ -21,6 +21,7 @@ from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from lftkit.errors import InputError
 from los_testbed.live.access import MAX_VIEWERS, Access
 from los_testbed.live.connections import SilentConnections, place_is_free
 from los_testbed.run.processes.viewers import listening_sockets
@@ -132,7 +133,7 @@ class _Action(_OwnName):  # type: ignore[misc, unused-ignore]
         try:
             content = json.loads(self.request.body)
             if not isinstance(content, dict) or set(content) != {"name", "value"}:
-                raise ValueError("action must be a JSON object with name and value, got another content")
+                raise InputError("action must be a JSON object with name and value, got another content")
             await asyncio.get_running_loop().run_in_executor(None, server.act, str(content["name"]), content["value"])
         except (ValueError, RuntimeError) as error:
             self._answer(400, " ".join(str(error).split()))

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lftkit.errors import InputError
 from los_testbed.config.topics import CAMERA_LOS, UNSENT_TICKS
 from los_testbed.nodes.plant import RING, PlantLoop
 from los_testbed.nodes.support.handshake import OtherPlants
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def body(context: NodeContext) -> int:
         if not context.config.device:
-            raise ValueError("device must be MODULE:NAME or an entry point, got none")
+            raise InputError("device must be MODULE:NAME or an entry point, got none")
         others = OtherPlants(context)
         context.event("alone")
         device = Supervisor(make_device(context.config), context.config)

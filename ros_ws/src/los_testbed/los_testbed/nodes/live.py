@@ -17,6 +17,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from lftkit.errors import InputError
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 from los_testbed.live.access import certificate
@@ -189,7 +190,7 @@ class LiveNode:
         """An action of the page; in the worker's thread."""
         if name in LIFE_CYCLE:
             if value not in ("estimator", "controller"):
-                raise ValueError(f"node must be estimator or controller, got {value!r}")
+                raise InputError(f"node must be estimator or controller, got {value!r}")
             self._remote.turn(str(value), name)
         elif name in TRIGGERS:
             self._remote.trigger(name)

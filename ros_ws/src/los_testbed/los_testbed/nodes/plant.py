@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from los_testbed.config.plugins import RAISED, in_one_line, made_by
 from los_testbed.config.run_config import RunConfig
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
         context.event("alone")
         own, command = build is not build_plant, None
         if context.config.device:
-            raise ValueError(
+            raise InputError(
                 f"device must be absent for the node plant, got {context.config.device}: use the node device"
             )
         parts = RunParts(context.config)

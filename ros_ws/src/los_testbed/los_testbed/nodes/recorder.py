@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.errors import InputError
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.config.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
@@ -296,7 +297,7 @@ class Recorder:
         path = str(self.path) if self.bag is not None else None
         self.context.event("done", statistics=self.own_statistics(), bag=path)
         if self.bag is None and not self.finished:
-            raise ValueError("a plant must run on this domain, got no message before the recorder ended")
+            raise InputError("a plant must run on this domain, got no message before the recorder ended")
 
 
 def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:

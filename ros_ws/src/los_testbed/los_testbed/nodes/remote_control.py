@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from lftkit.errors import InputError
 from los_testbed.nodes.support.parameters import FAULT
 from los_testbed.nodes.support.transport.middleware import choose_middleware
 from los_testbed.run.loop.changes import ALIASES, owner_of
@@ -67,7 +68,7 @@ class RemoteControl:
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
         (result,) = self._call(SetParameters, f"{node}/set_parameters", request).results
         if not result.successful:
-            raise ValueError(result.reason)
+            raise InputError(result.reason)
 
     def turn(self, node: str, transition: str) -> None:
         """Activate or deactivate estimator or controller.
@@ -82,7 +83,7 @@ class RemoteControl:
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         if not self._call(ChangeState, f"{node}/change_state", request).success:
             state = {"activate": "inactive", "deactivate": "active"}[transition]
-            raise ValueError(f"{node} must be {state} for the transition {transition}, got another state")
+            raise InputError(f"{node} must be {state} for the transition {transition}, got another state")
 
     def trigger(self, name: str) -> None:
         """Start, stop or reset the run.
@@ -98,7 +99,7 @@ class RemoteControl:
 
         response = self._call(Trigger, f"plant/{name}", Trigger.Request())
         if not response.success:
-            raise ValueError(response.message)
+            raise InputError(response.message)
 
     def _call(self, kind: Any, name: str, request: Any) -> Any:
         service = f"{self._namespace}/{name}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.plugins import RAISED, in_one_line, make
 from los_testbed.config.run_config import RunConfig
@@ -83,7 +84,7 @@ def make_device(config: RunConfig) -> Any:
         try:
             method = getattr(device, name, "none")
         except RAISED as error:
-            raise ValueError(f"device {config.device} must have methods, got {in_one_line(error)}") from error
+            raise InputError(f"device {config.device} must have methods, got {in_one_line(error)}") from error
         if not callable(method):
-            raise ValueError(f"device {config.device}: {name} must be a method, got {method!r}")
+            raise InputError(f"device {config.device}: {name} must be a method, got {method!r}")
     return device

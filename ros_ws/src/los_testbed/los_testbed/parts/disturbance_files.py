@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from los_testbed.config.run_config import RunConfig
@@ -58,7 +59,7 @@ def entries_of(items: Sequence[str]) -> list[DisturbanceTable]:
         path = Path(name)
         if path.suffix.lower() == ".toml":
             if place:
-                raise ValueError(f"place must be given in the file {path}, got {item!r}")
+                raise InputError(f"place must be given in the file {path}, got {item!r}")
             found += entries_in(path, _toml(path))
         else:
             table: dict[str, Any] = {"name": path.stem, "file": path.name, **({"place": place} if place else {})}
@@ -80,7 +81,7 @@ def entries_in(path: Path, content: Mapping[str, Any]) -> list[DisturbanceTable]
     """Tables ``[[disturbance]]`` of a file that was read."""
     tables = content.get("disturbance")
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ValueError(f"{path} must hold tables [[disturbance]], got none")
+        raise InputError(f"{path} must hold tables [[disturbance]], got none")
     return [DisturbanceTable(table, path.parent, str(path)) for table in tables]
 
 
@@ -122,11 +123,11 @@ def make_sources(
     """
     names = [str(entry.table.get("name", "")) for entry in entries]
     if len(set(names)) < len(names):
-        raise ValueError(f"disturbances must have different names, got {', '.join(names)}")
+        raise InputError(f"disturbances must have different names, got {', '.join(names)}")
     found = tuple(_source(entry, telescope, run) for entry in entries)
     driven = [one.place for one in found if one.limit < math.inf]
     for place in sorted({place for place in driven if driven.count(place) > 1}):
-        raise ValueError(f"actuator {place} must have one source, got {driven.count(place)}")
+        raise InputError(f"actuator {place} must have one source, got {driven.count(place)}")
     return found
 
 
@@ -162,4 +163,4 @@ def _frame(frame: Any) -> FloatArray | None:
     try:
         return np.eye(3) if frame == "body" else np.array(frame, dtype=float)
     except (ValueError, TypeError):
-        raise ValueError(f"frame must be own, body or three rows of three numbers, got {frame!r}") from None
+        raise InputError(f"frame must be own, body or three rows of three numbers, got {frame!r}") from None

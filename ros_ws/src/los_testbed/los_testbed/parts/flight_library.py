@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import SYSTEM
 from lftkit.systems.ports import Port, total_size
@@ -39,10 +40,6 @@ SIZES: Mapping[str, tuple[int, ...]] = MappingProxyType(
 LARGEST_ORDER = 10_000
 
 
-class FlightLibraryError(ValueError):
-    """Not a flight library for the ports of this telescope and this processor."""
-
-
 class LibraryLaw:
     """K_FSM or K_PMA of a flight library, stepped in its own arithmetic.
 
@@ -54,7 +51,7 @@ class LibraryLaw:
 
     Raises
     ------
-    FlightLibraryError
+    InputError
         It cannot be loaded, lacks a function, or has other ports.
     """
 
@@ -64,20 +61,18 @@ class LibraryLaw:
             check_file(path, SYSTEM)
             self._library = ctypes.CDLL(str(path.resolve()))
         except OSError as error:
-            raise FlightLibraryError(
-                f"{setting} {path} must be a shared library for this processor, got {error}"
-            ) from None
+            raise InputError(f"{setting} {path} must be a shared library for this processor, got {error}") from None
         prefix, sizes = f"los_{setting}", SIZES[setting]
         names = (f"{prefix}_{what}" for what in ("init", "reset", "reset_to", "step", "sizes", "tables_sha256"))
         missing = [name for name in names if not hasattr(self._library, name)]
         if missing:
-            raise FlightLibraryError(
+            raise InputError(
                 f"{setting} {path} must have the functions of `los-testbed export c`, got none of {', '.join(missing)}"
             )
         found = tuple((ctypes.c_int * (1 + len(sizes))).in_dll(self._library, f"{prefix}_sizes"))
         self.order = found[0]
         if found[1:] != sizes or not 0 <= self.order <= LARGEST_ORDER:
-            raise FlightLibraryError(f"{setting} {path} must have the sizes (order, {sizes}), got {found}")
+            raise InputError(f"{setting} {path} must have the sizes (order, {sizes}), got {found}")
         self.tables_sha256 = (ctypes.c_char * 65).in_dll(self._library, f"{prefix}_tables_sha256").value.decode()
         self._step, self._reset_to = (getattr(self._library, f"{prefix}_{what}") for what in ("step", "reset_to"))
         self._self = np.zeros(self.order + sum(sizes[:-1]))
@@ -93,13 +88,13 @@ class LibraryLaw:
         """Set the state of the next reset of K_FSM: `state` (order,), held values `camera` (h,)."""
         for given, kept in zip((state, camera), (self._start, *self._held)):
             if np.shape(given) != kept.shape:
-                raise FlightLibraryError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
+                raise InputError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
             kept[:] = given
 
     def reset(self, state: FloatArray | None = None, held: FloatArray | None = None) -> None:
         """Back to the start, or to `state` (order,), of K_FSM with the values `held` (h,)."""
         if state is not None and np.shape(state) != self._start.shape:
-            raise FlightLibraryError(f"{self.name}: state must have shape {self._start.shape}, got {np.shape(state)}")
+            raise InputError(f"{self.name}: state must have shape {self._start.shape}, got {np.shape(state)}")
         start = self._start if state is None else np.ascontiguousarray(state, dtype=float)
         kept = self._held if held is None else (np.ascontiguousarray(held, dtype=float),)
         self._reset_to(_pointer(self._self), _pointer(start), *map(_pointer, kept))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from lftkit.errors import InputError
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels, zero_based
@@ -53,13 +54,13 @@ def with_named_ports(
         listed, size = ", ".join(f"{port.name}[{port.size}]" for port in loop), total_size(own)
         if not in_order:
             first = loop[0].name
-            raise ValueError(
+            raise InputError(
                 f"{side} must have names ('{first}(1)' in {side[:-1].capitalize()}Name of a struct of MATLAB, "
                 f"'{first}[0]' in {side} of control.ss), or be {listed} in this order (--ports-in-order of run), "
                 f"got {size} without names"
             )
         if size != total_size(loop):
-            raise ValueError(f"{side} must be {total_size(loop)}, in the order {listed}, got {size} without names")
+            raise InputError(f"{side} must be {total_size(loop)}, in the order {listed}, got {size} without names")
         law = replace(law, inputs=loop) if side == "inputs" else replace(law, outputs=loop)
     known = [port for port in inputs if any((port.name, port.size) == (own.name, own.size) for own in law.inputs)]
     if len(known) == len(law.inputs) and [port.name for port in known] != [own.name for own in law.inputs]:

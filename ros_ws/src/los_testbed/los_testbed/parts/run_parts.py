@@ -16,6 +16,7 @@ import numpy as np
 import fsm_pma_controller
 import los_estimator
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -90,7 +91,7 @@ class RunParts:
 
     @cached_property
     def pupil_file(self) -> bytes:
-        """Content of the file of the pupil, empty where there is none; OpticsError: it cannot be read."""
+        """Content of the file of the pupil, empty where there is none; InputError: it cannot be read."""
         from pointing_analysis.image.optics import read_pupil_file
 
         name = self.telescope.image_optics.pupil
@@ -98,7 +99,7 @@ class RunParts:
 
     @cached_property
     def optics(self) -> Optics:
-        """Optics of the images of the telescope; OpticsError: they make none."""
+        """Optics of the images of the telescope; InputError: they make none."""
         from pointing_analysis.image.optics import from_mapping
 
         table = asdict(self.telescope.image_optics)
@@ -159,7 +160,7 @@ class RunParts:
     def model_files(self) -> dict[str, Path]:
         """Files of the controllers; ValueError: one of them is user code, without a known model."""
         for name, text in self.code.items():
-            raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
+            raise InputError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
         return self.files
 
     @property
@@ -270,7 +271,7 @@ class RunParts:
         commanded = [row.name for row in self._used("k_pma").further_actuators]
         for source in self.sources if commanded else ():
             if source.place in commanded:
-                raise ValueError(
+                raise InputError(
                     f"actuator {source.place} must have one driver, got source {source.name} and k_pma "
                     f"{self.config.k_pma}"
                 )
@@ -527,7 +528,7 @@ def _user_plant(config: RunConfig) -> SteppedPlant:
     try:
         own.reset()
     except RAISED as error:
-        raise ValueError(f"plant {config.plant}: reset must succeed, got {in_one_line(error)}") from error
+        raise InputError(f"plant {config.plant}: reset must succeed, got {in_one_line(error)}") from error
     return own
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.structured_text import load_json
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -95,9 +96,9 @@ class RunStart:
         try:
             content = load_json(data.decode("utf-8"), START_FILE)
         except UnicodeDecodeError:
-            raise ValueError(f"{START_FILE} must be JSON, got text that is not UTF-8") from None
+            raise InputError(f"{START_FILE} must be JSON, got text that is not UTF-8") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f'{START_FILE} must have "format": "{FORMAT}"')
+            raise InputError(f'{START_FILE} must have "format": "{FORMAT}"')
         tone, states = content.get("tone"), content.get("states")
         return cls(
             None if tone is None else WorstTone.from_mapping(tone),

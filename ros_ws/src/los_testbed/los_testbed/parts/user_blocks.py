@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
+from lftkit.errors import InputError
 from lftkit.support.file_kind import kind_of_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -52,10 +53,6 @@ LAWS: Mapping[str, tuple[Sequence[Port], Sequence[Port]]] = MappingProxyType(
     {"k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
 )
 """Inputs and outputs of the controllers."""
-
-
-class ContractError(ValueError):
-    """A user's object that violates its contract; the message says what it must be and what it is."""
 
 
 class BlockFailedError(RuntimeError):
@@ -91,7 +88,7 @@ class UserBlock:
 
     Raises
     ------
-    ContractError
+    InputError
         `step` or `reset` is missing or no method.
     """
 
@@ -108,14 +105,14 @@ class UserBlock:
             found = {name: getattr(block, name, "none") for name in ("step", "reset")}
             self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
         except RAISED as error:
-            raise ContractError(f"{setting} {text}: attributes must have values, got {in_one_line(error)}") from error
+            raise InputError(f"{setting} {text}: attributes must have values, got {in_one_line(error)}") from error
         for name, method in found.items():
             if not callable(method):
-                raise ContractError(f"{setting} {text}: {name} must be a method, got {method!r}")
+                raise InputError(f"{setting} {text}: {name} must be a method, got {method!r}")
         self.name, self.block, self.ports = f"{setting} {text}", block, ports
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         if not isinstance(self.design_basis, Mapping):
-            raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
+            raise InputError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
         self.tick = 0
         self._told = self._told_model()
         self._start: tuple[FloatArray, ...] = ()
@@ -129,9 +126,7 @@ class UserBlock:
             return told_model(self.block, self.inputs, self.outputs)
         except RAISED as error:
             what = error if isinstance(error, ValueError) else in_one_line(error)
-            raise ContractError(
-                f"{self.name}: system must return the sampled system of the block, got {what}"
-            ) from error
+            raise InputError(f"{self.name}: system must return the sampled system of the block, got {what}") from error
 
     @property
     def linear(self) -> SampledSystem | None:
@@ -193,7 +188,7 @@ class UserBlock:
 
         Raises
         ------
-        ContractError
+        InputError
             `step` fails, leaves something unwritten, writes values that are not finite, changes its input, or does not
             repeat itself after `reset`.
         """
@@ -208,7 +203,7 @@ class UserBlock:
             tick, index = np.argwhere(first != second)[0]
             where = element(self.outputs, np.arange(first.shape[1]) == index)
             pair = f"{first[tick, index]:g} and {second[tick, index]:g}"
-            raise ContractError(
+            raise InputError(
                 f"{self.name} must give the same outputs after reset, got {pair} in {where} at tick {tick}"
             )
         if self._told is not None:
@@ -220,9 +215,9 @@ class UserBlock:
             found = difference(self.block.reset, self.block.step, model)
         except RAISED as error:
             what = in_one_line(error)
-            raise ContractError(f"{self.name}: reset and step must accept a state, got {what}") from error
+            raise InputError(f"{self.name}: reset and step must accept a state, got {what}") from error
         if found:
-            raise ContractError(f"{self.name}: step must agree with system() from a state, got {found}")
+            raise InputError(f"{self.name}: step must agree with system() from a state, got {found}")
 
     def _trial(self) -> Iterable[FloatArray]:
         """Outputs of the first ticks after a reset, with zeros as input; held values are NaN from the second tick."""
@@ -231,7 +226,7 @@ class UserBlock:
         try:
             self.reset()
         except BlockFailedError as error:
-            raise ContractError(str(error)) from error
+            raise InputError(str(error)) from error
         for tick in range(TRIAL_TICKS):
             given = np.zeros(size)
             if tick and self.inputs[: len(K_FSM_INPUTS)] == K_FSM_INPUTS:
@@ -240,15 +235,15 @@ class UserBlock:
             try:
                 self.block.step(*((given, out) if size else (out,)))
             except RAISED as error:
-                raise ContractError(f"{self.name}: step must accept {shapes}, got {in_one_line(error)}") from error
+                raise InputError(f"{self.name}: step must accept {shapes}, got {in_one_line(error)}") from error
             if not np.array_equal(given, kept, equal_nan=True):
-                raise ContractError(f"{self.name}: step must not change its input, got another one after the step")
+                raise InputError(f"{self.name}: step must not change its input, got another one after the step")
             if (untouched := out == UNTOUCHED).any():
                 where = element(self.outputs, untouched)
-                raise ContractError(f"{self.name}: step must write all of out, got nothing in {where}")
+                raise InputError(f"{self.name}: step must write all of out, got nothing in {where}")
             if (odd := beyond(out)).any():
                 where = f"{element(self.outputs, odd)} at tick {tick}"
-                raise ContractError(f"{self.name}: step must write finite values, got {out[odd][0]:g} in {where}")
+                raise InputError(f"{self.name}: step must write finite values, got {out[odd][0]:g} in {where}")
             yield out
 
 
@@ -311,7 +306,7 @@ def read_law(setting: str, path: Path, in_order: bool = False) -> SampledSystem:
     try:
         return with_named_ports(law, *LAWS[setting], in_order)
     except ValueError as error:
-        raise ContractError(f"{setting} {path}: {error}") from None
+        raise InputError(f"{setting} {path}: {error}") from None
 
 
 def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> SampledSystem:
@@ -319,7 +314,7 @@ def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopP
 
     Raises
     ------
-    ContractError
+    InputError
         An observer that commands an actuator; other ports, another period.
     """
     used = ports.among(law.inputs, law.outputs)
@@ -332,7 +327,7 @@ def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopP
         law = law.with_inputs(measured)
         law.require(measured, (*outputs, *used.further_commanded), DT)
     except ValueError as error:
-        raise ContractError(f"{setting} {text}: {error}") from None
+        raise InputError(f"{setting} {text}: {error}") from None
     return law
 
 
@@ -354,14 +349,14 @@ def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem
     try:
         return with_named_ports(as_sampled(as_system(found)), *LAWS[setting], in_order)
     except ValueError as error:
-        raise ContractError(f"{setting} {text}: {error}") from None
+        raise InputError(f"{setting} {text}: {error}") from None
 
 
 def check_controller_file(path: Path | str) -> None:
     """Reject a file of another type by its name; ValueError."""
     kind = kind_of_file(path)
     if kind not in (None, "JSON", "a MATLAB file"):
-        raise ValueError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
+        raise InputError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
 
 
 def _checked(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> LosEstimator | SampledSystem:
@@ -374,7 +369,7 @@ def _checked(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> L
         law = law.with_inputs(measured)
         law.require(measured, (*outputs, *ports.further_commanded), DT)
     except ValueError as error:
-        raise ContractError(f"{setting} {text}: {error}") from None
+        raise InputError(f"{setting} {text}: {error}") from None
     return law
 
 
@@ -385,13 +380,13 @@ def _named(setting: str, text: str, block: Any, ports: LoopPorts) -> LoopPorts:
         return ports.named(*(one if isinstance(one, str) else tuple(one) for one in names))
     except RAISED as error:
         what = error if isinstance(error, ValueError) else in_one_line(error)
-        raise ContractError(f"{setting} {text}: {what}") from error
+        raise InputError(f"{setting} {text}: {what}") from error
 
 
 def _refuse_commands(setting: str, text: str, ports: LoopPorts) -> None:
     if setting == "k_fsm" and ports.further_actuators:
         names = ", ".join(port.name for port in ports.further_commanded)
-        raise ContractError(f"{setting} {text}: an observer must command no actuator (k_pma does), got {names}")
+        raise InputError(f"{setting} {text}: an observer must command no actuator (k_pma does), got {names}")
 
 
 def make_disturbance(config: RunConfig, ports: Sequence[Port]) -> UserBlock:

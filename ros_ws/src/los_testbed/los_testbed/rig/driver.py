@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SECRET
 from los_testbed.config.run_config import RunConfig
@@ -83,12 +84,12 @@ def secret_of(config: RunConfig, needed: str = "") -> bytes:
         try:
             text = read_bytes(config.device_key, SECRET).strip()
         except OSError as error:
-            raise ValueError(f"device_key must be a file, got {config.device_key}: {error.strerror}") from None
+            raise InputError(f"device_key must be a file, got {config.device_key}: {error.strerror}") from None
         if len(text) < 16:
-            raise ValueError(f"device_key must be a file with 16 characters or more, got {len(text)}")
+            raise InputError(f"device_key must be a file with 16 characters or more, got {len(text)}")
         return struct.pack("<II", zlib.crc32(text), zlib.crc32(text[::-1]))
     if needed:
-        raise ValueError(f"device_key must be given for a rig on another machine, got none for {needed}")
+        raise InputError(f"device_key must be given for a rig on another machine, got none for {needed}")
     return bytes(KEY_BYTES)
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
 from los_testbed.rig.driver import PacketLine, PacketRig, secret_of
 from los_testbed.rig.wire import CHECK, HEAD, MAGIC, MOST_VALUES, fits
@@ -41,10 +42,10 @@ def line_of(text: str) -> tuple[str, int]:
     """
     path, _, speed = text.partition("@")
     if not Path(path).is_char_device():
-        raise ValueError(f"device_address must be the path of a serial line, PATH or PATH@BAUD, got {text!r}")
+        raise InputError(f"device_address must be the path of a serial line, PATH or PATH@BAUD, got {text!r}")
     baud = int(speed) if speed.isdecimal() else BAUD
     if (speed and not speed.isdecimal()) or not hasattr(termios, f"B{baud}"):
-        raise ValueError(f"device_address must have a standard baud rate (115200, 1000000, 4000000), got {speed!r}")
+        raise InputError(f"device_address must have a standard baud rate (115200, 1000000, 4000000), got {speed!r}")
     return path, baud
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.plugins import RAISED, in_one_line
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import (
@@ -121,7 +122,7 @@ class Supervisor:
             self.device.open(self._config)
         except RAISED as error:
             self.state = ERROR
-            raise ValueError(f"device {self._config.device} must open, got {in_one_line(error)}") from error
+            raise InputError(f"device {self._config.device} must open, got {in_one_line(error)}") from error
         self.state = INACTIVE
 
     def write(self, command: FloatArray, now_ns: int) -> None:

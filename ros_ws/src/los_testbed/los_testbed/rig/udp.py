@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
 from los_testbed.rig.driver import PacketLine, PacketRig, secret_of
 
@@ -26,7 +27,7 @@ def address_of(text: str) -> tuple[str, int]:
     """
     host, sign, port = text.rpartition(":")
     if not sign or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ValueError(f"device_address must be HOST:PORT, got {text!r}")
+        raise InputError(f"device_address must be HOST:PORT, got {text!r}")
     return host.strip("[]"), int(port)
 
 

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from titop_plant.interface import COLUMNS, COMMANDED, MEASURED
 
 MISTAKES = ("swapped", "sign", "gain", "delay", "dead")
@@ -43,7 +44,7 @@ class Wiring:
             part, _, mistake = word.partition("=")
             if part not in (*MEASURED, *COMMANDED) or mistake not in MISTAKES:
                 known = f"{', '.join((*MEASURED, *COMMANDED))} and {', '.join(MISTAKES)}"
-                raise ValueError(f"wrong must be PART=MISTAKE of {known}, got {word!r}")
+                raise InputError(f"wrong must be PART=MISTAKE of {known}, got {word!r}")
             self._mistakes[part] = mistake
             self._past[part] = deque(maxlen=DELAY_TICKS + 1)
 

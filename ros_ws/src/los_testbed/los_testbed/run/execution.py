@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, replace
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config.exit_codes import ExitCode
@@ -51,7 +52,7 @@ def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
     check_new_bag(config.bag)
     check_ranges(config, parts.telescope)
     if own is not None and config.mode != "inprocess":
-        raise ValueError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
+        raise InputError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
     if own is not None or config.plant:
         from los_testbed.run.loop.contract import check_plant
 

@@ -7,6 +7,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.files.structured_text import load_toml, read_text
@@ -81,4 +82,4 @@ def content_of(path: Path) -> bytes:
     try:
         return read_bytes(path, PICTURE)
     except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+        raise InputError(f"cannot read {path}: {error.strerror}") from None

@@ -104,7 +104,7 @@ def optics_of(parts: RunParts) -> dict[str, str]:
 
     Raises
     ------
-    OpticsError
+    InputError
         Optics that make no image.
     """
     _ = parts.optics  # refuses those that make no image

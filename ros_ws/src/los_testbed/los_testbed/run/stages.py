@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.job import Job
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.config.members import MEMBER, check_ranges, random_member, worst_member
@@ -231,7 +232,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
         no ramp in the scenario ramp.
     """
     if MOVING in plan.scenarios and plan.samples > 1:
-        raise ValueError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
+        raise InputError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
     if MOVING in plan.scenarios:
         for config in plan.members().values():
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move

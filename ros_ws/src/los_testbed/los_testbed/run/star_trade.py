@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import check_output, write_text
 from lftkit.support.job import Job
 from los_testbed.config.run_config import RunConfig
@@ -96,7 +97,7 @@ class Trade:
             A camera that cannot be used, a folder of something else; one line.
         """
         if not all(rate > 0.0 for rate in rates):
-            raise ValueError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
+            raise InputError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
         asked = _asked(base, magnitudes, rates, redesign)
         check_output(folder, "--output", folder=True)
         job = Job("trade", asked, folder / SETTINGS)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import SECRET
 
@@ -43,7 +44,7 @@ class TlsFiles:
         try:
             context.load_verify_locations(self.ca_file)
         except ssl.SSLError:
-            raise ValueError(f"--tls-ca-file must be a certificate as PEM, got {self.ca_file}") from None
+            raise InputError(f"--tls-ca-file must be a certificate as PEM, got {self.ca_file}") from None
         try:
             context.load_cert_chain(self.certificate, self.key, password=_refuse)
         except ssl.SSLError:
@@ -51,7 +52,7 @@ class TlsFiles:
             message = (
                 f"--tls-cert and --tls-key must be a certificate and its key as PEM, got {self.certificate}, {key}"
             )
-            raise ValueError(message) from None
+            raise InputError(message) from None
 
     @classmethod
     def of(cls, scheduler: str, ca_file: Path | None, certificate: Path | None, key: Path | None) -> TlsFiles | None:
@@ -67,10 +68,10 @@ class TlsFiles:
         if not named:
             return None
         if not scheduler.startswith(SCHEME):
-            raise ValueError(f"--scheduler must be {SCHEME}HOST:PORT with {named[0]}, got {scheduler or 'none'}")
+            raise InputError(f"--scheduler must be {SCHEME}HOST:PORT with {named[0]}, got {scheduler or 'none'}")
         if ca_file is None or certificate is None:
             missing = "--tls-ca-file" if ca_file is None else "--tls-cert"
-            raise ValueError(f"{missing} must be given with {named[0]}, got none")
+            raise InputError(f"{missing} must be given with {named[0]}, got none")
         return cls(ca_file, certificate, key)
 
 
@@ -87,7 +88,7 @@ def client_security(scheduler: str, files: TlsFiles | None) -> Any:
     if files is None:
         configured = Security()
         if scheduler.startswith(SCHEME) and not (configured.tls_ca_file and configured.tls_client_cert):
-            raise ValueError(f"--tls-ca-file and --tls-cert must be given with {scheduler}, got none")
+            raise InputError(f"--tls-ca-file and --tls-cert must be given with {scheduler}, got none")
         return configured
     return Security(
         require_encryption=True,
@@ -102,9 +103,9 @@ def _check_readable(option: str, path: Path) -> None:
         check_file(path, SECRET)
         path.open("rb").close()
     except OSError as error:
-        raise ValueError(f"{option} must be a file that can be read, got {path}: {error.strerror}") from None
+        raise InputError(f"{option} must be a file that can be read, got {path}: {error.strerror}") from None
 
 
 def _refuse() -> str:
     """Replaces OpenSSL's password prompt on the terminal."""
-    raise ValueError("--tls-key must be a key without a password")
+    raise InputError("--tls-key must be a key without a password")

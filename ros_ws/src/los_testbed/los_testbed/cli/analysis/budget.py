@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import Designs, Gate, Json
 from los_testbed.cli.output import leave_by_gate, number, print_json
 from los_testbed.run.summary.screen import Screen, on_screen
@@ -102,7 +103,7 @@ def budget(
     content = budget_file.read_content(file or shipped)
     named = budget_file.testbed_table(content.get("sources", {}))
     if members and named is None:
-        raise ValueError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
+        raise InputError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
     found = load(lambda table: table)
     rows = [] if sources is None else source_rows(content)
     verdicts = evaluate(found)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import number, numbers, print_json
 from los_testbed.run.summary.screen import Screen, say
@@ -97,7 +98,7 @@ def _cameras(
     from titop_plant.telescope.load import REFERENCE, load_telescope
 
     if len(magnitudes) < 2:
-        raise ValueError(f"--magnitudes must be two or more, got {len(magnitudes)}")
+        raise InputError(f"--magnitudes must be two or more, got {len(magnitudes)}")
     file = parameters or REFERENCE
     known = load_telescope(file)
     optics, camera = known.image_optics, known.camera
@@ -119,7 +120,7 @@ def _measured(cameras: list[list[StarCamera]], frames: int, seed: int, time_limi
             found.append([])
             for camera in row:
                 if time.monotonic() > end:
-                    raise ValueError(f"--time-limit must be enough for {total} stars, got {time_limit:g} s for {done}")
+                    raise InputError(f"--time-limit must be enough for {total} stars, got {time_limit:g} s for {done}")
                 found[-1].append(measure(camera, frames, seed))
                 done += 1
                 bar.report(done, total)

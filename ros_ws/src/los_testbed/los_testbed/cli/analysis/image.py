@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.analysis.camera_noise import NOISE_EXAMPLES, noise
 from los_testbed.cli.analysis.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
 from los_testbed.cli.analysis.star_trade import TRADE_EXAMPLES, trade
@@ -94,7 +95,7 @@ def figures(
     runs = open_runs(bags, _opener(los, unit, rate), max_chunk, optics)
     for run in runs:
         if optics_of(run) is None:
-            raise ValueError(f"{run.path}: {NONE_KNOWN}")
+            raise InputError(f"{run.path}: {NONE_KNOWN}")
     paths = draw_pictures([view(run, name, transient) for run, name in zip(runs, labels(runs))], output)
     console = Screen(stderr=json_)
     for path in paths:
@@ -128,9 +129,9 @@ def export(
     seconds("--transient", transient)
     number("--step", step, 1e-6, 1e6, "mas")
     if output.suffix.lower() not in (".fits", ".csv"):
-        raise ValueError(f"--output must end in .fits or .csv, got {output}")
+        raise InputError(f"--output must end in .fits or .csv, got {output}")
     if number_ is not None and exposure is None:
-        raise ValueError(f"--exposure must be given with --number, got none with {number_}")
+        raise InputError(f"--exposure must be given with --number, got none with {number_}")
     check_output(output, "--output")
     (run,) = open_runs([bag], _opener(los, unit, rate), max_chunk)
     series = performance_error(run, transient)

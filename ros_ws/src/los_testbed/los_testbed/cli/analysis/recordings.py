@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.output import chunk_limit
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def require_different(bags: Sequence[Path]) -> None:
     for bag, each, size in zip(bags, files, sizes, strict=True):
         same = known.setdefault((size, files_digest(each) if sizes.count(size) > 1 else ""), bag)
         if same is not bag:
-            raise ValueError(f"recordings must be distinct, got {bag}, which is the same as {same}")
+            raise InputError(f"recordings must be distinct, got {bag}, which is the same as {same}")
 
 
 def open_runs(
@@ -95,15 +96,14 @@ def check_bag(path: Path) -> None:
         It names the format and the command that takes it.
     """
     from pointing_analysis.read.tables.formats import Format, format_of
-    from pointing_analysis.read.tables.table import TableError
 
     try:
         found = format_of(path) if path.is_file() else Format.BAG
-    except TableError:
+    except InputError:
         return
     if found is not Format.BAG:
         kind = "CSV or other text" if found is Format.CSV else found.value
-        raise ValueError(
+        raise InputError(
             f"{path} must be a bag (folder or .mcap file), got {kind}; `analyse FILE --output PAGE` evaluates tables"
         )
 
@@ -127,4 +127,4 @@ def check_exposures(run: Recording, requirements: Sequence[Requirement], transie
 
     longest = max((r.times[0] for r in requirements if r.of_image), default=0.0)
     if longest and longest > (there := performance_error(run, transient).duration):
-        raise ValueError(f"{run.path}: exposure must be at most the {there:g} s of the run, got {longest:g} s")
+        raise InputError(f"{run.path}: exposure must be at most the {there:g} s of the run, got {longest:g} s")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from lftkit.errors import InputError
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
 from los_testbed.cli.analysis.report_files import Export, Format, PaperSize, report_files
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Gate, Json, MaxChunk, To, Transient
@@ -68,7 +69,7 @@ def report(
     for option, value in (("--transient", transient), ("--from", start)):
         seconds(option, value)
     if not stop > start:
-        raise ValueError(f"--to must be after --from = {start:g} s, got {stop:g} s")
+        raise InputError(f"--to must be after --from = {start:g} s, got {stop:g} s")
     for bag in bags:
         check_bag(bag)
     given = requirements_in(requirements)

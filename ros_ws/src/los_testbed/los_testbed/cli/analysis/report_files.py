@@ -8,6 +8,7 @@ from typing import Annotated, cast
 
 import typer
 
+from lftkit.errors import InputError
 from pointing_analysis.report.outputs import ReportOutputs
 from pointing_analysis.report.paper import PAPERS, Paper, is_pdf
 
@@ -56,14 +57,14 @@ def report_files(
     _require("--format", form, FORMATS)
     _require("--paper", paper, tuple(PAPERS))
     if given is not None and form is not None and is_pdf(given) != (form == "pdf"):
-        raise ValueError(
+        raise InputError(
             f"--output must {'' if form == 'pdf' else 'not '}end in .pdf with --format {form}, got {given}"
         )
     path = given
     if path is None and (usual is not None or form is not None):
         path = (usual or Path("report")).with_suffix(f".{form or FORMATS[0]}")
     if paper is not None and not (path is not None and is_pdf(path)):
-        raise ValueError(f"--paper must be given with a PDF report, got --paper {paper} without --format pdf")
+        raise InputError(f"--paper must be given with a PDF report, got --paper {paper} without --format pdf")
     found = ReportOutputs(path, cast(Paper, paper or "a4"), export)
     found.check("--output" if given is not None else "the report")
     return found
@@ -71,4 +72,4 @@ def report_files(
 
 def _require(option: str, value: str | None, known: Sequence[str]) -> None:
     if value is not None and value not in known:
-        raise ValueError(f"{option} must be {' or '.join(known)}, got {value!r}")
+        raise InputError(f"{option} must be {' or '.join(known)}, got {value!r}")

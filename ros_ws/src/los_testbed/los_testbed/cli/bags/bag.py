@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
 from los_testbed.run.summary.screen import Screen, say
@@ -60,7 +61,7 @@ def repair(
     limit = chunk_limit(max_chunk)
     whole = Path(os.path.abspath(source))  # a name also for "." and ".."
     if output is None and not whole.name:
-        raise ValueError(f"--output must be given for {source}, which has no name")
+        raise InputError(f"--output must be given for {source}, which has no name")
     target = output or whole.with_name(f"{whole.stem if source.is_file() else whole.name}-repaired")
     with Progress("repair"):
         found = repair_bag(source, target, limit)
@@ -91,7 +92,7 @@ def trace(
     from pointing_analysis.read.run import Run
 
     if not 0.0 <= start < stop:
-        raise ValueError(f"--from and --to must be increasing and not negative, got {start:g} and {stop:g}")
+        raise InputError(f"--from and --to must be increasing and not negative, got {start:g} and {stop:g}")
     target = output or Path("trace.json")
     check_output(target, "--output", new=True)
     ticks, late = write_trace(Run.open(source), target, start, stop)

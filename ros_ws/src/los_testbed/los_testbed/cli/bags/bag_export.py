@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
@@ -45,7 +46,7 @@ def export(
     from pointing_analysis.report.signal_files import check_format, signals_of, write_signals
 
     if not 0.0 <= start < stop:
-        raise ValueError(f"--from and --to must rise from 0, got {start:g} and {stop:g}")
+        raise InputError(f"--from and --to must rise from 0, got {start:g} and {stop:g}")
     check_bag(bag)
     check_format(output, mat_version)
     check_output(output, "--output", new=True)

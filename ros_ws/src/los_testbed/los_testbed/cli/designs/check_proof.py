@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
@@ -71,7 +72,7 @@ def check_proof(
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
     if designs is not None and (file is None or file.suffix != ".npz"):
-        raise ValueError(f"--designs must be given with an .npz of `design certify`, got {file or 'no file'}")
+        raise InputError(f"--designs must be given with an .npz of `design certify`, got {file or 'no file'}")
     if file is not None:
         _check(file, cluster, designs, json_)
         return
@@ -90,7 +91,7 @@ def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> N
     from lftkit.proofs.trusted.proof import ProofError
 
     if not file.exists():
-        raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
+        raise InputError(f"FILE must be a proof file, got {file}, which does not exist")
     with _refusals(file):
         if file.suffix == ".zip":
             _check_bundle(file, cluster, json_)
@@ -111,7 +112,7 @@ def _refusals(file: Path) -> Iterator[None]:
     try:
         yield
     except TextError as error:
-        raise ValueError(f"{file}: {error}") from None
+        raise InputError(f"{file}: {error}") from None
     except ProofError as error:
         sys.stderr.write(f"refused: {printable(str(error))}\n")
         raise typer.Exit(1) from None

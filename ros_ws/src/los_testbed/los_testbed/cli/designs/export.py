@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.options.options import Designs, Json, TelescopeFile
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config.exit_codes import ExitCode
@@ -105,9 +106,9 @@ def export_check(
     from los_testbed.flight.tables import check_tables
 
     if not folder.is_dir():
-        raise ValueError(f"FOLDER must be a folder of flight code, got {folder}")
+        raise InputError(f"FOLDER must be a folder of flight code, got {folder}")
     if proof is not None and designs is not None:
-        raise ValueError(f"--proof must be given without --designs, got {designs}")
+        raise InputError(f"--proof must be given without --designs, got {designs}")
     laws = laws_of(designs) if proof is None else laws_of_bundle(proof)
     checked = check_tables(folder, laws.tables())
     whose = designs or (f"the proofs in {proof}" if proof else "the shipped designs")
@@ -147,7 +148,7 @@ def export_fmu(
         config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
         model = plant_model(RunParts(config).plant())
     elif parameters is not None:
-        raise ValueError("--parameters must be given with --telescope: the laws are those of their designs")
+        raise InputError("--parameters must be given with --telescope: the laws are those of their designs")
     else:
         laws = laws_of(designs)
         warn(laws.warnings)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lftkit.errors import InputError
 from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def designs_in(folder: Path) -> tuple[Telescope, SampledSystem, SampledSystem]:
     from titop_plant.telescope.load import load_telescope
 
     if not folder.is_dir():
-        raise ValueError(
+        raise InputError(
             f"--designs must be a folder with {' and '.join(DESIGN_FILES.values())}, got no folder {folder}"
         )
     file = folder / TELESCOPE_FILE

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file, check_output
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
@@ -96,7 +97,7 @@ def certify(
     if gap is not None:
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
-        raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
+        raise InputError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
     chosen = _chosen(stage, figure)
     check_output(output, "--output", folder=True)
     if output.is_dir():
@@ -183,7 +184,7 @@ def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
     found = [(s, name) for s, name in known if name == figure]
     if not found:
         names = dict.fromkeys(repr(name) for _, name in known)
-        raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
+        raise InputError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
     return found
 
 
@@ -256,7 +257,7 @@ def refuse_other_telescope(folder: Path, telescope: Telescope, controllers: Sequ
     for controller in controllers:
         made = str(controller.design_basis.get("parameters_hash", present))
         if made not in (present, without):
-            raise ValueError(
+            raise InputError(
                 f"{controller.name} in {folder} must be made for the telescope there, parameters_hash {present}, got "
                 f"one for {made}: `design all` makes new ones; without FOLDER the shipped pair is proven for the "
                 "reference telescope"
@@ -275,7 +276,7 @@ def refuse_devices(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSys
         known = {port.name for port in (*K_FSM_INPUTS, *K_FSM_OUTPUTS, *K_PMA_INPUTS, *K_PMA_OUTPUTS)}
         ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
         further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
-        raise ValueError(
+        raise InputError(
             "controllers must use no sensors and actuators of the telescope's file here: proofs and their "
             f"checker have the ports of the reference's loop, got {further}"
         )
@@ -303,7 +304,7 @@ def _bounds_of(path: Path) -> list[dict[str, Any]]:
         entries = load_json(read_text(path), path)["figures"]
         return [{**entry, "stage": str(entry["stage"]), "figure": str(entry["figure"])} for entry in entries]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        raise ValueError(f"{SUMMARY} in --output must be from an earlier run, got another file {path}") from None
+        raise InputError(f"{SUMMARY} in --output must be from an earlier run, got another file {path}") from None
 
 
 def _keep(path: Path, found: list[FigureBounds]) -> None:

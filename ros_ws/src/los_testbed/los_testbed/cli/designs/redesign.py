@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
@@ -74,10 +75,10 @@ def given_output(output: Path | None, what: str) -> Path:
     from los_design.synthesis.store import DESIGN_PACKAGES, shipped
 
     if output is None:
-        raise ValueError(f"--output must be given: {what}; shipped designs are never overwritten")
+        raise InputError(f"--output must be given: {what}; shipped designs are never overwritten")
     for path in (output, *(output / f"{kind.replace('-', '_')}.json" for kind in DESIGN_PACKAGES)):
         if shipped(path):
-            raise ValueError(f"--output must not be a shipped design, got {path}")
+            raise InputError(f"--output must not be a shipped design, got {path}")
     return output
 
 
@@ -98,12 +99,12 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
     given = load_telescope(parameters)
     own = given.with_uncertain(uncertain)
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"--output must be a folder, got the file {folder}")
+        raise InputError(f"--output must be a folder, got the file {folder}")
     kept = folder / TELESCOPE_FILE
     if kept.exists() and load_telescope(kept).parameters_hash != own.parameters_hash:
-        raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
+        raise InputError(f"--output must be a folder without designs of another telescope, got {folder}")
     if uncertain and given.factors:
-        raise ValueError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
+        raise InputError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
     text, beside = ("", {}) if parameters is None else with_files_beside(parameters)
     if uncertain:
         table = "".join(f"{name} = {spread!r}\n" for name, spread in own.spreads.items())
@@ -115,7 +116,7 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
         if text:  # without, the folder is of the reference, or of the telescope of its file, which has the same hash
             _write_telescope(folder, text, beside)
     except OSError as error:
-        raise ValueError(f"--output must be a writable folder, got {folder}: {error.strerror}") from None
+        raise InputError(f"--output must be a writable folder, got {folder}: {error.strerror}") from None
 
 
 def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> None:
@@ -154,11 +155,11 @@ def design_all(
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     if effort not in EFFORTS:
-        raise ValueError(f"--effort must be one of {', '.join(EFFORTS)}, got {effort}")
+        raise InputError(f"--effort must be one of {', '.join(EFFORTS)}, got {effort}")
     own = load_telescope(parameters).with_uncertain(uncertain or ())
     if certify and (further := own.loop_ports.further):
         names = ", ".join(port.name for port in further)
-        raise ValueError(
+        raise InputError(
             f"--certify must be used with a telescope without sensors and actuators of its own, got {names}"
         )
     check_output(folder, parameters, uncertain or ())
@@ -205,7 +206,7 @@ def _proven(telescope: Telescope, folder: Path, workers: Workers, until: float) 
 
     wanted, telescope = telescope.parameters_hash, designs_in(folder)[0]
     if (found := telescope.parameters_hash) != wanted:
-        raise ValueError(f"{folder / TELESCOPE_FILE} must be of the telescope {wanted} to be proven, got {found}")
+        raise InputError(f"{folder / TELESCOPE_FILE} must be of the telescope {wanted} to be proven, got {found}")
     stages = telescope.mirror_stages
     loops, known = loops_of(folder, list(stages), same_telescope=True)
     chosen = [(stage, name) for stage in stages for name in figures_of(telescope, stage)]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.options import Json
@@ -49,7 +50,7 @@ def sensitivity(
         metrics = {stage: figures_of(telescope, stage) for stage in loops}
         points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
         if not points:
-            raise ValueError(f"{folder} must contain worst points from `los-testbed design all`, got none")
+            raise InputError(f"{folder} must contain worst points from `los-testbed design all`, got none")
         box = [e for p in points for e in effects_of_box(loops[p.stage], metrics[p.stage][p.requirement], p)]
         entries = effects_of_entries(list(loops.values()), metrics, points, entry or [])
     if json_:

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from lftkit.errors import InputError
 from los_testbed.config.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
 from los_testbed.run.processes.viewers import Live
 
@@ -65,7 +66,7 @@ def server_for_viewers(
         others = {"origin": origins, "topic": topics, "tls-cert": tls_cert, "tls-key": tls_key}
         for name, given in others.items():
             if given:
-                raise ValueError(f"--live must be given with --live-{name}, got only the latter")
+                raise InputError(f"--live must be given with --live-{name}, got only the latter")
         return None
     cert, key = ("" if file is None else str(file.resolve()) for file in (tls_cert, tls_key))
     return Live(host, port, _tell_addresses, tuple(origins), tuple(topics), cert, key)
@@ -80,15 +81,15 @@ def check_live(mode: str, live: Live) -> None:
         No such port or topic, a mode without nodes, no certificate, or the packages missing.
     """
     if not 0 <= live.port <= MAX_PORT:
-        raise ValueError(f"--live must be a port from 0 to {MAX_PORT}, got {live.port}")
+        raise InputError(f"--live must be a port from 0 to {MAX_PORT}, got {live.port}")
     if mode == "inprocess":
-        raise ValueError("mode must be realtime or lockstep with --live, got inprocess")
+        raise InputError("mode must be realtime or lockstep with --live, got inprocess")
     for topic in live.topics:
         if topic not in SERVED:
-            raise ValueError(f"--live-topic must be one of {', '.join(SERVED)}, got {topic!r}")
+            raise InputError(f"--live-topic must be one of {', '.join(SERVED)}, got {topic!r}")
     for package in ("foxglove", "tornado"):
         if importlib.util.find_spec(package) is None:
-            raise ValueError(f"{package} must be installed for --live: pip install 'los-testbed[live]'")
+            raise InputError(f"{package} must be installed for --live: pip install 'los-testbed[live]'")
     from los_testbed.live.access import certificate, check_origin
 
     for origin in live.origins:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lftkit.errors import InputError
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import ISOLATOR_ACCEL, SENSORS
 from los_testbed.nodes.support.node_context import NodeContext
@@ -84,8 +85,8 @@ class OtherPlants:
             if len(taken[0]) >= 12 and stamp_of(taken[0]) != HOLD_STAMP:
                 raise self._error(taken)
 
-    def _error(self, taken: Taken) -> ValueError:
-        return ValueError(
+    def _error(self, taken: Taken) -> InputError:
+        return InputError(
             f"ROS_DOMAIN_ID must be a domain without a plant, got one where {self._listener.name} is sent "
             f"(node {self._sender(taken)})"
         )
@@ -145,7 +146,7 @@ def wait_for_followers(
         elif time.monotonic() - start_time > context.config.start_timeout:
             _refuse_second_commander(context, io, meanwhile)
             missing = ", ".join(subscription.name + _strangers_on(subscription) for subscription in answers.missing)
-            raise ValueError(
+            raise InputError(
                 f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
                 f"{unread_in_words(context.node)}"
             )
@@ -232,6 +233,6 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo, meanwhile: Calla
                 break
             if time.monotonic() > end:
                 others = ", ".join(sorted({_called(endpoint, subscription.guard) for endpoint in foreign}))
-                raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
+                raise InputError(f"{subscription.name} must have one publisher, got also one of {others}")
             time.sleep(HOLD_PERIOD_S)
             meanwhile()

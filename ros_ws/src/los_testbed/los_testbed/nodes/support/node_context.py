@@ -22,6 +22,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from lftkit.errors import InputError
 from los_testbed.bags.diagnostics import Status, write_diagnostics
 from los_testbed.config.run_config import ACTIVE, NAMESPACE
 from los_testbed.config.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
@@ -318,7 +319,7 @@ def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeCon
         if context is not None:
             context.event("error", message=message)
         sys.stderr.write(f"los_testbed {name}: {message}\n")
-        return 2 if isinstance(error, ValueError) else int(getattr(error, "code", 1))
+        return 2 if isinstance(error, InputError) else int(getattr(error, "code", 1))
     finally:
         if context is not None:
             context.close()

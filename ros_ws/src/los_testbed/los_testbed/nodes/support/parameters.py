@@ -15,6 +15,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.changes import NAMES, Changes, parse_change
 from titop_plant.settings import Setting, unknown
@@ -36,7 +37,7 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
     """
     for name in node._parameter_overrides:
         if name not in RunConfig.SETTINGS and name not in _OWN and not name.startswith("qos_overrides"):
-            raise ValueError(unknown(name, RunConfig.SETTINGS))
+            raise InputError(unknown(name, RunConfig.SETTINGS))
     values: dict[str, Any] = {}
     for name, own in RunConfig.SETTINGS.items():
         default = node.get_namespace() if name == "namespace" else own.plain(own.default)
@@ -46,9 +47,9 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
             else:
                 values[name] = node.declare_parameter(name, default, _descriptor(own, name not in changing)).value
         except ParameterException as error:
-            raise ValueError(f"{name}: {' '.join(str(error).split())}") from None
+            raise InputError(f"{name}: {' '.join(str(error).split())}") from None
     if values["namespace"] != node.get_namespace():
-        raise ValueError(
+        raise InputError(
             f"namespace must be that of the node, {node.get_namespace()} (set it by -r __ns:=NAMESPACE), "
             f"got {values['namespace']}"
         )

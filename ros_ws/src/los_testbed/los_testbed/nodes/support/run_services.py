@@ -7,6 +7,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from lftkit.errors import InputError
 from los_testbed.nodes.support.requesters import Requesters
 from los_testbed.run.loop.changes import RESET, STOP, Changes
 
@@ -42,7 +43,7 @@ class RunServices:
         self.state = WAITING
         if importlib.util.find_spec("std_srvs") is None:
             if waits:
-                raise ValueError("std_srvs must be installed for wait_for_start, got no such package")
+                raise InputError("std_srvs must be installed for wait_for_start, got no such package")
             node.get_logger().warning("std_srvs must be installed for the services start, stop and reset")
             return
         from std_srvs.srv import Trigger

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import ACTIVE, RunConfig
 from pointing_analysis.files.structured_text import is_number
 from titop_plant.interface import RATE, TICK_NS
@@ -55,12 +56,12 @@ def parse_change(text: str) -> tuple[str, Any, float | None]:
     except (ValueError, TypeError, RecursionError):
         content = None
     if not isinstance(content, dict) or not {"name", "value"} <= set(content) <= {"name", "value", "at"}:
-        raise ValueError(f"fault must be a JSON object with name, value and optionally at, got {str(text)[:200]!r}")
+        raise InputError(f"fault must be a JSON object with name, value and optionally at, got {str(text)[:200]!r}")
     name, at = content["name"], content.get("at")
     if not isinstance(name, str):
-        raise ValueError(f"name of a fault must be a text, got {name!r}")
+        raise InputError(f"name of a fault must be a text, got {name!r}")
     if at is not None and (not is_number(at) or not 0.0 <= at < 1e6):
-        raise ValueError(f"at must be seconds from the start of the run, got {at!r}")
+        raise InputError(f"at must be seconds from the start of the run, got {at!r}")
     return ALIASES.get(name, name), content["value"], None if at is None else float(at)
 
 
@@ -81,7 +82,7 @@ def owner_of(name: str) -> str:
         if ALIASES.get(name, name) in names:
             return node
     known = ", ".join(sorted({*ALIASES, *(n for names in NAMES.values() for n in names)}))
-    raise ValueError(f"name must be a setting that can change during a run ({known}), got {name!r}")
+    raise InputError(f"name must be a setting that can change during a run ({known}), got {name!r}")
 
 
 @dataclass
@@ -132,26 +133,26 @@ class Changes:
         """
         if name not in self.appliers:
             known = ", ".join(sorted(self.appliers)) or "nothing"
-            raise ValueError(f"name must be a setting that this node can change ({known}), got {name!r}")
+            raise InputError(f"name must be a setting that this node can change ({known}), got {name!r}")
         if len(self._pending) >= MAX_WAITING:
-            raise ValueError(f"changes that wait for their tick must be at most {MAX_WAITING}, got one more")
+            raise InputError(f"changes that wait for their tick must be at most {MAX_WAITING}, got one more")
         if name in (STOP, RESET):
             if value is not True:
-                raise ValueError(f"{name} must be true, got {value!r}")
+                raise InputError(f"{name} must be true, got {value!r}")
             checked: Any = True
         else:
             checked = getattr(replace(self.config, **{name: value}), name)
         if name == "loop" and (checked == "none") != (self.config.loop == "none"):
-            raise ValueError(
+            raise InputError(
                 f"loop must be a stage with the isolator as at the start, {self.config.loop}: it is part of the plant, "
                 f"got {checked}"
             )
         if name in self.limits and not 0.0 < (checked or 0.0) <= self.limits[name]:
-            raise ValueError(
+            raise InputError(
                 f"{name} must be positive and at most {self.limits[name]:g} as at the start, got {checked or 0.0:g}"
             )
         if at is not None and at * 1e9 <= self.now:
-            raise ValueError(f"at must be later than {max(self.now, 0) / 1e9:.3f} s, got {at:g} s")
+            raise InputError(f"at must be later than {max(self.now, 0) / 1e9:.3f} s, got {at:g} s")
         return checked
 
     def enqueue(self, name: str, value: Any, due: int = 0, by: str | None = None) -> None:

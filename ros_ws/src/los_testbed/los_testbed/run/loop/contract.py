@@ -8,10 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.plugins import RAISED, in_one_line
 from los_testbed.parts.law_models import element
 from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
-from los_testbed.parts.user_blocks import UNTOUCHED, ContractError, beyond
+from los_testbed.parts.user_blocks import UNTOUCHED, beyond
 from titop_plant.interface import COMMANDS, HELD, MEASURED_PORTS, MEASUREMENTS, RATE, TRUTH
 
 
@@ -51,21 +52,21 @@ def check_plant(plant: SteppedPlant) -> None:
 
     Raises
     ------
-    ContractError
+    InputError
         An attribute is missing or of another type, `step` fails, leaves something unwritten, writes values that are not
         finite, or changes the command.
     """
     for name in ("step", "reset"):
         if not callable(getattr(plant, name, None)):
-            raise ContractError(f"plant.{name} must be a method, got {getattr(plant, name, 'none')!r}")
+            raise InputError(f"plant.{name} must be a method, got {getattr(plant, name, 'none')!r}")
     try:
         frame = getattr(plant, "frame_ticks", None)
         plant_notes(plant)
     except RAISED as error:
         names = "plant.frame_ticks, and tones and parameters_hash if there are any,"
-        raise ContractError(f"{names} must be values that can be recorded, got {in_one_line(error)}") from error
+        raise InputError(f"{names} must be values that can be recorded, got {in_one_line(error)}") from error
     if isinstance(frame, bool) or not isinstance(frame, (int, np.integer)) or not 1 <= frame <= RATE:
-        raise ContractError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
+        raise InputError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
     command = np.zeros(COMMANDS)
     measurement, truth = np.full(MEASUREMENTS, UNTOUCHED), np.full(TRUTH, UNTOUCHED)
     shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
@@ -78,16 +79,16 @@ def check_plant(plant: SteppedPlant) -> None:
         trial.step(command, measurement, truth)
         trial.reset()
     except RAISED as error:
-        raise ContractError(f"plant.step and plant.reset must accept {shapes}, got {in_one_line(error)}") from error
+        raise InputError(f"plant.step and plant.reset must accept {shapes}, got {in_one_line(error)}") from error
     if command.any():
-        raise ContractError("plant.step must not change its command, got another one after the step")
+        raise InputError("plant.step must not change its command, got another one after the step")
     held = np.zeros(MEASUREMENTS, bool)
     held[HELD] = True
     for name, vector, may_be_nan in (("measurement", measurement, held), ("truth", truth, np.zeros(TRUTH, bool))):
         untouched = vector == UNTOUCHED
         if untouched.any():
-            raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
+            raise InputError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
         odd = beyond(vector) & ~may_be_nan
         if odd.any():
             value = vector[np.flatnonzero(odd)[0]]
-            raise ContractError(f"plant.step must write finite values, got {value:g} in {name} {port_of(vector, odd)}")
+            raise InputError(f"plant.step must write finite values, got {value:g} in {name} {port_of(vector, odd)}")

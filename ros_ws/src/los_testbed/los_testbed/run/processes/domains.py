@@ -11,6 +11,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from lftkit.errors import InputError
+
 MAX_DOMAIN = 101
 """Above it the ports of a domain may be those that the system gives to any program."""
 
@@ -60,14 +62,14 @@ def _held(name: str, refusal: str) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                raise ValueError(refusal) from None
+                raise InputError(refusal) from None
             yield
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
         try:
             held.bind(f"\0los_testbed_{name}")
         except OSError:
-            raise ValueError(refusal) from None
+            raise InputError(refusal) from None
         yield
 
 
@@ -88,7 +90,7 @@ def free_domain(namespace: str) -> Iterator[int]:
                 held.enter_context(tried.pop_all())
                 break
         else:
-            raise ValueError(
+            raise InputError(
                 f"a ROS domain from 0 to {MAX_DOMAIN} must be free on this machine, got participants in all"
             )
         yield domain

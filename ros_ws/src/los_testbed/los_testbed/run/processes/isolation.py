@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lftkit.errors import InputError
 from los_testbed.run.processes import namespaces
 from los_testbed.run.processes.node_launch import (
     LAYER,
@@ -103,7 +104,7 @@ def isolated_network() -> Iterator[Network]:
         maker.wait()
     if not descriptors:
         reason = answer.decode(errors="replace") or f"exit code {maker.returncode}"
-        raise ValueError(f"--isolated must be permitted (user and network namespaces), got: {reason}")
+        raise InputError(f"--isolated must be permitted (user and network namespaces), got: {reason}")
     try:
         yield Network(tuple(descriptors))
     finally:
@@ -123,6 +124,6 @@ def isolated_environment(variables: Mapping[str, str]) -> dict[str, str]:
     """
     layer = variables.get(LAYER_VARIABLE, LAYER)
     if not layer.startswith(LAYER):
-        raise ValueError(f"{LAYER_VARIABLE} must be {LAYER}_cpp with --isolated, got {layer}")
+        raise InputError(f"{LAYER_VARIABLE} must be {LAYER}_cpp with --isolated, got {layer}")
     kept = {name: value for name, value in variables.items() if name not in LEFT_OUT}
     return {**kept, RANGE_VARIABLE: "LOCALHOST"}

@@ -14,6 +14,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_folder
 from los_testbed.run.processes.enclaves import ENCLAVES, enclave_path, governance, permissions
 
@@ -47,11 +48,11 @@ def write_keystore(folder: Path, namespace: str, domain: int | None, days: int) 
         The folder exists, a name is too long for a certificate, or cryptography is not installed.
     """
     if importlib.util.find_spec("cryptography") is None:
-        raise ValueError("cryptography must be installed for keys: pip install 'los-testbed[sign]'")
+        raise InputError("cryptography must be installed for keys: pip install 'los-testbed[sign]'")
     names = {name: enclave_path(name, namespace) for name in ENCLAVES}
     longest = max(names.values(), key=len)
     if len(longest) > MAX_NAME:
-        raise ValueError(f"--namespace must give enclaves of at most {MAX_NAME} characters, got {longest}")
+        raise InputError(f"--namespace must give enclaves of at most {MAX_NAME} characters, got {longest}")
     now = datetime.now(timezone.utc).replace(microsecond=0, tzinfo=None)
     validity = now - EARLIER, now + timedelta(days=days)
     with atomic_folder(folder) as made:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import resource
 
+from lftkit.errors import InputError
+
 ADDRESS_SPACE = 1_150_000_000
 """Need of a node of the telescope [bytes]; measured 1.065e9, most of it code and stacks of the middleware."""
 
@@ -34,7 +36,7 @@ def names_memory(errors: str) -> bool:
 def _check(needed: int, purpose: str, advice: str) -> None:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < needed:
-        raise ValueError(
+        raise InputError(
             f"memory of a process (ulimit -v) must be at least {needed // 1024} kB for {purpose}, "
             f"got {limit // 1024}: {TOO_LITTLE_MEMORY}{advice}"
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import yaml
 
+from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config.run_config import COMPOSED, RunConfig
@@ -52,7 +53,7 @@ def check_ros(domain: int | None = None) -> None:
     """
     check_variables({**os.environ, **({} if domain is None else {DOMAIN_VARIABLE: str(domain)})})
     if importlib.util.find_spec("rclpy") is None:
-        raise ValueError(f"rclpy must be installed for this mode: ROS 2 is not installed; {_how_to_get_ros()}")
+        raise InputError(f"rclpy must be installed for this mode: ROS 2 is not installed; {_how_to_get_ros()}")
 
 
 def _how_to_get_ros() -> str:
@@ -144,9 +145,9 @@ def run_alone(name: str, config: RunConfig) -> int:
         No such node, a mode without nodes, or ROS missing.
     """
     if name not in (*NODES, BOTH_LAWS):
-        raise ValueError(f"--only must be one of {', '.join((*NODES, BOTH_LAWS))}, got {name!r}")
+        raise InputError(f"--only must be one of {', '.join((*NODES, BOTH_LAWS))}, got {name!r}")
     if config.mode == "inprocess":
-        raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
+        raise InputError("mode must be realtime or lockstep with --only, got inprocess")
     check_ros(config.domain)
     if name == "recorder":
         check_new_bag(config.bag)

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from lftkit.errors import InputError
+
 DOMAIN_VARIABLE, LAYER_VARIABLE = "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"
 MAX_DOMAIN_ID = 232
 """Above it the ports of DDS have no numbers."""
@@ -31,13 +33,13 @@ def check_variables(environment: Mapping[str, str]) -> None:
     >>> check_variables({"ROS_DOMAIN_ID": "300"})
     Traceback (most recent call last):
         ...
-    ValueError: ROS_DOMAIN_ID must be between 0 and 232, got 300
+    lftkit.errors.InputError: ROS_DOMAIN_ID must be between 0 and 232, got 300
     """
     domain_of(environment)
     check_layer(environment)
     for name in SWITCHES:
         if (value := environment.get(name, "")) not in ("", "0", "1"):
-            raise ValueError(f"{name} must be 0 or 1, got {value}")
+            raise InputError(f"{name} must be 0 or 1, got {value}")
 
 
 def check_layer(environment: Mapping[str, str]) -> None:
@@ -50,7 +52,7 @@ def check_layer(environment: Mapping[str, str]) -> None:
     """
     layer, installed = environment.get(LAYER_VARIABLE, ""), _layers(environment)
     if layer and installed and layer not in installed:
-        raise ValueError(f"{LAYER_VARIABLE} must be {' or '.join(installed)}, which is installed, got {layer}")
+        raise InputError(f"{LAYER_VARIABLE} must be {' or '.join(installed)}, which is installed, got {layer}")
 
 
 def domain_of(environment: Mapping[str, str]) -> int:
@@ -70,7 +72,7 @@ def domain_of(environment: Mapping[str, str]) -> int:
     if not text:
         return 0
     if not (text.isascii() and text.isdecimal() and int(text[:9]) <= MAX_DOMAIN_ID and len(text) < 9):
-        raise ValueError(f"{DOMAIN_VARIABLE} must be between 0 and {MAX_DOMAIN_ID}, got {text}")
+        raise InputError(f"{DOMAIN_VARIABLE} must be between 0 and {MAX_DOMAIN_ID}, got {text}")
     return int(text)
 
 

@@ -7,6 +7,8 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from lftkit.errors import InputError
+
 LIVE = "live"
 """Name of the node that serves viewers."""
 
@@ -77,7 +79,7 @@ def listening_sockets(host: str, port: int, inherited: Sequence[int] = ()) -> li
     try:
         opened: list[socket.socket] = bind_sockets(port, host)
     except OSError as error:
-        raise ValueError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
+        raise InputError(f"live port must be free on {host}, got {port} ({error.strerror})") from None
     return opened
 
 

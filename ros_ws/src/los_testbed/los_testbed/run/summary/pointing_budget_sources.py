@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from los_loop.noise import correlation, covariances_in_window
 from los_loop.sampled_loop import SampledLoop
@@ -59,17 +60,17 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     """
     part = table.get("part", "all")
     if part not in PARTS:
-        raise ValueError(f"{' / '.join(path)}: part must be one of {', '.join(PARTS)}, got {part!r}")
+        raise InputError(f"{' / '.join(path)}: part must be one of {', '.join(PARTS)}, got {part!r}")
     settings = dict(table.get("settings", {}))
     if set(settings) - SETTINGS:
         unknown = ", ".join(sorted(set(settings) - SETTINGS))
-        raise ValueError(f"{' / '.join(path)}: settings must be among {', '.join(sorted(SETTINGS))}, got {unknown}")
+        raise InputError(f"{' / '.join(path)}: settings must be among {', '.join(sorted(SETTINGS))}, got {unknown}")
     values = {key: table[key] for key in ("loop", "scenario", "seed") if key in table}
     config = RunConfig.from_mapping({**settings, **values})
     parts = RunParts(config)
     model = parts.tone_model()
     if not model.loop.spectral_radius() < 1:
-        raise ValueError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
+        raise InputError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
     found = []
     if part in ("tones", "all"):
         found += _tones(path, model, unit)

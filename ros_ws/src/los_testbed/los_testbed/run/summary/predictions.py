@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from lftkit.errors import InputError
 from los_loop.tone_model import compare_tones
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
@@ -66,7 +67,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         if START_FILE not in run.attachments:
-            raise ValueError(f"the bag does not hold {START_FILE}")
+            raise InputError(f"the bag does not hold {START_FILE}")
         start_of_run = RunStart.from_bytes(run.attachments[START_FILE])
         if rig:
             _check_controllers(run)
@@ -80,7 +81,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         if parts.physical.ramps:
             return None
         if value_of(parts.family.name(parts.physical)) != known:
-            raise ValueError(f"the {'rig simulates another telescope or disturbance' if rig else OTHER_FIGURES}")
+            raise InputError(f"the {'rig simulates another telescope or disturbance' if rig else OTHER_FIGURES}")
         if rig:
             tones, (first, last) = rig_tones(run, parts, transient)
         else:
@@ -101,21 +102,21 @@ def _emulated(run: Run) -> str:
 def _check_controllers(run: Run) -> None:
     gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
     if gone:
-        raise ValueError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
+        raise InputError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
 
 
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
     _check_controllers(run)
     if config.camera_dropout:
-        raise ValueError("camera frames were dropped at random, and the model drops none")
+        raise InputError("camera frames were dropped at random, and the model drops none")
     if start > 0:
-        raise ValueError("the prediction starts with the run, and the report with a later part")
+        raise InputError("the prediction starts with the run, and the report with a later part")
     if run["truth/los"].lost_before:
-        raise ValueError("the record does not begin with the run: its first samples are lost")
+        raise InputError("the record does not begin with the run: its first samples are lost")
     stamp = run["truth/los"].stamp
     plant = statistics_of(run, "plant")
     recorded = round((int(stamp[-1]) - int(stamp[0])) / TICK_NS) + 1 if len(stamp) else 0
     missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
     if not recorded or int(stamp[0]) % (period_ticks(config.frame_ticks) * TICK_NS) or missing > LATE:
-        raise ValueError("the record does not begin with the run")
+        raise InputError("the record does not begin with the run")

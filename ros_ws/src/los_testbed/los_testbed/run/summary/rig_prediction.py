@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.errors import InputError
 from los_loop.sampled_loop import Delays
 from los_loop.tone_model import compare_settled
 from los_testbed.config.topics import CAMERA_LOS
@@ -50,15 +51,15 @@ def rig_tones(
     shares = shares_of_text(str(plant.get("device_delay_ticks", "")))
     late = sum(share for ticks, share in shares.items() if ticks > LONGEST)
     if not shares or not all(0.0 <= share <= 1.0 for share in shares.values()):
-        raise ValueError("the bag does not hold the delays of the rig")
+        raise InputError("the bag does not hold the delays of the rig")
     if late > RARE:
-        raise ValueError(f"{late:.0%} of the commands came more than {LONGEST} ticks after their measurements")
+        raise InputError(f"{late:.0%} of the commands came more than {LONGEST} ticks after their measurements")
     shares = {ticks: share for ticks, share in shares.items() if ticks <= LONGEST}
     frames = round(float(observer.get(f"{BEGINNING}{CAMERA_LOS.name}_age_mean_ms", 0.0)))
     models = {ticks: parts.tone_model(Delays(max(0, ticks - 1), frames)) for ticks in shares}
     unstable = [ticks for ticks, model in models.items() if not model.loop.spectral_radius() < 1.0]
     if sum(shares[ticks] for ticks in unstable) > RARE:
-        raise ValueError(f"with commands {unstable[0]} ticks after their measurements the loop is not stable")
+        raise InputError(f"with commands {unstable[0]} ticks after their measurements the loop is not stable")
     kept = [ticks for ticks in shares if ticks not in unstable]
     settled = sum(shares[ticks] * models[ticks].settled() for ticks in kept) / sum(shares[ticks] for ticks in kept)
     rate = 1.0 + 1e-6 * float(plant.get("device_clock_drift_ppm", 0.0))

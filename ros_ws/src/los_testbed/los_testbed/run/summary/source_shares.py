@@ -14,6 +14,7 @@ from dataclasses import asdict
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
@@ -51,12 +52,12 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     if not isinstance(run, Run) or "run.yaml" not in run.attachments or not (own or "disturbances" in run.parameters):
         return ()
     if acting is None:
-        raise ValueError("the bag is of an older version without its disturbances: no shares of sources")
+        raise InputError("the bag is of an older version without its disturbances: no shares of sources")
     config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
     start = RunStart.from_bytes(run.attachments[START_FILE]) if START_FILE in run.attachments else AT_REST
     parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
     if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
-        raise ValueError("the disturbance files have changed since the run: no shares of them")
+        raise InputError("the disturbance files have changed since the run: no shares of them")
     ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
     found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]

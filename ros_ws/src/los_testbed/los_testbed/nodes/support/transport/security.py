@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lftkit.errors import InputError
 from los_testbed.run.processes.node_launch import security_is_asked_for
 
 _MISSING = b"doesn't have the security libraries"
@@ -28,7 +29,7 @@ def refuse_missing_security() -> None:
     for library in sorted(libraries):
         name = Path(library).name
         if name.startswith("librmw_fastrtps_shared_cpp") and _MISSING in Path(library).read_bytes():
-            raise ValueError(
+            raise InputError(
                 "ROS_SECURITY_ENABLE must be unset with a middleware built without security, got true: use a ROS "
                 "installation with SROS 2"
             )

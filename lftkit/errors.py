@@ -1,0 +1,19 @@
+"""The exception of invalid input."""
+
+from __future__ import annotations
+
+import os
+
+
+class InputError(ValueError):
+    """Invalid input: an argument, an option, a file or its content; the message is one line for its user.
+
+    All packages raise it for what a caller or a user can change: any other ValueError is a fault of the program. The
+    message says what was expected and what came, with file, line or key where there is one.
+    """
+
+    @classmethod
+    def of_file(cls, path: str | os.PathLike[str], error: Exception) -> InputError:
+        """The same message with the file named, once."""
+        name, text = os.fspath(path), str(error)
+        return cls(text if text.startswith(name) else f"{name}: {text}")
