@@ -28,7 +28,7 @@ os.environ.setdefault("LOS_TESTBED_QUIET", "1")  # lines of progress come by the
 
 from hypothesis import settings
 
-settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
+settings.register_profile("any-machine", deadline=None, max_examples=30)  # no test depends on the machine's speed
 settings.load_profile("any-machine")
 
 # Who starts the tests may ignore these, and programs inherit it: those of the tests are to end by them.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import pytest
 from los_testbed.config.topics import TOPICS
@@ -28,9 +28,9 @@ def number(node: ast.AST | None) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool)
 
 
-def named_numbers(tree: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+def named_numbers(nodes: Iterable[ast.AST]) -> Iterator[tuple[str, ast.expr]]:
     """Numbers with a name: assigned, default or keyword arguments, entries of a dictionary."""
-    for node in ast.walk(tree):
+    for node in nodes:
         pairs: list[tuple[str, ast.expr | None]] = []
         if isinstance(node, ast.Assign):
             pairs = [(t.id, node.value) for t in node.targets if isinstance(t, ast.Name)]
@@ -58,11 +58,12 @@ def texts(node: ast.AST) -> tuple[str, ...] | None:
 
 def faults(source: str) -> list[str]:
     """Constants of the loop that this source writes down."""
-    tree, found = ast.parse(source), []
-    for name, _ in named_numbers(tree):
+    nodes: list[ast.AST] = list(ast.walk(ast.parse(source)))
+    found = []
+    for name, _ in named_numbers(nodes):
         if PERIOD.match(name) or CAMERA.match(name) or SENSITIVITY.search(name):
             found.append(name)
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Constant) and type(node.value) is float and abs(node.value) in LIMITS:
             found.append(f"{node.value:g} in line {node.lineno}")
         named = texts(node)

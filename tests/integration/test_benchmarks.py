@@ -66,6 +66,7 @@ def test_every_line_of_the_target_names_a_benchmark() -> None:
     assert len(lines) == target.count("\n") and set(lines) <= SHORTEST.keys()
 
 
+@pytest.mark.further
 def test_every_benchmark_says_its_options() -> None:
     """In one process: it imports numpy once."""
     names = [path for path in sorted(BENCHMARKS.glob("*.py")) if has_program(path)]

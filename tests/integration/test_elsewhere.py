@@ -47,13 +47,10 @@ def test_a_shell_of_another_kind() -> None:
     assert "PYTHONPATH" not in found and "ROS_DOMAIN_ID" not in found
 
 
-def test_no_compiler() -> None:
-    found = shown("nocc", "pipe")
+def test_a_machine_that_was_just_started_without_a_compiler() -> None:
+    found = shown("young", "nocc", "pipe")
     assert found["cc"] is found["gcc"] is None and found["git"] and not found["terminal"]
-
-
-def test_a_machine_that_was_just_started() -> None:
-    assert 55 < shown("young")["uptime"] < 600
+    assert 55 < found["uptime"] < 600
 
 
 def test_the_exit_code_is_that_of_the_command() -> None:

@@ -73,7 +73,7 @@ def close_to(one: np.ndarray, two: np.ndarray, tolerance: float = 1e-9) -> None:
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_delta_zero_is_the_nominal_system_to_the_last_bit(seed: int) -> None:
     system = random_system(seed, {"u": 2}, {"y": 2, "z": 1})
     q = len(system.channels)
@@ -85,7 +85,7 @@ def test_delta_zero_is_the_nominal_system_to_the_last_bit(seed: int) -> None:
 
 
 @given(seeds, inside, inside)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_a_member_is_the_upper_lft_of_its_delta(seed: int, nu_k: float, nu_m: float) -> None:
     """M22 + M21 Delta (1 - M11 Delta)^-1 M12, the transfer matrices taken first."""
     system = random_system(seed, {"u": 2}, {"y": 1})
@@ -97,7 +97,7 @@ def test_a_member_is_the_upper_lft_of_its_delta(seed: int, nu_k: float, nu_m: fl
 
 
 @given(inside, st.floats(0.02, 0.9), st.floats(0.5, 20.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=13, deadline=None)
 def test_sampled_equals_rebuilt_flexible_body(nu: float, zeta: float, nominal: float) -> None:
     """Frequency and damping of a mode as parameters, or as numbers in the modal data."""
     mass = from_inertia(5.0, np.eye(3), [0.1, 0.0, -0.2])
@@ -118,7 +118,7 @@ def test_sampled_equals_rebuilt_flexible_body(nu: float, zeta: float, nominal: f
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.tuples(inside, inside, st.floats(0.1, 1.0)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=13, deadline=None)
 def test_sampled_equals_rebuilt_rotation(tau: float, nominal: float, axis: tuple[float, float, float]) -> None:
     """Whatever the nominal angle: Rodrigues' formula at theta = 4 atan(tau)."""
     family = rotation(axis, RealParameter("tau", nominal, -1.6, 1.6), Port("v", 6))
@@ -128,7 +128,7 @@ def test_sampled_equals_rebuilt_rotation(tau: float, nominal: float, axis: tuple
 
 
 @given(st.floats(-1000.0, 1000.0), st.floats(-1000.0, 1000.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_sampled_equals_rebuilt_wheel(value: float, nominal: float) -> None:
     wheel = ReactionWheel(1.0, 0.096, 0.047)
     family = reaction_wheel(wheel, RealParameter("speed", nominal, -1000.0, 1000.0, "rad/s"))
@@ -138,7 +138,7 @@ def test_sampled_equals_rebuilt_wheel(value: float, nominal: float) -> None:
 
 
 @given(seeds, inside, inside)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_upper_and_lower_lft_in_either_order(seed: int, nu_k: float, nu_m: float) -> None:
     """Choose the parameters and close the controller, or close the controller and choose the parameters."""
     values = point(nu_k, nu_m)
@@ -153,7 +153,7 @@ def test_upper_and_lower_lft_in_either_order(seed: int, nu_k: float, nu_m: float
 
 
 @given(seeds, inside, inside)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_star_product_is_associative(seed: int, nu_k: float, nu_m: float) -> None:
     values = point(nu_k, nu_m)
     a = random_system(seed, {"r": 1, "ba": 1}, {"e": 1, "ab": 1}, ("k",))
@@ -169,7 +169,7 @@ def test_the_star_product_is_associative(seed: int, nu_k: float, nu_m: float) ->
 
 
 @given(seeds, seeds, inside, inside)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_same_name_moves_together(one: int, two: int, nu_k: float, nu_m: float) -> None:
     values = point(nu_k, nu_m)
     a, b = (random_system(seed, {"u": 2}, {"y": 2}) for seed in (one, two))
@@ -181,7 +181,7 @@ def test_the_same_name_moves_together(one: int, two: int, nu_k: float, nu_m: flo
 
 
 @given(seeds, inside, inside)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_normalised_family_is_the_same_family(seed: int, nu_k: float, nu_m: float) -> None:
     system = random_system(seed, {"u": 1}, {"y": 2})
     unit = system.normalised()

@@ -76,18 +76,17 @@ def check_tuning(seed: int) -> None:
     assert result.soft >= lower_bound_proof(plant, "y", "u").level * (1.0 - NORM)
 
 
-@pytest.mark.parametrize("first", range(0, 100, 20))
-def test_no_controller_of_synthesis_is_below(first: int) -> None:
-    for seed in range(first, first + 20):
+def test_no_controller_of_synthesis_is_below() -> None:
+    for seed in range(24):  # each kind of plant twice
         check_synthesis(seed, 3)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_mixed_sensitivity_is_below(seed: int) -> None:
     check_mixed_sensitivity(seed)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_tuned_controller_is_below(seed: int) -> None:
     check_tuning(seed)
 

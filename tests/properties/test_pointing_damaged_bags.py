@@ -42,7 +42,7 @@ def files(tmp_path_factory) -> Files:
 
 
 KINDS = st.sampled_from(["zstd", "lz4", "plain", "unchunked"])
-QUICK = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+QUICK = settings(max_examples=26, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def look(file: Path, data: bytes) -> Run | None:

@@ -17,7 +17,7 @@ signals = arrays(
 
 
 @given(signals, st.integers(2, 20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_mean_square_is_mpe_plus_rpe(e: np.ndarray, n: int) -> None:
     w = metrics.windows(e, DT, n * DT)
     used = e[: len(w.mean) * n]
@@ -26,7 +26,7 @@ def test_mean_square_is_mpe_plus_rpe(e: np.ndarray, n: int) -> None:
 
 
 @given(signals, st.floats(-np.pi, np.pi), st.integers(2, 20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_radial_figures_do_not_depend_on_the_axes(e: np.ndarray, angle: float, n: int) -> None:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     a, b = (np.hypot(*metrics.rpe_rms(x, DT, n * DT)) for x in (e, e @ turn.T))
@@ -34,21 +34,21 @@ def test_radial_figures_do_not_depend_on_the_axes(e: np.ndarray, angle: float, n
 
 
 @given(signals, st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)), st.integers(2, 20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_an_offset_changes_no_rpe(e: np.ndarray, offset: tuple[float, float], n: int) -> None:
     a, b = metrics.rpe_rms(e, DT, n * DT), metrics.rpe_rms(e + np.array(offset), DT, n * DT)
     assert np.allclose(a, b, rtol=1e-6, atol=1e-9)
 
 
 @given(signals, st.integers(2, 20), st.floats(1e-6, 1e6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_figures_scale_with_the_error(e: np.ndarray, n: int, scale: float) -> None:
     a, b = metrics.rpe_rms(e, DT, n * DT), metrics.rpe_rms(scale * e, DT, n * DT)
     assert np.allclose(scale * a, b, rtol=1e-6, atol=1e-12 * scale)
 
 
 @given(signals, st.integers(2, 10))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_longer_windows_see_more(e: np.ndarray, n: int) -> None:
     """Over the same samples, a window of twice the length has at least the RPE of its halves."""
     e = e[: len(e) // (2 * n) * 2 * n]
@@ -56,7 +56,7 @@ def test_longer_windows_see_more(e: np.ndarray, n: int) -> None:
 
 
 @given(signals)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=13, deadline=None)
 def test_densities_are_not_negative_and_add_up(e: np.ndarray) -> None:
     s = spectra.psd(e, DT, segment=0.04)
     assert np.all(s.density >= 0)
@@ -68,7 +68,7 @@ def test_densities_are_not_negative_and_add_up(e: np.ndarray) -> None:
     st.floats(0.5, 0.999),
     st.floats(0.5, 0.99),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=33, deadline=None)
 def test_bounds_hold_the_estimate_and_widen_with_confidence(x: np.ndarray, p: float, c: float) -> None:
     assume(np.ptp(x) > 0)
     loose = confidence.quantile(x, p, c, effective=len(x))
@@ -78,6 +78,6 @@ def test_bounds_hold_the_estimate_and_widen_with_confidence(x: np.ndarray, p: fl
 
 
 @given(arrays(np.float64, st.integers(1, 500), elements=st.floats(-1e6, 1e6)))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=33, deadline=None)
 def test_effective_number_lies_between_one_and_all(x: np.ndarray) -> None:
     assert 1 <= confidence.effective_number(x) <= len(x)

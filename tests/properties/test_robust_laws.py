@@ -30,7 +30,7 @@ def gain(system: tuple[np.ndarray, ...], w: float) -> float:
     return float(np.linalg.norm(direct_response(*system, w), 2))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=13, deadline=None)
 @given(SEEDS, st.integers(1, 9), st.integers(1, 3), st.integers(1, 3))
 def test_norm_bounds_every_gain_and_is_reached(seed: int, n: int, m: int, p: int) -> None:
     system = random_system(seed, n, m, p)
@@ -40,7 +40,7 @@ def test_norm_bounds_every_gain_and_is_reached(seed: int, n: int, m: int, p: int
     assert abs(gain(system, norm.omega) - norm.value) <= 1e-9 * norm.value
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS, st.integers(1, 7))
 def test_norms_do_not_depend_on_coordinates_or_time_unit(seed: int, n: int) -> None:
     A, B, C, D = random_system(seed, n, 2, 2, feedthrough=False)
@@ -53,7 +53,7 @@ def test_norms_do_not_depend_on_coordinates_or_time_unit(seed: int, n: int) -> N
     assert abs(h2_norm(100 * A, 100 * B, C, D) - 10 * h2_norm(A, B, C, D)) <= 1e-8 * h2_norm(A, B, C, D) * 10
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS, st.integers(1, 6))
 def test_norm_of_a_series_is_at_most_the_product(seed: int, n: int) -> None:
     first = System(*random_system(seed, n, 2, 3), [("a", 2)], [("b", 3)])
@@ -62,7 +62,7 @@ def test_norm_of_a_series_is_at_most_the_product(seed: int, n: int) -> None:
     assert both.value <= hinf_norm(*first.matrices).upper * hinf_norm(*second.matrices).upper * (1 + 1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS, st.integers(1, 4), st.integers(0, 3))
 def test_closed_loop_is_the_fractional_transformation(seed: int, n: int, order: int) -> None:
     """close_loop against P11 + P12 K (I - P22 K)^-1 P21 at a few frequencies, and LoopGains against both."""
@@ -78,7 +78,7 @@ def test_closed_loop_is_the_fractional_transformation(seed: int, n: int, order: 
         assert np.abs(direct_response(*loop.matrices, w) - expected).max() <= 1e-8 * (1 + np.abs(expected).max())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS, st.integers(2, 6), st.integers(0, 3))
 def test_tuning_values_are_the_norms_of_the_assembled_loop(seed: int, n: int, order: int) -> None:
     A, B, C, D = random_system(seed, n, 4, 5)
@@ -103,7 +103,7 @@ def test_tuning_values_are_the_norms_of_the_assembled_loop(seed: int, n: int, or
     assert abs(found.values[1, 0] - expected) <= 1e-8 * expected
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(1e-4, 10.0), st.integers(2, 8))
 def test_pade_is_all_pass_and_early_it_is_the_delay(delay: float, order: int) -> None:
     model = pade_delay(delay, order)
@@ -115,7 +115,7 @@ def test_pade_is_all_pass_and_early_it_is_the_delay(delay: float, order: int) ->
     assert spectral_abscissa(model.A) < 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(SEEDS, st.integers(1, 8))
 def test_modal_and_direct_responses_agree(seed: int, n: int) -> None:
     system = random_system(seed, n, 2, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg as sl
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lftkit.systems.system import System
@@ -58,11 +58,8 @@ def check_tuning(seed: int, kinds: list[str], order: int, feedthrough: bool, ite
         assert result.certificate.upper.max() <= result.soft * (1 + 1e-3)
 
 
-@example(8158, ["unstable pole", "integrator"], 1, False)  # a start with a pole of the loop at a frequency of the grid
-@settings(max_examples=2)
-@given(*PLANTS)
-def test_no_exception_and_converged_means_certified(seed: int, kinds: list[str], order: int, feedthrough: bool) -> None:
-    check_tuning(seed, kinds, order, feedthrough, iterations=2)
+def test_a_start_with_a_pole_of_the_loop_at_a_frequency_of_the_grid() -> None:
+    check_tuning(8158, ["unstable pole", "integrator"], 1, False, iterations=1)
 
 
 @pytest.mark.slow

@@ -87,7 +87,7 @@ def test_the_program_of_both_laws_is_replaced_as_one_and_the_plant_goes_on(tmp_p
         assert abs(run[topic].stamp[int(np.argmax(gaps))] - killed[0]) < 1_000_000_000
 
 
-@pytest.mark.parametrize("name", ["estimator", "controller"])
+@pytest.mark.parametrize("name", ["controller", pytest.param("estimator", marks=pytest.mark.slow)])
 def test_a_node_that_is_shut_down_leaves_the_other_one(tmp_path, name):
     """Without an estimate there are no commands; the estimates go on without a controller."""
     config = config_of(tmp_path, "bag", duration=240.0)

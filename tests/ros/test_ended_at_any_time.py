@@ -151,7 +151,7 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+@pytest.mark.parametrize("mode", ["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Path, mode: str) -> None:
     """The nodes end in order when their program is gone: the file is whole, the run is not."""
     process = started(tmp_path, mode, 600.0)

@@ -198,7 +198,7 @@ WRONG = ("limit", "not_finite")
 
 
 def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
-    """200 messages of each kind; what the rogue sends is wrong whenever it arrives."""
+    """80 messages of each kind; what the rogue sends is wrong whenever it arrives."""
     fsm, pma, m1 = codec_for(FSM_COMMAND), codec_for(PMA_COMMAND), codec_for(M1_ACCEL)
     first = []
 
@@ -209,7 +209,7 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
             first.append(rogue.send_until_counted(FSM_COMMAND, cut, "plant", "rejected_fsm_size"))
             rogue.send_until_counted(PMA_COMMAND, pma.encode(1, np.zeros(6)), "plant", "rejected_pma_off_grid")
             rogue.send_until_counted(M1_ACCEL, m1.encode(MS, np.zeros(6)), "estimator", "rejected_foreign")
-            for _ in range(200):
+            for _ in range(80):
                 now = rogue.next(ISOLATOR_ACCEL)
                 soon, past = now + 10_000 * MS, now - 500 * MS
                 rogue.send(PMA_COMMAND, pma.encode(now, np.full(6, 316.0)))
@@ -236,10 +236,10 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     counts |= {f"pma_{r}": plant[f"rejected_pma_{r}"] for r in WRONG}
     counts |= {f"estimator_{r}": estimator[f"rejected_{r}"] for r in ("off_grid", "future")}
     for reason, count in counts.items():
-        assert 0 < int(count) <= 200 + (first[0] if reason == "fsm_size" else 0), (reason, counts)
+        assert 0 < int(count) <= 80 + (first[0] if reason == "fsm_size" else 0), (reason, counts)
     if judged_at_pace(Run.open(results.bag), "that nearly all wrong messages are seen"):
-        assert min(map(int, counts.values())) >= 190, counts
-    assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) == 400 + first[0]
+        assert min(map(int, counts.values())) >= 76, counts
+    assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) == 160 + first[0]
     truth = Run.open(results.bag)["truth/los"].stamp
     assert int(plant["ticks"]) - 100 < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
     angle = mirror_angle(results.bag)[1]

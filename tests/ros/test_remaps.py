@@ -50,7 +50,7 @@ def test_a_remapped_topic_is_recorded_as_it_was_sent_and_read_as_the_sensor(tmp_
 def test_a_remap_of_one_node_alone_is_told_with_both_names(tmp_path, node, told):
     own = PLANT if node == "plant" else node_command(node)
     commands = {"plant": PLANT, node: remapped(own, m1="bench/m1")}
-    runner = Runner(config_for(tmp_path, start_timeout=20.0, wait_for_recorder=False), commands=commands)
+    runner = Runner(config_for(tmp_path, start_timeout=8.0, wait_for_recorder=False), commands=commands)
     with pytest.raises(RunError, match=r"got no message on /telescope/\w+/command.*; ") as error:
         runner.run()
     assert told in str(error.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,8 @@ def test_arrays_give_the_same_objects_and_the_same_page(folder: Path) -> None:
         render([run], requirements=requirements)
         for run in (Run.open(folder / "ours"), series(None, xy, unit="arcsec", rate=RATE, name="ours"))
     ]
+    moved = shutil.copytree(folder / "ours", folder / "moved" / "ours")
+    assert render([Run.open(moved)], requirements=requirements) == pages[0], "same bag, same bytes"
     tables = [page[page.index('<section id="requirements"') : page.index('<section id="provenance"')] for page in pages]
     words = (r'<p class="soft">No timing histogram[^<]*</p>', ""), ("The bag names", "The data name")
     for wrong, right in words:  # what is said of bags only

@@ -60,7 +60,7 @@ def test_long_arrays_are_mapped_and_leave_no_name(tmp_path: Path, monkeypatch: p
     assert empty(3).base is None
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 @given(
     values=st.lists(st.floats(allow_infinity=False, width=32) | st.just(0.0) | st.just(-0.0), min_size=1, max_size=60),
     run=st.integers(1, 20),
@@ -117,6 +117,7 @@ def damaged(folder: Path) -> Path:
     )
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -20,7 +20,7 @@ LINES = st.lists(st.tuples(PARTS, VALUES, BLANKS, st.sampled_from(["", ' # a.b.c
 
 
 @given(lines=LINES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_names_with_dots_are_counted_as_the_parser_does(lines: list[tuple[list[str], str, str, str]]) -> None:
     """Strings, comments and blanks hide no dot of a name, and none of theirs is taken for one."""
     text = "".join(

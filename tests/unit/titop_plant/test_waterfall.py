@@ -94,7 +94,7 @@ def test_a_run_has_the_rms_of_the_record(waterfall: Measured, tmp_path) -> None:
     (tmp_path / "a.toml").write_text(f'[[disturbance]]\nname = "a"\nkind = "waterfall"\n{text}')
     run = RunConditions((200.0,) * 4, 40.0, 1)
     (found,) = make_sources(entries_of([str(tmp_path / "a.toml")]), load_telescope(), run)
-    values = np.vstack([found.signal.tick(k, np.array([0.0, 0.5])) for k in range(40_000)])
+    values = np.vstack([found.signal.tick(k, np.array([0.0, 0.5])) for k in range(16_000)])
     assert values.std(axis=0) == pytest.approx(np.sqrt(waterfall.mean_square[12]), rel=0.06)
     assert found.signal.lines == pytest.approx(2 * np.pi * speed * ORDERS, rel=2e-3)
     assert any("modes at 8" in text for text in found.remarks)

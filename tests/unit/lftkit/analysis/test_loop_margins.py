@@ -37,7 +37,7 @@ def closed_poles(L: System, factor: complex) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(6))
 def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
     L = random_loop(seed, dt)
     with np.errstate(all="ignore"):
@@ -53,7 +53,7 @@ def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(6))
 def test_each_crossing_makes_a_pole_on_the_edge_and_the_range_between_them_none(seed: int, dt: float) -> None:
     L = random_loop(seed, dt)
     found = loop_margins(L)

@@ -30,7 +30,7 @@ DISCRETE: dict[str, Callable[..., HInfNorm]] = {
     "discrete without numba": lambda *system: hinf_norm(*system, dt=DT),
     "circle": lambda *system: hinf_norm(*system, dt=DT, certificate="interval"),
 }
-SYSTEMS = [(1, 1, 1), (2, 1, 1), (3, 2, 3), (6, 3, 1), (9, 2, 2), (12, 1, 4), (17, 2, 2)]  # states, inputs, outputs
+SYSTEMS = [(1, 1, 1), (3, 2, 3), (12, 1, 4), (17, 2, 2)]  # states, inputs, outputs
 
 
 @pytest.fixture(params=[*CONTINUOUS, *DISCRETE])
@@ -70,7 +70,7 @@ def same(one: HInfNorm, other: HInfNorm, factor: float = 1.0) -> bool:
 
 
 @pytest.mark.parametrize("shape", SYSTEMS)
-@pytest.mark.parametrize("feedthrough", [0.0, 0.5, 20.0])
+@pytest.mark.parametrize("feedthrough", [0.0, 20.0])
 def test_value_is_reached_and_no_gain_exceeds_the_upper_side(
     way: tuple[Norm, bool], shape: tuple[int, int, int], feedthrough: float
 ) -> None:
@@ -111,7 +111,7 @@ def test_parts_sums_and_products(way: tuple[Norm, bool], shape: tuple[int, int, 
     assert norm(product).value <= first.upper * second.upper
 
 
-@pytest.mark.parametrize("states", [1, 3, 8, 13])
+@pytest.mark.parametrize("states", [1, 8])
 def test_inverse_has_the_reciprocal_of_the_smallest_gain(way: tuple[Norm, bool], states: int) -> None:
     norm, discrete = way
     A, B, C, _ = random_system((states, 2, 2), discrete, 0.0)
@@ -152,7 +152,7 @@ def test_bands_add_up_to_the_whole_axis(shape: tuple[int, int, int], unstable: b
         assert part.upper <= part.value * (1.0 + RTOL * (1 + 1e-6))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_gain_in_a_band_of_the_circle_is_above_every_gain_there_and_reached(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(5, 5))

@@ -51,7 +51,7 @@ def test_the_winding_number_is_that_along_the_axis() -> None:
     """wno det(1 + G2~ G1) + the unstable poles of G1 - those of G2, from the change of phase."""
     omega = np.tan(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1501)[1:-1])
     seen = set()
-    for first, second in pairs(24):
+    for first, second in pairs(12):
         one, two = (g.response(np.abs(omega)) for g in (first, second))
         one, two = (np.where(omega[:, None, None] < 0.0, g.conj(), g) for g in (one, two))
         eye = np.eye(one.shape[2])
@@ -62,7 +62,7 @@ def test_the_winding_number_is_that_along_the_axis() -> None:
         found = nu_gap(first, second)
         chordal = max(
             linalg.norm(root(np.eye(len(b)) + b @ b.conj().T) @ (b - a) @ root(eye + a.conj().T @ a), 2)
-            for a, b in zip(one[750::10], two[750::10])
+            for a, b in zip(one[750::20], two[750::20])
         )
         if chordal < 0.99:
             assert found.same_winding == (number == 0)
@@ -77,13 +77,13 @@ def test_the_winding_number_is_that_along_the_axis() -> None:
 
 def test_it_is_a_metric() -> None:
     rng = np.random.default_rng(3)
-    systems = [random(rng, 2, (1, 1)) for _ in range(6)]
+    systems = [random(rng, 2, (1, 1)) for _ in range(4)]
     gap = {(i, j): nu_gap(a, b).value for i, a in enumerate(systems) for j, b in enumerate(systems)}
-    for i in range(6):
+    for i in range(4):
         assert gap[i, i] < 1e-7
-        for j in range(6):
+        for j in range(4):
             assert gap[i, j] == pytest.approx(gap[j, i], abs=1e-6)
-            for k in range(6):
+            for k in range(4):
                 assert gap[i, k] <= gap[i, j] + gap[j, k] + 1e-6
 
 
@@ -108,7 +108,7 @@ def test_a_margin_is_lost_by_at_most_the_gap() -> None:
     assert tried >= 3
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_it_is_at_most_the_error_of_reduced_coprime_factors(seed: int) -> None:
     given = random(np.random.default_rng(seed), 5, (2, 2))
     for order in range(1, 5):

@@ -79,7 +79,7 @@ def test_no_perturbation_below_the_upper_bound_makes_the_loop_singular() -> None
             assert real.max(initial=0.0) <= upper
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_closed_forms(seed: int) -> None:
     """Rank one: sum of |u_i v_i|; one repeated complex scalar: spectral radius; one full block: norm; diagonal."""
     rng = np.random.default_rng(seed)

@@ -81,7 +81,7 @@ def test_margins_of_coprime_factors_in_closed_form(plant: Expression, margin: fl
 
 
 @pytest.mark.parametrize("through", [False, True])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_value_is_reached_and_no_controller_does_better(seed: int, through: bool) -> None:
     """Against existence conditions that share no code; the value is the norm of the assembled loop."""
     plant = random_plant(seed, 2 + seed % 5, through)
@@ -99,7 +99,7 @@ def _without_d22(plant: System) -> np.ndarray[Any, Any]:
     return D
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_larger_level_is_kept_by_its_central_controller(seed: int) -> None:
     plant = random_plant(seed, 4)
     least = hinfsyn(plant, "y", "u").value
@@ -109,7 +109,7 @@ def test_a_larger_level_is_kept_by_its_central_controller(seed: int) -> None:
         hinfsyn(plant, "y", "u", level=0.9 * least)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_sampled_plant_reaches_what_its_continuous_image_does(seed: int) -> None:
     plant, dt = random_plant(seed, 3), 0.1
     image = System(*to_discrete(*plant.matrices, dt), plant.inputs, plant.outputs, "P", dt)
@@ -118,7 +118,7 @@ def test_a_sampled_plant_reaches_what_its_continuous_image_does(seed: int) -> No
     assert found.value == pytest.approx(hinfsyn(plant, "y", "u").value, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_h2_controller_is_a_minimum(seed: int) -> None:
     """Random changes of the controller raise the norm, to second order: by more than rounding and never less."""
     from lftkit import close_loop, h2_norm
@@ -174,7 +174,7 @@ def test_what_cannot_be_designed_says_which_assumption_fails(make: Any, message:
         make()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_units_of_states_make_no_plant_unstabilisable(seed: int) -> None:
     """States in units that differ by 1e12: a plant that is controllable stays so, one with an unreached mode not."""
     rng = np.random.default_rng(seed)
@@ -202,7 +202,7 @@ def _least_to_the_last_bit(plant: System) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(8))
 def test_no_warning_reaches_the_user(seed: int) -> None:
     """Next to the least level the coupling of the two solutions is singular: such a level is refused, in silence."""
     plant = random_plant(seed, 2 + seed % 7, bool(seed % 2))

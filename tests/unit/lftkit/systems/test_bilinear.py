@@ -52,7 +52,7 @@ def test_poles_without_an_image_are_refused() -> None:
             to_continuous(-one, one, one, one, rcond=rcond)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_poles_at_minus_one_to_rounding_are_refused(seed: int) -> None:
     T = np.random.default_rng(seed).normal(size=(5, 5))
     B, C, D = np.ones((5, 1)), np.ones((1, 5)), np.zeros((1, 1))

@@ -35,7 +35,7 @@ def padded(system: System, rng: np.random.Generator, states: int, copies: int) -
     return System(A, B, C, D, system.inputs, system.outputs, channels=channels, elements=system.parameters)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_planted_redundancy_is_found_and_the_response_stays(make, seed: int) -> None:
     rng = np.random.default_rng(seed)
     small = make(rng, 4)
@@ -91,7 +91,7 @@ def controllers(rng):
         yield from (k * pid / plant, pid / plant, 1 / (1 + k * pid / plant), k * (1 + 1 / s) ** 2 / plant)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_controller_in_series_with_a_plant_loses_no_state(seed):
     """Rounding of 1e-30 in the matrices made balancing scale true couplings away: the integrator was gone."""
     for expression in controllers(np.random.default_rng(seed)):
@@ -172,7 +172,7 @@ def test_a_fraction_that_is_not_proper_is_refused():
             fraction.system()
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_an_output_that_is_zero_by_cancellation_keeps_no_state(seed):
     """What is computed for it is rounding, before and after."""
     rng = np.random.default_rng(seed)

@@ -55,7 +55,7 @@ SPRING = real("k", 1.0, percent=10)
 
 
 def tuned(models: Any = (LAG,), needs: Any = NEED, structure: Any = LAW, **more: Any) -> Any:
-    return tune(models, needs, structure, options=TuningOptions(starts=1), **more)
+    return tune(models, needs, structure, options=TuningOptions(starts=1, target=1e6), **more)
 
 
 def discrete(needs: Any = NEED, structure: Any = LAW, models: Any = (SAMPLED,)) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -60,16 +61,22 @@ def norm_with(plant: System, K: System) -> float:
     return hinf_norm(*close_loop(plant, K, ["w"], ["z"]).matrices, dt=plant.dt).value
 
 
-def scanned(plant: System) -> float:
-    """Least norm over static gains."""
-    ports = [("y", 1)], [("u", 1)]
-    return min(norm_with(plant, System.static([[k]], *ports)) for k in np.linspace(-0.95, 0.05, 401))
+@cache
+def scanned() -> float:
+    """Least norm over static gains of `delayed_lag`: a scan, and one with smaller steps about its best gain."""
+    plant, ports = delayed_lag(), ([("y", 1)], [("u", 1)])
+
+    def norm(k: float) -> float:
+        return norm_with(plant, System.static([[k]], *ports))
+
+    best = min(np.linspace(-0.95, 0.05, 41), key=norm)
+    return min(map(norm, best + np.linspace(-0.025, 0.025, 41)))
 
 
 def test_no_gain_of_a_scan_is_better() -> None:
     plant = delayed_lag()
     result = tune_discrete([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=OPTIONS)
-    best = scanned(plant)
+    best = scanned()
     assert str(result.status) == "converged"
     assert result.soft == pytest.approx(best, rel=1e-4) and result.soft < 1.0005 * best
     assert result.soft == pytest.approx(norm_with(plant, result.controller), rel=1e-5)
@@ -85,7 +92,7 @@ def test_a_controller_with_a_state_gains_what_the_gain_cannot() -> None:
         [plant], [HinfGain("w", "z")], structure, initial=[structure.parameters_of(start)], options=options
     )
     K = result.controller
-    assert K.dt == plant.dt and result.soft < 0.99 * scanned(plant)
+    assert K.dt == plant.dt and result.soft < 0.99 * scanned()
     assert result.soft == pytest.approx(norm_with(plant, K), rel=1e-5)
     assert np.block([[K.A, K.B], [K.C, K.D]]) == pytest.approx(structure.gain_matrix(result.x), abs=1e-12)
 
@@ -317,7 +324,7 @@ def drawn_loop(rng: np.random.Generator) -> tuple[System, System]:
             return plant, System.static([[k]], [("y", 1)], [("u", 1)])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_certificate_in_discrete_time_is_that_of_the_unit_circle(seed: int) -> None:
     """Against the response of the loop closed by hand on a fine grid, and its impulse response."""
     plant, K = drawn_loop(np.random.default_rng(seed))

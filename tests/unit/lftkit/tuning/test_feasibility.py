@@ -39,18 +39,17 @@ def test_feasible_gain_is_found_from_far_infeasible_starts(gain_before: float) -
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
 
 
-def test_infeasible_has_the_least_violation_whatever_the_start() -> None:
+def test_infeasible_has_the_least_violation() -> None:
     """Effort k / (k + 1/2) at most 0.5 contradicts 1 / (k + 1/2) at most 0.5: equal violations at k = 1, of 4 / 3."""
     needs = [
         HinfGain("w", "z", bound=0.5, hard=True, name="attenuation"),
         HinfGain("w", "effort", bound=0.5, hard=True),
         HinfGain("w", "z", name="soft"),
     ]
-    for start in (-0.01, -1e3):
-        result = tune([lag(-0.5)], needs, STATIC, initial=[[start]], options=TuningOptions(starts=0))
-        assert result.status == "infeasible" and not result.feasible
-        assert result.hard == pytest.approx(4.0 / 3.0, rel=1e-3)
-        assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
+    result = tune([lag(-0.5)], needs, STATIC, initial=[[-1e3]], options=TuningOptions(starts=0))
+    assert result.status == "infeasible" and not result.feasible
+    assert result.hard == pytest.approx(4.0 / 3.0, rel=1e-3)
+    assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
 
 
 @pytest.mark.parametrize("start", [0.5, pytest.param(-1e3, marks=pytest.mark.slow)])
@@ -70,7 +69,7 @@ def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float
     assert result.hard == pytest.approx(2.0 - 0.1 / 10.0, rel=1e-9)
 
 
-FEW = TuningOptions(starts=4)
+FEW = TuningOptions(starts=2)
 
 
 def oscillator() -> System:
@@ -87,7 +86,6 @@ def first_order(pole: float, dt: float = 0.0) -> System:
     return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *ports, dt=dt)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("starts", [1, 4, 24])
 @pytest.mark.parametrize(
     ("model", "asked", "structure"),
     [
@@ -98,9 +96,9 @@ def first_order(pole: float, dt: float = 0.0) -> System:
         (plain_lag(), [HinfGain("u", "y", bound=0.9, hard=True)], gain([("y", 1)], [("u", 1)])),
     ],
 )
-def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure: AffineStructure, starts: int) -> None:
+def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure: AffineStructure) -> None:
     """The first feasible point is the end: two models, of which the second is the first."""
-    result = tune([model, model], asked, structure, options=TuningOptions(starts=starts))
+    result = tune([model, model], asked, structure, options=FEW)
     assert str(result.status) == "converged" and result.advice.startswith("every hard requirement is met")
     assert result.soft == -np.inf and result.hard <= 1.0 and result.feasible and result.starts == (-np.inf,)
     assert result.certificate is not None and np.all(result.certificate.upper <= 1.0)
@@ -125,10 +123,9 @@ def held(kp: float) -> AffineStructure:
     return pid("y", "u", derivative_filter=0.1).with_fixed({"Kp": kp, "Ki": -1.0, "Kd": 0.0})
 
 
-@pytest.mark.parametrize("starts", [0, 4])
-def test_a_structure_without_free_parameters(starts: int) -> None:
+def test_a_structure_without_free_parameters() -> None:
     """``1 / (s - 1 + 5 + 1 / s)`` has its peak at 1 rad/s, of 1/4; with Kp = 5 the loop is unstable."""
-    options, plant = TuningOptions(starts=starts), first_order(1.0)
+    options, plant = TuningOptions(starts=1), first_order(1.0)
     for asked, status in (
         (HinfGain("w", "z"), "converged"),
         (HinfGain("w", "z", hard=True), "converged"),

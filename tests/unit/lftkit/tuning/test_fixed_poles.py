@@ -14,7 +14,7 @@ from lftkit.tuning.status import TuningStatus, inaccurate
 
 LAW = state_space([("y", 1)], [("u", 1)], 1)
 QUICK = TuningOptions(starts=1, iterations=40, seed=0)
-BRIEF = TuningOptions(starts=1, iterations=3, seed=0)
+BRIEF = TuningOptions(starts=1, target=1e6)
 
 
 def weighted(pole: float) -> System:
@@ -26,9 +26,9 @@ def weighted(pole: float) -> System:
     return System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], "weighted")
 
 
-@pytest.mark.parametrize("pole", [1e-6, 1e-7])
-def test_a_weight_as_slow_as_the_limit_is_named(pole: float) -> None:
+def test_a_weight_as_slow_as_the_limit_is_named() -> None:
     """Once: not stabilised after 40 s, "raise the order"; the loop is stable with any stable law."""
+    pole = 1e-6
     found = tune([weighted(pole)], [HinfGain("w", "z")], LAW, options=QUICK)
     assert found.status is TuningStatus.NOT_STABILISED and found.certificate is None and found.soft == np.inf
     assert f"the pole {-pole:.6g} rad/s of weighted" in found.advice
@@ -74,7 +74,7 @@ def test_what_does_not_reach_the_pole_is_named() -> None:
     assert found is not None and found.missing == "commands" and found.value == 1.0
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_poles_that_a_law_reaches_are_not_fixed_however_slow_or_fast(seed: int) -> None:
     """Random plants in random coordinates, unstable and slow poles included: none is called fixed."""
     rng = np.random.default_rng(seed)

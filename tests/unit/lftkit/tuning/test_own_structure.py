@@ -30,7 +30,7 @@ class Lead:
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered in:RuntimeWarning")
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_optimum_at_infinity_ends_at_gains_that_are_numbers(seed: int) -> None:
     """The compliance of a free mass falls for ever with the gain."""
     structure: Any = Lead()

@@ -61,9 +61,9 @@ def test_uncontrollable_undamped_mode_is_no_crash() -> None:
     assert result.status is TuningStatus.NOT_STABILISED and result.certificate is None
 
 
-@pytest.mark.parametrize("name", ["AC6", pytest.param("AC15", marks=pytest.mark.slow)])
-def test_converged_means_certified_within_a_thousandth(name: str) -> None:
-    plant = PLANTS[name]()
+@pytest.mark.slow
+def test_converged_means_certified_within_a_thousandth() -> None:
+    plant = PLANTS["AC15"]()
     ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
     result = tune([plant], [HinfGain("w", "z")], gain([ports["y"]], [ports["u"]]), options=QUICK)
     assert result.certificate is not None
@@ -103,7 +103,7 @@ def test_not_stabilised_says_what_to_do() -> None:
 
 def test_stabilises_what_a_dynamic_controller_can() -> None:
     structure = state_space([("y", 1)], [("u", 1)], 1)
-    result = tune([integrators()], [HinfGain("w", "z")], structure, options=TuningOptions(starts=4, iterations=60))
+    result = tune([integrators()], [HinfGain("w", "z")], structure, options=TuningOptions(starts=4, target=1e6))
     assert result.abscissa < 0 and np.isfinite(result.soft)
 
 
@@ -194,11 +194,11 @@ def test_target_stops_early() -> None:
 def test_same_seed_same_bits_and_workers_change_nothing() -> None:
     def run(workers: int, seed: int) -> tuple[bytes, tuple[float, ...]]:
         options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=3)
-        result = tune([PLANT], [HinfGain("w", "z")], STRUCTURE, options=options)
+        result = tune([lag(0.5)], [HinfGain("w", "z"), HinfGain("w", "effort")], STATIC, options=options)
         return result.x.tobytes(), result.starts
 
     first = run(1, 7)
-    assert first == run(1, 7) == run(2, 7), "processes give the same bits"
+    assert first == run(2, 7), "processes give the same bits"
     assert first[1] != run(1, 8)[1], "other random starts"
 
 
@@ -206,6 +206,9 @@ def test_given_start_is_used_and_never_made_worse() -> None:
     plant = PLANTS["AC4"]()
     structure = gain([("y", 2)], [("u", 1)])
     first = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(starts=1))
+    assert first.status is TuningStatus.CONVERGED and first.certificate is not None
+    assert first.certificate.values.max() == pytest.approx(first.soft, rel=1e-3)
+    assert first.certificate.upper.max() == pytest.approx(first.soft, rel=1e-3), "converged means certified"
     again = tune([plant], [HinfGain("w", "z")], structure, initial=[first.x], options=TuningOptions(starts=0))
     (start,) = again.starts
     assert again.soft <= start, "not worse than the value of the start itself"
@@ -216,7 +219,7 @@ def test_stable_controller_on_request() -> None:
     """By structure or by requirement; p(K) of a plant that would like an unstable one stays stable."""
     plant = integrators()
     by_structure = StableStateSpace((Port("y", 1),), (Port("u", 1),), 2, min_decay=0.01)
-    options = TuningOptions(starts=1, iterations=15)
+    options = TuningOptions(starts=1, target=1e6)
     a = tune([plant], [HinfGain("w", "z")], by_structure, options=options)
     assert np.linalg.eigvals(a.controller.A).real.max() <= -0.01
     free = state_space([("y", 1)], [("u", 1)], 2)
@@ -227,7 +230,7 @@ def test_stable_controller_on_request() -> None:
 def test_pole_requirements_hold_on_the_closed_loop() -> None:
     poles = ClosedLoopPoles(min_decay=0.3, min_damping=0.5, max_frequency=20.0)
     free = state_space([("y", 1)], [("u", 1)], 2)
-    result = tune([integrators()], [HinfGain("w", "z"), poles], free, options=TuningOptions(starts=1, iterations=60))
+    result = tune([integrators()], [HinfGain("w", "z"), poles], free, options=TuningOptions(starts=1, target=1e6))
     assert result.feasible and result.certificate is not None
     closed = result.certificate.abscissae.max()
     assert closed <= -0.3 * (1 - 1e-6)
@@ -274,7 +277,7 @@ def test_values_of_a_result_are_those_of_its_certificate() -> None:
 
 def test_starts_that_agree_end_a_search() -> None:
     """Those of a convex problem end at one value: no further ones are begun."""
-    result = tune([PLANT], [HinfGain("w", "z")], STRUCTURE, options=TuningOptions(starts=24))
+    result = tune([PLANT], [HinfGain("w", "z")], STRUCTURE, options=TuningOptions(starts=24, iterations=100))
     assert 1 < len(result.starts) < 24 and max(result.starts) <= min(result.starts) * (1.0 + 1e-3)
 
 
@@ -297,7 +300,7 @@ def test_the_order_that_is_asked_for_is_looked_at_first() -> None:
 @pytest.mark.parametrize("kind", ["soft gains", "a hard limit"])
 def test_out_of_time_is_said_when_the_time_is_over(kind: str) -> None:
     """Not when a part of it is that one order was given: the orders below it have the rest."""
-    plant, limit = PLANTS["HE1"](), 4.0
+    plant, limit = PLANTS["HE1"](), 1.5
     ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
     needs = [HinfGain("w", "z")] + [ControllerPoles(min_decay=1e-3, hard=True)] * (kind != "soft gains")
     result = tune([plant], needs, state_space([ports["y"]], [ports["u"]], 3), options=TuningOptions(wall_limit=limit))

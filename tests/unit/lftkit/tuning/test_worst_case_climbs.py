@@ -123,7 +123,8 @@ def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
         {"pole": (-1.0, -0.5)},
         needs,
         gain([("y", 1)], [("u", 1)]),
-        options=RobustOptions(TuningOptions(starts=1)),
+        initial=[[-2.0]],
+        options=RobustOptions(TuningOptions(starts=0), WorstCaseOptions(samples=4, climbs=1)),
     )
     assert result.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)

@@ -177,7 +177,7 @@ def test_behind_an_absurd_length_the_records_are_found_again(tmp_path: Path, len
     assert result.damage[0][0] == len(MAGIC + HEADER + good)
 
 
-@pytest.mark.parametrize("bit", range(72))
+@pytest.mark.parametrize("bit", range(3, 72, 8))
 def test_a_wrong_bit_in_the_head_of_a_chunk_loses_nothing(tmp_path: Path, bit: int) -> None:
     parts = [chunk(channel(1, FIRST) + message(1, log, bytes(200))) for log in (5, 6, 7)]
     torn = bytearray(parts[1])

@@ -82,7 +82,7 @@ def seen(row: dict[str, Any]) -> list[str]:
     return [f"{row['name']}: {row['quantity']}", value, f"{row['limit']:g} {unit}", bound, verdict]
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(6))
 def test_all_outputs_agree(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Random requirements, rates, gaps and numbers of runs: the three outputs row by row, and each on its own index."""
     rng = np.random.default_rng([28, seed])

@@ -17,7 +17,7 @@ VALUES = np.array([1e-6, -2e-6])
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=66, deadline=None)
 def test_stray_packets_are_refused(data):
     reader = Reader(KEY)
     assert reader.read(data) is None
@@ -25,7 +25,7 @@ def test_stray_packets_are_refused(data):
 
 
 @given(st.integers(0, 43), st.integers(0, 7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=66, deadline=None)
 def test_a_flipped_bit_is_found(place, bit):
     data = bytearray(encode(Kind.FRAME, 3, 5, VALUES, KEY))
     data[place] ^= 1 << bit
@@ -33,7 +33,7 @@ def test_a_flipped_bit_is_found(place, bit):
 
 
 @given(st.floats(-200, 200), st.integers(0, 400_000), st.integers(0, 2**40))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_clock_of_a_rig_is_known_to_half_of_the_way(drift_ppm, spread_ns, ahead):
     clocks, rng = ClockMap(), np.random.default_rng(1)
     for k in range(200):
@@ -57,7 +57,7 @@ def test_a_clock_that_is_set_is_learned_anew():
 @given(
     st.lists(st.tuples(st.integers(0, 80), st.integers(0, 80)), min_size=2, max_size=30), st.integers(-(2**40), 2**40)
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=16, deadline=None)
 def test_answers_that_were_held_up_on_their_way_are_of_no_clock_that_was_set(held, ahead):
     """A host without a free processor holds a question or its answer for tens of milliseconds."""
     clocks = ClockMap()
@@ -70,7 +70,7 @@ def test_answers_that_were_held_up_on_their_way_are_of_no_clock_that_was_set(hel
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True) | st.integers(0, 2**32 - 1).map(float), max_size=4))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_no_packet_that_anyone_can_send_ends_a_rig(values):
     """The key that opens a rig of this machine is zeros: the values of the packet may be anything."""
     data = encode(Kind.OPEN, 1, 5, np.array(values), bytes(8))
@@ -102,7 +102,7 @@ class Answers:
 
 
 @given(st.lists(st.integers(-900, 900), min_size=1, max_size=40))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=66, deadline=None)
 def test_the_counts_do_not_know_where_the_numbers_begin_anew(steps):
     """The same order of packets is counted alike near 2^32 and far from it; the numbers go on."""
     far, near = Reader(KEY), Reader(KEY)
@@ -138,7 +138,7 @@ def frames():
 
 
 @given(st.lists(st.one_of(st.integers(0, 19), st.binary(max_size=40)), max_size=30), st.integers(1, 200))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=66, deadline=None)
 def test_a_stream_gives_its_packets_whatever_is_between_them(parts, size):
     """Bytes that are no packet, and packets, read in pieces of any size: every packet comes, in order, and no other."""
     sent = [PACKETS[part] for part in parts if isinstance(part, int)]
@@ -151,7 +151,7 @@ def test_a_stream_gives_its_packets_whatever_is_between_them(parts, size):
 
 
 @given(st.integers(0, len(b"".join(PACKETS)) - 1), st.integers(1, 255), st.booleans())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=66, deadline=None)
 def test_a_changed_or_lost_byte_costs_one_packet(place, change, lost):
     stream = bytearray(b"".join(PACKETS))
     if lost:
