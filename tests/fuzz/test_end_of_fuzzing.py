@@ -76,7 +76,9 @@ def test_no_example_begins_after_the_time(tmp_path: Path) -> None:
     assert f"\n{examples} examples in " in f"\n{out}" and "nothing found\n" in out, out
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "name", ["SIGTERM", *(pytest.param(name, marks=pytest.mark.slow) for name in ("SIGINT", "SIGHUP"))]
+)
 def test_a_signal_ends_it_after_the_example_that_runs(tmp_path: Path, name: str) -> None:
     process = started(tmp_path, 60, WAIT)
     await_first(tmp_path, process)

@@ -24,8 +24,15 @@ from lftkit.tuning.result import TuningResult
 from lftkit.tuning.structures.structures import gain, state_space
 from lftkit.tuning.tuner import tune
 
-STARTS = {"AC2": 3, "AC4": 3, "AC6": 3, "AC16": 6, "AC17": 3, "HE1": 6, "REA2": 6}
-SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24, "HE2": 24, "NN4": 24, "NN8": 24}
+STARTS = {"AC4": 3, "AC17": 3, "HE1": 6}
+SLOW_STARTS = {"AC2": 3, "AC6": 3, "AC16": 6, "REA2": 6} | {
+    "AC15": 24,
+    "REA1": 24,
+    "DIS2": 24,
+    "HE2": 24,
+    "NN4": 24,
+    "NN8": 24,
+}
 NO_LIMIT = 1e6
 """Seconds: work is limited by starts and iterations, so that the speed of the machine does not matter."""
 

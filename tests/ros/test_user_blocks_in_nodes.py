@@ -145,9 +145,9 @@ def test_any_exception_of_the_user_ends_the_run_with_one_line_and_a_whole_bag(
 
 def test_a_law_that_waits_for_ever_ends_the_run(tmp_path: Path, module: str) -> None:
     """Python answers no request meanwhile, and no signal ends it: after a while it is killed."""
-    config = config_for(tmp_path, mode="lockstep", duration=60.0, hang_timeout=2.0, k_pma=f"{module}:Waiting")
+    config = config_for(tmp_path, mode="lockstep", duration=60.0, hang_timeout=6.0, k_pma=f"{module}:Waiting")
     results = Runner(config, lambda ticks: None).run()
-    assert results.failures == ["estimator_controller has not responded for 2 s: the run was ended (--hang-timeout)"]
+    assert results.failures == ["estimator_controller has not responded for 6 s: the run was ended (--hang-timeout)"]
     assert len(Run.open(results.bag)["truth/los"]) >= 300
 
 

@@ -80,7 +80,7 @@ def ends_of(system: System) -> FloatArray:
     return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters])
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 8))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 8))])
 def test_no_corner_is_unstable_much_earlier_than_the_one_found(seed: int) -> None:
     system, largest = random_system(seed), 20.0
     search = CornerSearch(system, ends_of(system))

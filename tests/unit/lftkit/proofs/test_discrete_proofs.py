@@ -70,7 +70,7 @@ def random_system(rng: np.random.Generator) -> System:
     return System(A, B, C, D, *PORTS, channels=("a", "a", "b"), elements=elements, dt=0.01)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 30))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 30))])
 def test_no_member_is_above_what_is_proven(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng)

