@@ -11,7 +11,7 @@ Sources: Doyle, Glover, Khargonekar and Francis, IEEE TAC 34 (1989); Safonov, Li
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -19,7 +19,7 @@ from scipy import linalg
 from lftkit.analysis.norms import h2_norm, hinf_norm, is_stable
 from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
-from lftkit.synthesis.lower_bound import lower_bound_proof
+from lftkit.synthesis.lower_bound import confirmed_optimum, lower_bound_proof
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
@@ -39,7 +39,8 @@ from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, 
 from lftkit.tuning.gains.loop import ExtendedPlant
 
 REGULARISED = 1e-6, 1e-5, 1e-4, 1e-3
-"""Weights of commands and noises of measurements that are tried where an assumption of the equations fails."""
+"""Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and
+with the same weight and noise of every state, which zeros on the imaginary axis need."""
 ABOVE = 1.00002, 1.0002, 1.002, 1.02, 1.1
 """Levels of controllers over the lowest one: nearer to it their poles are faster."""
 REACHED = 1e-6
@@ -59,10 +60,11 @@ class FullOrderDesign:
     value : float
         Norm of `closed`.
     lower : float
-        What no controller of any order can do better, numerically; minus infinity where a weight had to be added so
-        that the equations have a solution. With ``certify=True`` it is proven, or minus infinity.
+        What no controller of any order can do better, numerically; minus infinity where neither the Riccati equations
+        nor linear matrix inequalities have an optimum near to `value`. With ``certify=True`` it is proven, or minus
+        infinity.
     regularised : float
-        Weight of commands and noise of measurements that was added, 0 for none.
+        Weight of commands and noise of measurements that was added, 0 for none; of states, too, where that is better.
     proof : LowerBoundProof or None
         Of `lower`, for :func:`~lftkit.proofs.check_proof`.
     """
@@ -72,7 +74,7 @@ class FullOrderDesign:
     value: float
     lower: float
     regularised: float = 0.0
-    proof: LowerBoundProof | None = None
+    proof: LowerBoundProof | None = field(default=None, repr=False)
 
     @property
     def gap(self) -> float:
@@ -127,17 +129,45 @@ def hinfsyn(
 
 
 def _least(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
-    """The controller with the least norm, with small weights where the equations have no solution without them."""
-    best = _best(given, generalised) if of_full_rank(generalised) else None
-    if best is not None:
-        return best
-    candidates = [found for weight in REGULARISED if (found := _best(given, generalised, weight)) is not None]
-    if not candidates:
+    """The controller with the least norm and its bound, with weights where the equations have no solution without."""
+    found = _controller_of_least_norm(given, generalised)
+    if found.lower > -np.inf:
+        return found
+    measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
+
+    def bounded(design: FullOrderDesign) -> FullOrderDesign:
+        return replace(design, lower=confirmed_optimum(given.system, measured, commanded, design.value))
+
+    found = bounded(found)
+    if found.lower > -np.inf or not found.regularised:
+        return found
+    better = _with_weights(given, generalised, of_states=True)
+    return bounded(better) if better is not None and better.value < found.value else found
+
+
+def _controller_of_least_norm(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
+    """Without a bound where small weights of commands and measurements are needed."""
+    found = _best(given, generalised) if of_full_rank(generalised) else None
+    found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
+    if found is None:
         raise InputError(
             f"{given.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
-            f"{REGULARISED[-1]:g} on commands and measurements too"
+            f"{REGULARISED[-1]:g} on commands, measurements and states too"
         )
-    return min(candidates, key=lambda found: found.value)
+    return found
+
+
+def _with_weights(
+    given: StandardPlant, generalised: ExtendedPlant, *, of_states: bool = False
+) -> FullOrderDesign | None:
+    found = [_best(given, _weighted(generalised, w, w if of_states else 0.0), w) for w in REGULARISED]
+    return min((one for one in found if one is not None), key=lambda one: one.value, default=None)
+
+
+def controller_of_least_norm(plant: System, measured: Names, commanded: Names) -> System:
+    """The controller of :func:`hinfsyn`, without looking for a bound where that is a problem of its own."""
+    given = standard_plant(plant, measured, commanded)
+    return _controller_of_least_norm(given, replace(given, system=continuous(given.system)).extended).controller
 
 
 def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
@@ -246,22 +276,23 @@ def mixsyn(
     return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
-def _weighted(plant: ExtendedPlant, weight: float) -> ExtendedPlant:
-    """The plant with a small weight on each command and a small noise on each measurement."""
+def _weighted(plant: ExtendedPlant, weight: float, states: float) -> ExtendedPlant:
+    """The plant with a small weight of each command and state, and a small noise of each measurement and state."""
     (n, nu), ny = plant.B2.shape, len(plant.C2)
+    of_states = states * np.eye(n if states else 0, n)
+    more = len(of_states)
     return replace(
         plant,
-        B1=np.hstack([plant.B1, np.zeros((n, ny))]),
-        C1=np.vstack([plant.C1, np.zeros((nu, n))]),
-        D11=linalg.block_diag(plant.D11, np.zeros((nu, ny))),
-        D12=np.vstack([plant.D12, weight * np.eye(nu)]),
-        D21=np.hstack([plant.D21, weight * np.eye(ny)]),
+        B1=np.hstack([plant.B1, np.zeros((n, ny)), of_states.T]),
+        C1=np.vstack([plant.C1, np.zeros((nu, n)), of_states]),
+        D11=linalg.block_diag(plant.D11, np.zeros((nu + more, ny + more))),
+        D12=np.vstack([plant.D12, weight * np.eye(nu), np.zeros((more, nu))]),
+        D21=np.hstack([plant.D21, weight * np.eye(ny), np.zeros((ny, more))]),
     )
 
 
-def _best(given: StandardPlant, generalised: ExtendedPlant, weight: float = 0.0) -> FullOrderDesign | None:
-    """The controller with the least norm of those at levels a little above the lowest one."""
-    plant = _weighted(generalised, weight) if weight else generalised
+def _best(given: StandardPlant, plant: ExtendedPlant, weight: float = 0.0) -> FullOrderDesign | None:
+    """The controller with the least norm of those at levels a little above the lowest one; `weight` was added."""
     found = lowest_level(plant)
     if found is None:
         return None
@@ -291,7 +322,8 @@ def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrd
 def _at_level(given: StandardPlant, generalised: ExtendedPlant, level: float) -> FullOrderDesign:
     found = _design(given, generalised, level) if of_full_rank(generalised) else None
     for weight in () if found is not None else REGULARISED:
-        found = found or _design(given, _weighted(generalised, weight), level)
+        for states in (0.0, weight):
+            found = found or _design(given, _weighted(generalised, weight, states), level)
     if found is None or found.value > (1.0 + REACHED) * level:
         raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
     return found

@@ -27,7 +27,7 @@ from lftkit.proofs.robustness import robust_stability
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.proofs.structured.bounds import MuBounds, mu
 from lftkit.proofs.trusted.structured import UncertaintyBlock
-from lftkit.synthesis.full_order import hinfsyn
+from lftkit.synthesis.full_order import controller_of_least_norm
 from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
 from lftkit.systems.connection.interconnection import close
 from lftkit.systems.exchange import as_system
@@ -306,7 +306,7 @@ class _Problem:
 
     def candidate(self, scaled: System, omega: FloatArray) -> _Candidate:
         """The controller of a scaled plant."""
-        controller = _synthesised(scaled, self.measured, self.commanded)
+        controller = controller_of_least_norm(scaled, self.measured, self.commanded)
         return _Candidate(controller, self.standard.closed(controller), self.structure, omega)
 
     def scaled(self, fits: tuple[System, ...]) -> System:
@@ -344,10 +344,6 @@ def _between(system: System, fits: tuple[System, ...], structure: tuple[Uncertai
     left = [one for one, b in blocks for _ in range(b.columns)]
     right = [one.inverse() for one, b in blocks for _ in range(b.rows)]
     return _diagonal(left, system.outputs) @ system @ _diagonal(right, system.inputs)
-
-
-def _synthesised(plant: System, measured: Names, commanded: Names) -> System:
-    return hinfsyn(plant, measured, commanded).controller
 
 
 def _sizes(element: Element) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
 from lftkit.tuning.full_order import central, lowest_level
+from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 
 
 def system(expression: Any) -> System:
@@ -146,6 +147,24 @@ def test_weights_of_one_channel_are_those_of_each() -> None:
     alone = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)), 0.5, 0.1)
     both = mixsyn(plant, system(1 / (s + 0.1)), 0.5, 0.1)
     assert both.value == pytest.approx(alone.value, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["AC2", "HE1", "NN17", "PSM"])
+def test_no_static_controller_is_better_than_full_order(name: str) -> None:
+    """COMPleib plants whose measurements have no noise; a mode of AC2 at zero is not in the error."""
+    found = hinfsyn(PLANTS[name](), "y", "u")
+    assert found.lower <= found.value <= 1.0005 * BEST_KNOWN[name] and found.gap < 5e-4 and stable(found.closed)
+
+
+@pytest.mark.parametrize("seed", [1, 8, 35])
+def test_without_noise_or_weights_no_other_controller_is_below_the_bound(seed: int) -> None:
+    given = random_plant(seed, 3)
+    direct = given.D * ([[1], [1], [1], [0], [0]] if seed % 2 else 0)  # no noise, and for some no weights either
+    plant = System(given.A, given.B, given.C, direct, given.inputs, given.outputs, "P")
+    found = hinfsyn(plant, "y", "u")
+    others = [found.value * (1.0 + distance) for distance in (1e-3, 1e-2, 0.1, 1.0)]
+    assert found.regularised > 0.0 and found.gap < 2e-3
+    assert all(found.lower <= hinfsyn(plant, "y", "u", level).value for level in others)
 
 
 def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_bound() -> None:
