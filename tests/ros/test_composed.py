@@ -62,6 +62,7 @@ def test_composed_and_separate_runs_in_lockstep_have_the_bits_of_one_process(tmp
         assert_same_samples(tmp_path / name, tmp_path / "inprocess")
 
 
+@pytest.mark.further
 def test_the_program_of_both_laws_is_replaced_as_one_and_the_plant_goes_on(tmp_path):
     config = config_of(tmp_path, "bag", duration=240.0)
     killed = []
@@ -110,6 +111,7 @@ def test_a_node_that_is_shut_down_leaves_the_other_one(tmp_path, name):
     assert (run["los_estimate"].stamp[-1] > end - 50_000_000) == (name == "controller")
 
 
+@pytest.mark.further
 def test_a_slow_law_runs_in_lockstep_where_no_mode_is_asked_for(tmp_path, monkeypatch):
     """Measured in the trial before the run, in which the law computes; the bag says what was asked and measured."""
     (tmp_path / "slow_law.py").write_text(SLOW_LAW)

@@ -24,7 +24,7 @@ def user_file(path: Path, text: str) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("name", ["estimator", "controller"])
+@pytest.mark.parametrize("name", [pytest.param("estimator", marks=pytest.mark.slow), "controller"])
 def test_a_node_refuses_a_controller_for_another_mirror(name: str, tmp_path: Path) -> None:
     user = user_file(tmp_path / "user.toml", "los_sensitivity = 0.2")
     domain = config_for(tmp_path).domain

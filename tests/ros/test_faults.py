@@ -100,7 +100,7 @@ def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_pa
             told_between.append(time.time_ns())
             seen.close()
 
-    results = run_with_fault(tmp_path, 1000, stop_for_a_while, after=1500)
+    results = run_with_fault(tmp_path, 800, stop_for_a_while, after=900)
     assert not results.failures
     run = Run.open(results.bag)
     stamp, angle = mirror_angle(results.bag)
@@ -155,7 +155,7 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
             assert time.monotonic() < end, "no second bag"
             time.sleep(0.05)
 
-    results = run_with_fault(tmp_path, 2500, kill, after=1200)
+    results = run_with_fault(tmp_path, 2500, kill, after=700)
     assert "recorder ended unexpectedly (signal 9)" in results.failures[0]
     salvage = repair_bag(tmp_path / "bag", tmp_path / "saved")
     run = Run.open(tmp_path / "saved")
@@ -164,7 +164,7 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     assert results.bag.name == "bag-2"
     assert len(second["truth/los"]) > 100
     if judged_at_pace(second, "that the second bag has most of the rest of the run"):
-        assert len(second["truth/los"]) > 1000
+        assert len(second["truth/los"]) > 500
     ticks = int(results.statistics["plant"]["ticks"])
     assert len(run["truth/los"]) + len(second["truth/los"]) < ticks
     assert_plant_is_recorded(second, len(span_of(second)), joined=True)
@@ -228,7 +228,7 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
         finally:
             rogue.close()
 
-    results = run_with_fault(tmp_path, 300, intrude, after=1200)
+    results = run_with_fault(tmp_path, 300, intrude, after=500)
     plant, estimator = results.statistics["plant"], results.statistics["estimator"]
     # the loop's readers are best effort: on a loaded machine the system may drop a message before they see it
     counts = {f"fsm_{r}": plant[f"rejected_fsm_{r}"] for r in (*WRONG, "future", "off_grid", "size", "encoding")}

@@ -81,10 +81,8 @@ def second_plant(config, folder, listen_s):
     )
 
 
-@pytest.fixture(scope="module")
-def interrupted(tmp_path_factory):
+def interrupted_run(folder, heard="", listen_s=0.0):
     """A long run that is interrupted after others were refused beside it, and what they said."""
-    folder = tmp_path_factory.mktemp("interrupted")
     config, found = config_for(folder, duration=600.0), {}
     found["folder of the second run"] = folder / "second"
     found["folder of the second run"].mkdir()
@@ -96,16 +94,20 @@ def interrupted(tmp_path_factory):
             with pytest.raises(ValueError) as refused:
                 Runner(second, commands={"plant": PLANT}).run()
             found["second run"] = str(refused.value)
-            for name, listen_s in (("at once", LISTEN_S), ("discovered late", 0.0)):
-                found[name] = second_plant(config, folder, listen_s)
-            for name in ("at once", "discovered late"):
-                found[f"{name}, told"] = found[name].communicate(timeout=240)[1]
+            if heard:
+                found[heard] = second_plant(config, folder, listen_s)
+                found[f"{heard}, told"] = found[heard].communicate(timeout=240)[1]
             found["ticks"] = ticks + 1000 * (time.monotonic() - begin)  # the plant did not wait for this
         if ticks > 500 and "stopped" not in found:
             found["stopped"] = True
             raise KeyboardInterrupt
 
     return Runner(config, meanwhile, {"plant": PLANT}).run(), found
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    return interrupted_run(tmp_path_factory.mktemp("interrupted"))
 
 
 def test_an_interrupt_ends_the_run_cleanly_with_a_good_bag(interrupted):
@@ -126,10 +128,13 @@ def test_a_second_run_on_the_same_domain_is_refused(interrupted):
     assert not (found["folder of the second run"] / "bag").exists()
 
 
-@pytest.mark.parametrize("heard", ["at once", "discovered late"])
-def test_a_plant_that_hears_another_one_refuses_to_start(interrupted, heard):
+@pytest.mark.further
+@pytest.mark.parametrize(
+    ("heard", "listen_s"), [("at once", LISTEN_S), pytest.param("discovered late", 0.0, marks=pytest.mark.slow)]
+)
+def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, heard, listen_s):
     """Also from another machine, where no lock file helps."""
-    results, found = interrupted
+    results, found = interrupted_run(tmp_path, heard, listen_s)
     assert found[heard].returncode == 2
     told = found[f"{heard}, told"]
     assert "ROS_DOMAIN_ID must be a domain without a plant" in told

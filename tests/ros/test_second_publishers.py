@@ -125,6 +125,7 @@ def reports_of_the_plant(bag):
             yield from (s for s in read_diagnostics(message.data)[1] if s.name == "telescope: plant")
 
 
+@pytest.mark.further
 def test_a_second_publisher_is_reported_within_50_ms_of_its_first_message(tmp_path):
     """One message in each tick that it hears, from the moment it appears: at the report there are at most 50."""
     counts: list[Any] = []

@@ -182,7 +182,7 @@ def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
     return np.asarray(np.linalg.eigvals(whole), dtype=complex)
 
 
-@pytest.mark.parametrize("gain", [-30.0, -9.0, -1.0, -0.3, 0.05, 0.12, 1.0, 4.0, 20.0])
+@pytest.mark.parametrize("gain", [-9.0, -0.3, 0.05, 0.12, 4.0, 20.0])
 def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
     """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large."""
     plant, law = held_loop()

@@ -43,8 +43,9 @@ def proof() -> LowerBoundProof:
     return found
 
 
-@pytest.mark.parametrize("through", [False, True])
-@pytest.mark.parametrize(("seed", "n"), [(0, 2), (1, 2), (0, 3), (1, 4), (2, 5), (0, 6), (1, 8), (2, 10)])
+@pytest.mark.parametrize(
+    ("seed", "n", "through"), [(0, 2, True), (1, 2, False), (0, 3, True), (1, 4, False), (2, 5, True), (1, 8, False)]
+)
 def test_the_bound_is_within_a_thousandth_of_existence_conditions(seed: int, n: int, through: bool) -> None:
     """Two Riccati equations of which neither the search nor the check knows anything."""
     plant = random_plant(seed, n, through)

@@ -96,8 +96,6 @@ NEEDS = [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)]
     ("error", "workers"),
     [
         (FloatingPointError, 1),
-        (linalg.LinAlgError, 1),
-        (ZeroDivisionError, 1),
         (ValueError, 1),
         (linalg.LinAlgError, 2),
     ],
@@ -110,7 +108,7 @@ def test_a_start_whose_arithmetic_fails_is_counted_and_the_others_go_on(error: t
     assert "1 of 2 starts failed" in result.advice and "out of range" in result.advice
 
 
-@pytest.mark.parametrize("error", [TypeError, AttributeError, IndexError, KeyError])
+@pytest.mark.parametrize("error", [TypeError, KeyError])
 def test_mistakes_of_the_program_are_not_taken_for_arithmetic(error: type[Exception]) -> None:
     structure: Any = Failing(error)
     with pytest.raises(error):

@@ -48,7 +48,7 @@ def depth(evaluator: MemberEvaluator) -> MemberMetrics:
     return evaluator._model
 
 
-@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize("index", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvaluator, index: int) -> None:
     found = row(evaluator, index)
     assert found["status"] == "ok"
