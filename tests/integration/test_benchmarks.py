@@ -22,6 +22,7 @@ SHORTEST: dict[str, str] = {
     "device_faults": "--cases silent",
     "flight_code": "--steps 1e3 --json",
     "frequency_response": "--samples 1 --json",
+    "full_order_gap": "--plants AC4",
     "fsm_value": "--seconds 1 --json",
     "goals": "--json",
     "hinf_norm": "--samples 1 --json",
