@@ -102,6 +102,7 @@ def test_the_stranger_sees_nothing_and_its_commands_reach_no_gate(seen):
     assert not [name for name in host["plant"] if name.startswith("rejected_fsm") and "late" not in name]
 
 
+@pytest.mark.slow
 def test_no_packet_of_a_campaign_leaves_this_machine_and_no_socket_is_elsewhere(tmp_path):
     pytest.importorskip("distributed")
     with two_hosts() as names:

@@ -7,7 +7,6 @@ in many forms. `.ci/run` has them all.
 from __future__ import annotations
 
 FURTHER = {
-    "fuzz/test_end_of_fuzzing.py": "the fuzzing itself",
     "fuzz/test_fuzz_bags.py": "damaged bags: unit/pointing_analysis/test_foreign_bags.py",
     "fuzz/test_fuzz_hostile_files.py": "hostile files: unit/los_testbed/cli/test_unusual_files.py",
     "fuzz/test_fuzz_records.py": "damaged records: unit/los_testbed/bags/test_bag_repair_records.py",
