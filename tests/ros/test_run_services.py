@@ -72,7 +72,7 @@ def served(tmp_path_factory):
             found["start"] = ask(user, "start")
             await_ticks(runner, lambda ticks: ticks >= 300)
             found["running"] = ask(user, "start")
-            found["commands"] = control(runner, ["start"], ["reset", "--at", "0.001"], ["stage", "isolator"])
+            found["commands"] = control(runner, ["reset", "--at", "0.001"], ["stage", "isolator"])
             user.remote.change("noise", False)
             ticks = runner.ticks_done
             await_ticks(runner, lambda done: done >= ticks + 300)
@@ -107,9 +107,8 @@ def test_a_request_in_the_wrong_state_is_refused_with_the_reason(served):
     for name in ("stop", "reset"):
         assert found["waiting"][name] == (False, f"the run must be running for {name}, got waiting for its start")
     assert found["running"] == (False, "the run must be waiting for its start for start, got running")
-    (code, told), (late, reason), done = found["commands"]
+    (late, reason), done = found["commands"]
     assert done == (0, "")
-    assert (code, told) == (2, "los-testbed: the run must be waiting for its start for start, got running\n")
     assert late == 2 and reason.startswith("los-testbed: at must be later than") and reason.count("\n") == 1
 
 
