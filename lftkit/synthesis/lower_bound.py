@@ -35,10 +35,10 @@ BELOW = 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2
 """Relative distances from the highest level of vectors at which one is claimed, until the check has a margin."""
 CLOSE = 5e-4
 """Relative distance of a proven level from the optimum of the program below which one attempt is enough."""
-CONFIRMED, ACCURACY = 1e-3, 1e-4
-"""Relative distance from the value of a closed loop at which an optimum of the program counts, and its own error."""
-CENTRED = 0.3, 0.15, 0.7
-"""Centring of the attempts at such an optimum: where it is not attained, much of it ends early."""
+CONFIRMED, ACCURACY = 1e-3, 5e-4
+"""Relative distance from the value of a closed loop at which an optimum of the program counts, and that of two runs."""
+FROM = (1.0, 0.3), (10.0, 0.1), (10.0, 0.3), (1.0, 0.1)
+"""Units of the error over that value, and centring, of the runs of which two must agree."""
 Sides = tuple[bool, bool]
 """Whether vectors of the plant, and of its adjoint, are looked for."""
 ATTEMPTS = (
@@ -122,7 +122,7 @@ def confirmed_optimum(plant: System, measured: Names, commanded: Names, value: f
     """Numerical lower bound of the norm that controllers reach, where a controller is known that nearly reaches it.
 
     Unlike those of the Riccati equations the program has its optimum for plants without noise or weights, too. Rounding
-    may end it elsewhere, so it counts only within :data:`CONFIRMED` of the `value` of a closed loop.
+    may end it elsewhere, so it counts only where two runs agree and within :data:`CONFIRMED` of the `value` of a loop.
 
     Returns
     -------
@@ -132,13 +132,18 @@ def confirmed_optimum(plant: System, measured: Names, commanded: Names, value: f
     problem = _problem(as_system(plant), measured, commanded)
     if problem is None:
         return -np.inf
-    working = _Working.of(problem, value)
-    own, adjoint = _halves(working.plant)
-    program = _program((own, adjoint), [own.kernel, adjoint.kernel], (True, True))
-    for centred in CENTRED:
-        found = [one.v[-1] for one in iterates(*program, centred)]
-        if found and abs(found[-1] - 1.0) <= 2.0 * CONFIRMED:
-            return float(min(np.sqrt(found[-1]), 1.0) * (1.0 - ACCURACY) * value)
+    known: list[float] = []
+    for scale, centred in FROM:
+        working = _Working.of(problem, scale * value)
+        own, adjoint = _halves(working.plant)
+        program = _program((own, adjoint), [own.kernel, adjoint.kernel], (True, True))
+        squares = [float(one.v[-1]) for one in iterates(*program, centred)]
+        ratio = scale * float(np.sqrt(max(squares[-1], 0.0))) if squares else 0.0
+        if abs(ratio - 1.0) > CONFIRMED:
+            continue
+        if any(abs(ratio - other) <= ACCURACY for other in known):
+            return float(min(*known, ratio, 1.0) * (1.0 - ACCURACY) * value)
+        known.append(ratio)
     return -np.inf
 
 

@@ -153,7 +153,7 @@ def test_weights_of_one_channel_are_those_of_each() -> None:
 def test_no_static_controller_is_better_than_full_order(name: str) -> None:
     """COMPleib plants whose measurements have no noise; a mode of AC2 at zero is not in the error."""
     found = hinfsyn(PLANTS[name](), "y", "u")
-    assert found.lower <= found.value <= 1.0005 * BEST_KNOWN[name] and found.gap < 5e-4 and stable(found.closed)
+    assert found.lower <= found.value <= 1.0005 * BEST_KNOWN[name] and found.gap < 1e-3 and stable(found.closed)
 
 
 @pytest.mark.parametrize("seed", [1, 8, 35])
