@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from math import isfinite, pi
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,7 @@ from lftkit.analysis.circle.circle_h2 import discrete_h2
 from lftkit.analysis.circle.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.given_system import given_system
 from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
 from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
@@ -64,16 +66,16 @@ class HInfNorm:
 
 
 def hinf_norm(
-    A: ArrayLike,
-    B: ArrayLike,
-    C: ArrayLike,
-    D: ArrayLike,
+    A: Any,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
     *,
     dt: float | None = None,
     rtol: float = 1e-7,
     certificate: str = "auto",
 ) -> HInfNorm:
-    """H-infinity norm of ``x' = A x + B u, y = C x + D u`` (or ``x+ = ...`` with period `dt`).
+    """H-infinity norm of a system, or of ``x' = A x + B u, y = C x + D u`` (``x+ = ...`` with period `dt`).
 
     **Infinite for an unstable system**, as hinfnorm of MATLAB answers: only stable systems are in the space, and a
     finite answer would bound no energy. The largest gain on the axis, with poles on both sides of it, is
@@ -82,9 +84,9 @@ def hinf_norm(
     Parameters
     ----------
     A, B, C, D : array_like
-        Shapes (n, n), (n, m), (p, n), (p, m).
+        Shapes (n, n), (n, m), (p, n), (p, m); or a certain system (:func:`lftkit.as_system`) alone, with its period.
     dt : float, optional
-        Sampling period [s] of a discrete-time system; None or 0: continuous time.
+        Sampling period [s] of discrete-time matrices; None or 0: continuous time.
     rtol : float
         Relative distance of the two sides.
     certificate : {"auto", "interval", "hamiltonian"}
@@ -120,11 +122,15 @@ def hinf_norm(
     >>> norm = hinf_norm([[0, 1], [-1, -0.02]], [[0], [1]], [[1, 0]], [[0]])
     >>> round(norm.value, 6), round(norm.omega, 6), norm.upper > norm.value
     (50.0025, 0.9999, True)
+    >>> from lftkit import s
+    >>> round(hinf_norm(1 / (s**2 + 0.02 * s + 1)).value, 6)
+    50.0025
     """
     if certificate not in ("auto", "interval", "hamiltonian"):
         raise InputError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
     if not rtol > 0:
         raise InputError(f"rtol must be positive, got {rtol}")
+    (A, B, C, D), dt = given_system(A, B, C, D, dt)
     dt = dt if _is_discrete(dt) else None
     if certificate == "auto" and (found := _by_compiled_code((A, B, C, D), dt, rtol)):
         return found
@@ -137,7 +143,13 @@ def hinf_norm(
 
 
 def linf_norm(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None, rtol: float = 1e-7
+    A: Any,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
+    *,
+    dt: float | None = None,
+    rtol: float = 1e-7,
 ) -> HInfNorm:
     """L-infinity norm: the largest gain on the imaginary axis or the unit circle, of a stable system or not.
 
@@ -146,9 +158,9 @@ def linf_norm(
     Parameters
     ----------
     A, B, C, D : array_like
-        Shapes (n, n), (n, m), (p, n), (p, m).
+        Shapes (n, n), (n, m), (p, n), (p, m); or a certain system (:func:`lftkit.as_system`) alone, with its period.
     dt : float, optional
-        Sampling period [s] of a discrete-time system; None or 0: continuous time.
+        Sampling period [s] of discrete-time matrices; None or 0: continuous time.
     rtol : float
         Relative distance of the two sides.
 
@@ -172,15 +184,15 @@ def linf_norm(
     >>> [round(norm.value, 6) for norm in norms]
     [inf, 0.5]
     """
+    (A, B, C, D), dt = given_system(A, B, C, D, dt)
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     return band_gain(A, B, C, D, (0.0, last), dt=dt, rtol=rtol, stable=False)
 
 
-def hinf_norms(
-    systems: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]], *, rtol: float = 1e-7
-) -> list[HInfNorm]:
-    """H-infinity norms of many continuous-time systems (A, B, C, D), for instance of parameter samples."""
-    return [hinf_norm(*system, rtol=rtol) for system in systems]
+def hinf_norms(systems: Iterable[Any], *, rtol: float = 1e-7) -> list[HInfNorm]:
+    """H-infinity norms of many systems, or of (A, B, C, D) in continuous time, for instance of parameter samples."""
+    matrices = (system if isinstance(system, tuple) else (system,) for system in systems)
+    return [hinf_norm(*given, rtol=rtol) for given in matrices]
 
 
 def band_gain(
@@ -260,8 +272,15 @@ def _discrete_band_gain(
     return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
-def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None) -> float:
-    """H2 norm: rms of the output for white noise of unit (two-sided) density on every input.
+def h2_norm(
+    A: Any,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
+    *,
+    dt: float | None = None,
+) -> float:
+    """H2 norm of a system or of its matrices: rms of the output for white noise of unit (two-sided) density.
 
     Continuous time: ``sqrt(trace(C P C'))`` with ``A P + P A' + B B' = 0``; infinite for an unstable system or D other
     than 0. Discrete time (`dt` given): rms of y for unit-variance samples, D included; the relative error is about 1e-9
@@ -281,6 +300,7 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
     >>> round(h2_norm([[-2.0]], [[1.0]], [[1.0]], [[0.0]]) ** 2, 12)
     0.25
     """
+    (A, B, C, D), dt = given_system(A, B, C, D, dt)
     a, b, c, d = checked_matrices(A, B, C, D)
     if not _is_discrete(dt):
         if np.any(d != 0.0):

@@ -7,6 +7,7 @@ that were evaluated, not a bound over the box: for that see `lftkit.proofs`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +20,7 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.system import System
 
@@ -31,7 +33,7 @@ MARGIN = 3.0
 
 
 def bode_band(
-    system: System,
+    system: Any,
     samples: Samples = 20,
     *,
     output: Channel,
@@ -43,7 +45,7 @@ def bode_band(
 
     Parameters
     ----------
-    system : System
+    system : System, or what :func:`lftkit.as_system` takes
     samples : int or sequence of mappings
         Number of random members, uniform in the box, or parameter values of the members.
     output, input : str or (str, int)
@@ -78,6 +80,7 @@ def bode_band(
     >>> top.collections[0].get_datalim(top.transData).ymin.round(4).item(), top.get_ylabel()
     (0.3333, 'x / force [m/N]')
     """
+    system = as_system(system)
     row, column = _index(system.outputs, output, "output"), _index(system.inputs, input, "input")
     models = _members(system, samples, seed)
     w = _frequencies(models, omega)
@@ -98,7 +101,7 @@ def bode_band(
     return figure
 
 
-def sigma_plot(system: System, samples: Samples = 0, *, omega: ArrayLike | None = None, seed: int = 0) -> Figure:
+def sigma_plot(system: Any, samples: Samples = 0, *, omega: ArrayLike | None = None, seed: int = 0) -> Figure:
     """Singular values over frequency: all of the nominal system, and the band of the largest of its members.
 
     Parameters are those of :func:`bode_band`. Ports are not scaled: select those of one kind first.
@@ -134,7 +137,7 @@ def sigma_plot(system: System, samples: Samples = 0, *, omega: ArrayLike | None 
     return figure
 
 
-def pole_map(system: System, samples: Samples = 0, *, seed: int = 0) -> Figure:
+def pole_map(system: Any, samples: Samples = 0, *, seed: int = 0) -> Figure:
     """Poles in the complex plane [rad/s]: the nominal ones as crosses, those of the members as dots.
 
     Parameters are those of :func:`bode_band`. The imaginary axis is drawn; poles to its right are unstable. Both axes
@@ -166,8 +169,9 @@ def pole_map(system: System, samples: Samples = 0, *, seed: int = 0) -> Figure:
     return figure
 
 
-def _members(system: System, samples: Samples, seed: int) -> list[System]:
+def _members(given: Any, samples: Samples, seed: int) -> list[System]:
     """The nominal system first, then its members."""
+    system = as_system(given)
     system.require_continuous()
     if system.certain:
         if samples != 0:

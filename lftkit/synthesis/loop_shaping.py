@@ -22,7 +22,12 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 
-def ncfsyn(plant: System, before: System | float | None = None, after: System | float | None = None) -> FullOrderDesign:
+def ncfsyn(
+    plant: System,
+    before: System | float | None = None,
+    after: System | float | None = None,
+    level: float | None = None,
+) -> FullOrderDesign:
     """Loop shaping: the controller with the largest margin for perturbed coprime factors of the shaped plant.
 
     Parameters
@@ -31,6 +36,9 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
         G, with one input and one output port, continuous or sampled.
     before, after : System or float, optional
         W1 at the input of the plant and W2 at its output; the shaped plant is W2 G W1.
+    level : float, optional
+        A larger value is enough: the controller at this level, ``1.1 * ncfsyn(...).lower`` as a rule, with slower poles
+        than that of the least one.
 
     Returns
     -------
@@ -63,9 +71,11 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
     if X is None or Z is None:
         raise InputError(f"{G.name}: the shaped plant must be stabilisable and detectable, got one that is not")
     least = float(np.sqrt(1.0 + np.abs(linalg.eigvals(X @ Z)).max(initial=0.0)))
+    if level is not None and not level > least:
+        raise InputError(f"level must be above the least one, {least:.6g}, got {level:g}")
     best: tuple[float, System, System] | None = None
-    for above in ABOVE:
-        K = _coprime_controller((A, B, C, D), X, Z, above * least)
+    for at in [above * least for above in ABOVE] if level is None else [level]:
+        K = _coprime_controller((A, B, C, D), X, Z, at)
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
@@ -73,7 +83,8 @@ def ncfsyn(plant: System, before: System | float | None = None, after: System | 
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:
-        raise InputError(f"{G.name}: no level near the least one, {least:.4g}, gives a stable loop")
+        where = f"near the least one, {least:.4g}," if level is None else f"of {level:g}"
+        raise InputError(f"{G.name}: must be stabilised at a level {where} to working precision, got an unstable loop")
     value, law, closed = best
     return FullOrderDesign(chain(W2, law, W1, names=(y, u)), closed, value, least)
 

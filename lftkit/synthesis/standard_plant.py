@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.eigenvectors import balanced
@@ -139,28 +139,18 @@ def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]
     return (ports[0],)
 
 
-def weight_of(name: str, given: System | ArrayLike, size: int, dt: float) -> System:
-    """A weight with the ports ``in`` and ``out``: a system, a matrix, or a number on each channel."""
-    if not isinstance(given, System):
-        gain = np.atleast_2d(np.asarray(given, dtype=float))
-        gain = gain * np.eye(size) if gain.size == 1 else gain
-        empty = np.zeros((0, 0))
-        return System(
-            empty,
-            np.zeros((0, gain.shape[1])),
-            np.zeros((len(gain), 0)),
-            gain,
-            (Port("in", gain.shape[1]),),
-            (Port("out", len(gain)),),
-            name,
-            dt,
-        )
-    if given.D.shape == (1, 1) and size > 1:
-        A, B, C, D = (linalg.block_diag(*[M] * size) for M in given.matrices)
-        return System(A, B, C, D, (Port("in", size),), (Port("out", size),), name, given.dt)
-    if given.D.shape[1] != size:
-        raise InputError(f"{name} must have {size} inputs or one, got {given.D.shape[1]}")
-    return System(*given.matrices, (Port("in", size),), (Port("out", len(given.D)),), name, given.dt)
+def weight_of(name: str, given: Any, size: int, dt: float) -> System:
+    """A weight with the ports ``in`` and ``out``: what :func:`lftkit.as_system` takes, one channel for each of them.
+
+    A weight without states has the period of the plant.
+    """
+    weight = as_system(given)
+    A, B, C, D = weight.matrices
+    if D.shape == (1, 1) and size > 1:
+        A, B, C, D = (linalg.block_diag(*[M] * size) for M in (A, B, C, D))
+    elif D.shape[1] != size:
+        raise InputError(f"{name} must have {size} inputs or one, got {D.shape[1]}")
+    return System(A, B, C, D, (Port("in", size),), (Port("out", len(D)),), name, weight.dt if len(A) else dt)
 
 
 def chain(*systems: System, names: tuple[Port, Port] | None = None) -> System:

@@ -324,21 +324,24 @@ def gain(inputs: Sequence[Any], outputs: Sequence[Any]) -> AffineStructure:
 
 
 def pid(
-    measurement: str, command: str, *, derivative_filter: float, terms: str = "PID", dt: float = 0.0
+    measurement: str, command: str, *, derivative_filter: float | None = None, terms: str = "PID", dt: float = 0.0
 ) -> AffineStructure:
     """``u = (Kp + Ki / s + Kd s / (derivative_filter s + 1)) y`` with parameters Kp, Ki, Kd, those in `terms`.
 
-    With a sampling period `dt` [s] it is discrete, by the trapezoidal rule: ``s = (2 / dt) (z - 1) / (z + 1)``.
+    The time constant `derivative_filter` [s] is that of the term D. With a sampling period `dt` [s] the structure is
+    discrete, by the trapezoidal rule: ``s = (2 / dt) (z - 1) / (z + 1)``.
 
     Examples
     --------
     >>> controller(pid("e", "u", derivative_filter=0.01), [2.0, 0.5, 0.1]).D.item()
     12.0
     """
-    if not derivative_filter > 0:
-        raise InputError(f"derivative_filter must be a positive time constant [s], got {derivative_filter}")
     if not terms or set(terms) - set("PID"):
         raise InputError(f"terms must be letters of 'PID', got {terms!r}")
+    if derivative_filter is None and "D" not in terms:
+        derivative_filter = 1.0
+    if derivative_filter is None or not derivative_filter > 0:
+        raise InputError(f"derivative_filter must be a positive time constant [s], got {derivative_filter}")
     if not (dt >= 0 and np.isfinite(dt)):
         raise InputError(f"dt must be a sampling period [s], or 0 for continuous time, got {dt}")
     rate = 1.0 / derivative_filter

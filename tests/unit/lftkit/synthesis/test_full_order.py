@@ -9,7 +9,7 @@ import pytest
 from oracles.full_order_bound import full_order_bound
 from scipy import linalg
 
-from lftkit import Port, System, hinf_norm, s
+from lftkit import InputError, Port, System, hinf_norm, loop_margins, s
 from lftkit.synthesis import augw, h2syn, hinfsyn, mixsyn, ncfsyn
 from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.systems.sampled.bilinear import to_discrete
@@ -51,6 +51,21 @@ def test_mixed_sensitivity_of_the_disturbance_process() -> None:
     """Skogestad and Postlethwaite, Multivariable Feedback Control (2005), section 2.8.2: 1.37 is printed."""
     found = mixsyn(system(DISTURBANCE), system((s / 1.5 + 10) / (s + 1e-3)), 1.0)
     assert round(found.value, 2) == 1.37 and found.gap < 1e-3 and stable(found.closed)
+
+
+def test_loop_shaping_at_a_level() -> None:
+    """The same book, example 9.3: with 1.1 times the least level the margins are 3.48 and 51.5 degrees."""
+    plant, weight = system(DISTURBANCE), system((s + 2) / s)
+    least = ncfsyn(plant, weight)
+    found = ncfsyn(plant, weight, level=1.1 * least.lower)
+    assert found.lower == least.lower <= least.value < found.value <= 1.1 * least.lower * (1.0 + 1e-6)
+    margins = loop_margins(-plant @ found.controller)
+    assert round(margins.gain_range[1], 2) == 3.48 and round(margins.phase_margin, 1) == 51.5
+    fastest = [abs(design.controller.poles()).max() for design in (least, found)]
+    assert fastest[1] < fastest[0]
+    for level in (least.lower, 1.0, -1.0):
+        with pytest.raises(InputError, match=r"level must be above the least one, 2\.338"):
+            ncfsyn(plant, weight, level=level)
 
 
 def test_a_steeper_weight_reaches_its_independent_bound() -> None:

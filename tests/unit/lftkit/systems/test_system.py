@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, complex_gain, s
+from lftkit import InputError, Port, RealParameter, System, complex_gain, s
 from lftkit.analysis.frequency_response import direct_response
 from lftkit.proofs import robust_stability
 from lftkit.systems.connection.feedback import cascade
@@ -113,6 +113,16 @@ def test_pid_response() -> None:
     assert value.item() == pytest.approx(2.0 + 3.0 / s + 0.5 * s / (0.1 * s + 1))
     only_d = pid("e", "u", derivative_filter=0.1, terms="D")
     assert (only_d.order, only_d.size) == (1, 1)
+
+
+def test_pi_has_no_derivative_filter() -> None:
+    for terms in ("P", "I", "PI"):
+        assert np.array_equal(
+            pid("e", "u", terms=terms).gain_matrix(np.ones(len(terms))),
+            pid("e", "u", terms=terms, derivative_filter=0.1).gain_matrix(np.ones(len(terms))),
+        )
+    with pytest.raises(InputError, match="derivative_filter must be a positive time constant"):
+        pid("e", "u")
 
 
 def test_the_unstable_member_of_a_margin_can_be_looked_at() -> None:
