@@ -59,7 +59,7 @@ def bode_band(
     -------
     matplotlib.figure.Figure
         Magnitude [unit of the output / unit of the input] above, phase [deg] below; the phase of each member is
-        unwrapped from the lowest frequency.
+        unwrapped from the lowest frequency, where it is within half a turn of the nominal one.
 
     Raises
     ------
@@ -92,6 +92,7 @@ def bode_band(
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     phase = np.rad2deg(np.unwrap(np.angle(response), axis=1))
+    phase -= 360.0 * np.round((phase[:, :1] - phase[0, 0]) / 360.0)
     for axes, values in ((upper, np.abs(response)), (lower, phase)):
         _band(axes, w, values, len(models) - 1)
         axes.grid(True, which="major", color="#dddddd", linewidth=0.6)

@@ -24,7 +24,7 @@ else:
 pytestmark = pytest.mark.usefixtures("without_pictures")
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
-WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "norms.md", "quick_start.md"}
+WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "norms.md", "quick_start.md", "examples.md"}
 WITH_TESTS_OF_THEIR_OWN |= {path.name for path in (ROOT / "docs/extend").glob("*.md")}
 """Run by test_tutorials.py, which compares the output as well, and by test_contributing_pages.py."""
 Names = dict[str, Any]

@@ -22,7 +22,7 @@ import fsm_pma_controller
 import los_estimator
 from pointing_analysis.read.run import Run
 
-QUICK_START = pytest.param("lftkit/quick_start.md", marks=pytest.mark.further)  # it tunes
+TUNING = [pytest.param(f"lftkit/{name}.md", marks=pytest.mark.further) for name in ("quick_start", "examples")]
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 
 
@@ -113,7 +113,7 @@ def printed_and_shown(page: str) -> tuple[str, str]:
     return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
 
 
-@pytest.mark.parametrize("page", ["lftkit/linear_systems.md", "lftkit/norms.md", QUICK_START])
+@pytest.mark.parametrize("page", ["lftkit/linear_systems.md", "lftkit/norms.md", *TUNING])
 def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     printed, shown = printed_and_shown(page)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, bode_band, pole_map, sigma_plot, state_space
+from lftkit import Port, RealParameter, System, bode_band, pole_map, real, s, sigma_plot, state_space
 from lftkit.analysis.frequency_response import frequency_response
 
 K = RealParameter("k", 2.0, 1.0, 3.0, "N/m")
@@ -96,3 +96,12 @@ def test_mistakes_are_errors_of_one_line(mass: System) -> None:
         pole_map(mass, -1)
     with pytest.raises(ValueError, match=r"parameter 'k' must be in"):
         pole_map(mass, [{"k": 9.0}])
+
+
+def test_the_phases_of_all_members_start_beside_the_nominal_one() -> None:
+    """``1 / (s (s + c))``: -90 - atan(w / c) degrees, for a negative c below -180 and not near 180."""
+    cart = 1 / (s**2 + real("c", 0.01, -0.1, 0.1) * s)
+    bottom = bode_band(cart, [{"c": -0.1}, {"c": 0.1}], output="y", input="u", omega=[1.0, 2.0]).axes[1]
+    limits = bottom.collections[0].get_datalim(bottom.transData)
+    around = np.rad2deg(np.arctan(0.1))
+    assert (limits.ymin, limits.ymax) == pytest.approx((-180.0 - around, -180.0 + around))
