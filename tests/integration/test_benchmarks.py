@@ -17,6 +17,7 @@ BENCHMARKS = ROOT / "benchmarks"
 SHORTEST: dict[str, str] = {
     "bag_reading": "--seconds 1 --rounds 1 --json",
     "bare_loop": "--seconds 0.5 --json",
+    "beside_slycot": "--seconds 0.01 --json",
     "campaign": "--members 1 --workers 1 --counts 2 --duration 2 --json",
     "deadline_qos": "--seconds 1 --json",
     "device_faults": "--cases silent",
