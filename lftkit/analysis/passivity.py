@@ -79,7 +79,7 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
     G.require_certain()
     if G.D.shape[0] != G.D.shape[1]:
         raise InputError(f"{G.name}: must have as many inputs as outputs, got {G.D.shape[1]} and {G.D.shape[0]}")
-    gain = hinf_norm(*G.matrices, dt=G.dt or None)
+    gain = hinf_norm(G)
     if not gain.value < math.inf:
         raise InputError(f"{G.name}: must be stable for a passivity index, got a pole that is not")
     if gain.value == 0.0:

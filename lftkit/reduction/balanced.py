@@ -148,7 +148,7 @@ def balred(
 def error_bound(error: System, tail: float) -> float:
     """Upper end of the norm of an error; where it cannot be told, `tail`, its bound of theory, with its rounding."""
     try:
-        norm = hinf_norm(*error.matrices, dt=error.dt or None)
+        norm = hinf_norm(error)
     except ArithmeticError:
         return (1.0 + ROUNDING) * tail
     return (1.0 + ROUNDING) * tail if norm.certificate == "none" else norm.upper

@@ -204,7 +204,7 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
         raise InputError(f"{plant.name}: must have no zeros on the imaginary axis in its weights, got some")
     controller = _controller(given, full)
     closed = given.closed(controller)
-    value = float(h2_norm(*closed.matrices))
+    value = float(h2_norm(closed))
     return FullOrderDesign(controller, closed, value, value)
 
 
@@ -316,7 +316,7 @@ def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrd
         return None
     if not is_stable(closed.A, closed.dt):
         return None
-    return FullOrderDesign(controller, closed, hinf_norm(*closed.matrices, dt=closed.dt or None).value, -np.inf)
+    return FullOrderDesign(controller, closed, hinf_norm(closed).value, -np.inf)
 
 
 def _at_level(given: StandardPlant, generalised: ExtendedPlant, level: float) -> FullOrderDesign:

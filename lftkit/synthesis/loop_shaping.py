@@ -79,7 +79,7 @@ def ncfsyn(
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
-        value = hinf_norm(*closed.matrices, dt=closed.dt or None).value if is_stable(closed.A, closed.dt) else np.inf
+        value = hinf_norm(closed).value if is_stable(closed.A, closed.dt) else np.inf
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:

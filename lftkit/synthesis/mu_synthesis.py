@@ -329,7 +329,7 @@ class _Problem:
         inputs, outputs = ([p.name for p in side[1:]] for side in (given.disturbances, given.errors))
         closed = whole.select(inputs=inputs, outputs=outputs)
         tried = [best.fitted(scaling_order + further, worse) for further, worse in FINAL]
-        norms = [hinf_norm(*_between(best.closed, fits, self.structure).matrices).upper for fits in tried]
+        norms = [hinf_norm(_between(best.closed, fits, self.structure)).upper for fits in tried]
         k = int(np.argmin(norms))
         proof = None
         if options is not None:
