@@ -14,6 +14,17 @@ class InputError(ValueError):
 
     @classmethod
     def of_file(cls, path: str | os.PathLike[str], error: Exception) -> InputError:
-        """The same message with the file named, once."""
+        """The same message with the file named, once.
+
+        Examples
+        --------
+        >>> for text in ("a.mat: arrays must be numbers", "arrays must be numbers"):
+        ...     print(InputError.of_file("a.mat", ValueError(text)))
+        a.mat: arrays must be numbers
+        a.mat: arrays must be numbers
+        >>> print(InputError.of_file("array", ValueError("arrays must be numbers")))
+        array: arrays must be numbers
+        """
         name, text = os.fspath(path), str(error)
-        return cls(text if text.startswith(name) else f"{name}: {text}")
+        named = text.startswith((f"{name}:", f"{name},", f"{name} "))
+        return cls(text if named else f"{name}: {text}")
