@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 from scipy import linalg
 
 from lftkit.analysis.riccati import riccati
@@ -17,6 +20,21 @@ def test_the_solution_solves_and_stabilises() -> None:
     F = -linalg.solve(R, B.T @ X)
     assert np.abs(A.T @ X + X @ A + Q - F.T @ R @ F).max() < 1e-9 * np.abs(X).max()
     assert linalg.eigvals(A + B @ F).real.max() < 0.0
+
+
+def test_an_equation_whose_eigenvalues_are_not_reordered_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The solver of LAPACK fails so on single equations, which ones depends on rounding."""
+    solve = linalg.solve_continuous_are
+
+    def failing(*matrices: Any, balanced: bool = True, **further: Any) -> Any:
+        if balanced:
+            raise ValueError("Reordering of (A, B) failed")
+        return solve(*matrices, balanced=balanced, **further)
+
+    one = np.eye(2)
+    monkeypatch.setattr(linalg, "solve_continuous_are", failing)
+    X = riccati(one, one, 0.0 * one, one)
+    assert X is not None and np.allclose(X, 2.0 * one)
 
 
 def test_without_weight_a_stable_system_is_left_alone_and_an_unstable_one_is_mirrored() -> None:
