@@ -84,7 +84,8 @@ def _hinf_level(plant: ExtendedPlant, closed: Closed) -> float:
     if loop is None or not float(linalg.eigvals(loop.A).real.max()) < 0.0:
         return -np.inf
     reached = hinf_norm(loop.A, loop.B, loop.C, loop.D).value
-    return low if reached <= (1.0 + JUST_ABOVE) ** 2 * high else -np.inf
+    # a loop below the level: the equations had no solution there by rounding alone
+    return low if (1.0 - ROUNDING) * low <= reached <= (1.0 + JUST_ABOVE) ** 2 * high else -np.inf
 
 
 def _h2_norm(plant: ExtendedPlant, closed: Closed) -> float:

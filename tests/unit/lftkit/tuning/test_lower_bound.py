@@ -13,7 +13,17 @@ from scipy.signal import cont2discrete, tf2ss
 
 from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.tuning import H2Gain, HinfGain, TuningOptions, TuningStatus, gain, state_space, tune, tune_discrete
+from lftkit.tuning import (
+    H2Gain,
+    HinfGain,
+    TuningOptions,
+    TuningStatus,
+    gain,
+    lower_bound,
+    state_space,
+    tune,
+    tune_discrete,
+)
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.lower_bound import full_order_bounds
 from lftkit.tuning.problem import Problem
@@ -119,6 +129,15 @@ def test_no_bound_where_it_would_not_be_one() -> None:
         assert np.isfinite(found) == kept
     banded = Problem([noisy], [HinfGain("w", "z", band=(0.1, 2.0))], law)
     assert full_order_bounds(banded)[0, 0] == -np.inf
+
+
+def test_a_level_that_a_loop_is_below_is_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding may end the search for the lowest level too early; the loop of a controller refutes it."""
+    problem = problem_of(random_plant(3), HinfGain, 0)
+    least = float(full_order_bounds(problem)[0, 0])
+    level = 4.0 * least
+    monkeypatch.setattr(lower_bound, "lowest_level", lambda plant: (level, (1.0 + 2e-6) * level))
+    assert least > 0.0 and full_order_bounds(problem)[0, 0] == -np.inf
 
 
 def test_a_strictly_proper_discrete_controller_is_the_predictor_of_two_riccati_equations() -> None:
