@@ -137,16 +137,16 @@ def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_n
 @pytest.mark.parametrize(
     ("rig", "text"),
     [
-        (("--fault=silent", "--fault-at=0.2"), "no sample for 140 ms"),
+        (("--fault=silent", "--fault-at=0.2"), "no sample for 2100 ms"),
         (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 samples"),
-        (("--fault=not_finite", "--fault-at=0.2"), "accel_Ip not finite for 140 ms"),
-        pytest.param(("--fault=corrupt", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
-        pytest.param(("--fault=brown_out", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
+        (("--fault=not_finite", "--fault-at=0.2"), "accel_Ip not finite for 2100 ms"),
+        pytest.param(("--fault=corrupt", "--fault-at=0.2"), "no sample for 2100 ms", marks=pytest.mark.slow),
+        pytest.param(("--fault=brown_out", "--fault-at=0.2"), "no sample for 2100 ms", marks=pytest.mark.slow),
     ],
     indirect=["rig"],
 )
 def test_a_fault_of_the_rig_ends_the_run_with_mirror_and_forces_at_zero(rig, text):
-    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor = Supervisor(UdpRig(), patient(rig.config))
     supervisor.open()
     with pytest.raises(DeviceError, match=text) as error:
         fly(supervisor, 5000)
@@ -159,7 +159,7 @@ def test_a_fault_of_the_rig_ends_the_run_with_mirror_and_forces_at_zero(rig, tex
 
 @pytest.mark.parametrize("rig", [("--fault=outage", "--fault-at=0.2")], indirect=True)
 def test_an_outage_of_the_line_brings_the_rig_to_zero_and_it_flies_again(rig):
-    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor = Supervisor(UdpRig(), patient(rig.config))
     supervisor.open()
     assert fly_until(supervisor, lambda: supervisor.counts["absent_accel_Ip"] > 60 and supervisor.frames)
     assert supervisor.state == ACTIVE
