@@ -97,10 +97,12 @@ def pytest_collection_finish() -> None:
 def without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports without their pictures, which take more than a second: for tests of what else is on a page.
 
-    What is computed for pictures alone is left out, too. A test with the marker ``pictures`` has them in spite of it.
+    What is computed for pictures alone is left out, too, and the figures of a star are those of ten exposures. A test
+    with the marker ``pictures`` has all of them in spite of it.
     """
     if request.node.get_closest_marker("pictures") is None:
         monkeypatch.setattr("pointing_analysis.report.report.PICTURES", ())
+        monkeypatch.setattr("pointing_analysis.requirements.image_summary.MOST", 10)
         monkeypatch.setattr("los_testbed.run.summary.loop_curves.broken_loops", lambda *_: ())
 
 

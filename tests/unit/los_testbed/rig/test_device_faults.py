@@ -99,6 +99,7 @@ def fly_until(supervisor, done, limit=60.0):
 def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig):
     supervisor = Supervisor(UdpRig(), patient(rig.config))
     supervisor.open()
+
     def enough(complete):
         found = supervisor.statistics()
         return (
