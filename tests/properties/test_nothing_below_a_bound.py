@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.counted_time import Clock, counted_evaluations
 
 from lftkit import System, h2_norm, hinf_norm
 from lftkit.synthesis import h2syn, hinfsyn, lower_bound_proof, mixsyn
@@ -49,10 +50,10 @@ def check_synthesis(seed: int, most: int) -> None:
         proven = lower_bound_proof(given, "y", "u").level
         assert min(found.value, norm(found.closed)) >= proven * (1.0 - NORM)
         assert not np.isfinite(found.lower) or proven <= found.lower * (1.0 + ROUNDING)
-    if seed % 3:  # without D11: the H2 optimum bounds every loop that has an H2 norm, and its loop has both norms
+    if seed % 3 and given is plant:  # without D11: the H2 optimum bounds every loop that has an H2 norm
         best = h2syn(plant, "y", "u")
-        assert norm(best.closed) >= hinfsyn(plant, "y", "u").lower * (1.0 - ROUNDING)
-        if not seed % 2 and not found.closed.D.any():
+        assert norm(best.closed) >= found.lower * (1.0 - ROUNDING)
+        if not found.closed.D.any():
             assert float(h2_norm(*found.closed.matrices)) >= best.lower * (1.0 - ROUNDING)
 
 
@@ -70,14 +71,16 @@ def check_mixed_sensitivity(seed: int) -> None:
 def check_tuning(seed: int) -> None:
     plant = random_plant(seed, 3)
     structure = state_space([plant.outputs[1]], [plant.inputs[1]], 1 + seed % 2)
-    options = TuningOptions(starts=1, seed=seed, iterations=5, wall_limit=2.0)
-    result = tune([plant], [HinfGain("w", "z")], structure, options=options)
+    options = TuningOptions(starts=1, seed=seed, iterations=5, wall_limit=100.0)
+    with pytest.MonkeyPatch.context() as patch:  # the limit is a number of evaluations
+        counted_evaluations(Clock(), patch)
+        result = tune([plant], [HinfGain("w", "z")], structure, options=options)
     assert result.soft >= result.lower_bound * (1.0 - ROUNDING)
     assert result.soft >= lower_bound_proof(plant, "y", "u").level * (1.0 - NORM)
 
 
 def test_no_controller_of_synthesis_is_below() -> None:
-    for seed in range(24):  # each kind of plant twice
+    for seed in range(12):  # each kind of plant
         check_synthesis(seed, 3)
 
 

@@ -56,8 +56,12 @@ def scaled_gain(design: MuDesign, omega: Any) -> float:
     return largest
 
 
-def test_the_bound_holds_between_the_frequencies_of_the_design() -> None:
-    found = musyn(UNMODELLED, "e", "u", omega=OMEGA)
+@pytest.fixture(scope="module")
+def found() -> MuDesign:
+    return musyn(UNMODELLED, "e", "u", omega=OMEGA, options=BoundOptions(gap=0.05, wall_limit=3600.0))
+
+
+def test_the_bound_holds_between_the_frequencies_of_the_design(found: MuDesign) -> None:
     assert found.status == "converged"
     assert found.value <= found.bound <= 1.02 * min(found.peaks)
     assert found.value >= 0.98 * found.bound
@@ -67,39 +71,35 @@ def test_the_bound_holds_between_the_frequencies_of_the_design() -> None:
         assert np.all(one.poles().real < 0.0) and np.all(one.inverse().poles().real < 0.0)
 
 
-def test_members_within_one_over_the_bound_are_stable_with_a_gain_below_it() -> None:
-    found = musyn(UNMODELLED, "e", "u", omega=OMEGA)
+def test_members_within_one_over_the_bound_are_stable_with_a_gain_below_it(found: MuDesign) -> None:
     inside = scaled_elements(found.closed, 1.0 / found.bound)
     gains = [hinf_norm(*member.matrices).value for member in inside.sample(np.random.default_rng(0), 40)]
     assert max(gains) < found.bound
     assert max(gains) > 0.5 * found.bound
 
 
-def test_it_is_better_than_the_controller_of_the_least_norm() -> None:
-    found = musyn(UNMODELLED, "e", "u", omega=OMEGA)
+def test_it_is_better_than_the_controller_of_the_least_norm(found: MuDesign) -> None:
     assert min(found.peaks) < found.peaks[0]
     nominal = hinfsyn(UNMODELLED.nominal(), "e", "u")
     assert nominal.value < found.bound, "without uncertainty less can be reached"
 
 
-def test_the_bound_is_proven_by_separate_code() -> None:
-    found = musyn(UNMODELLED, "e", "u", iterations=3, omega=OMEGA, options=BoundOptions(gap=0.05, wall_limit=60.0))
+def test_the_bound_is_proven_by_separate_code(found: MuDesign) -> None:
     assert found.proof is not None
     assert found.proof.lower >= 0.75 / found.bound
     assert check_proof(found.proof.proof).stable
 
 
-def test_the_best_controller_is_kept() -> None:
-    found = musyn(UNMODELLED, "e", "u", iterations=1, omega=OMEGA)
-    assert found.status == "iteration_limit" and len(found.peaks) == 1
-    more = musyn(UNMODELLED, "e", "u", iterations=4, omega=OMEGA)
-    assert more.peaks[0] == pytest.approx(found.peaks[0], rel=1e-6)
-    assert more.bound <= found.bound * (1.0 + 1e-6)
+def test_the_best_controller_is_kept(found: MuDesign) -> None:
+    first = musyn(UNMODELLED, "e", "u", iterations=1, omega=OMEGA)
+    assert first.status == "iteration_limit" and len(first.peaks) == 1
+    assert found.peaks[0] == pytest.approx(first.peaks[0], rel=1e-6)
+    assert found.bound <= first.bound * (1.0 + 1e-6)
 
 
 def test_real_and_complex_elements_are_scaled_to_their_ranges() -> None:
     k, c = real("k", 1.0, 0.7, 1.3), complex_gain("c", 1.0, radius=0.1)
-    found = musyn(plant(c * LAG * k), "e", "u", iterations=3, omega=OMEGA)
+    found = musyn(plant(c * LAG * k), "e", "u", iterations=2, omega=OMEGA[::2])
     assert scaled_gain(found, np.geomspace(1e-3, 1e3, 200)) <= found.bound * (1.0 + 1e-6)
     assert found.value <= found.bound <= 1.05 * min(found.peaks)
     inside = 0.3 / found.bound
@@ -143,8 +143,9 @@ def test_matrices_of_dynamics_need_not_be_square() -> None:
 def test_a_sampled_image_has_the_same_bound() -> None:
     dt = 0.05
     image = UNMODELLED.with_lft(to_discrete(*UNMODELLED.lft, dt), dt=dt)
-    first = musyn(UNMODELLED, "e", "u", iterations=2, omega=OMEGA)
-    second = musyn(image, "e", "u", iterations=2, omega=2.0 / dt * np.arctan(0.5 * dt * OMEGA))
+    omega = OMEGA[::2]
+    first = musyn(UNMODELLED, "e", "u", iterations=2, omega=omega)
+    second = musyn(image, "e", "u", iterations=2, omega=2.0 / dt * np.arctan(0.5 * dt * omega))
     assert second.controller.dt == dt and second.closed.dt == dt
     assert second.bound == pytest.approx(first.bound, rel=1e-3)
     assert np.all(np.abs(second.closed.nominal().poles()) < 1.0)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, lag, tuned_plant
 
 from lftkit.analysis.norms import band_gain, hinf_norm
 from lftkit.systems.system import System
-from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune, worst_case
+from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, tune, worst_case
 
 BAND = (2.0, 10.0)
 
@@ -31,16 +32,10 @@ def test_gain_of_a_band_is_that_of_a_fine_grid(seed: int) -> None:
     assert found.value <= hinf_norm(A, B, C, D).upper
 
 
-def lag() -> System:
-    """1 / (s + 1) with a disturbance on its input, the command a second output."""
-    C, D = [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]]
-    return System([[-1]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
-
-
 def test_the_tuner_lowers_the_gain_in_the_band_and_certifies_it() -> None:
     """With u = k y the gain is 1 / (s + 1 - k) and the command's -k / (s + 1 - k), held at 0.8 from 2 rad/s on."""
     goals = [HinfGain("w", "z", band=BAND), HinfGain("w", "effort", bound=0.8, hard=True, band=(2.0, np.inf))]
-    result = tune([lag()], goals, gain([("y", 1)], [("u", 1)]), initial=[[-0.5]], options=TuningOptions(starts=0))
+    result = tune([lag()], goals, STATIC, initial=[[-0.5]], options=TuningOptions(starts=0))
     # k^2 = 0.64 (4 + (1 - k)^2): the positive root of 0.36 q^2 - 1.28 q - 3.2 with q = -k
     q = (1.28 + np.sqrt(1.28**2 + 4 * 0.36 * 3.2)) / 0.72
     assert result.status == "converged" and -result.x[0] == pytest.approx(q, rel=2e-3)
@@ -54,8 +49,7 @@ def test_the_worst_case_is_that_of_the_band() -> None:
 
     def build(p: dict[str, float]) -> System:
         k = p["k"]
-        A, B, C = [[0, 1], [-k, -0.02 * k]], [[0, 0], [1, 1]], [[1, 0], [1, 0]]
-        return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return tuned_plant([[0, 1], [-k, -0.02 * k]], [[0, 0], [1, 1]], [[1, 0], [1, 0]])
 
     none = System.static([[0.0]], [("y", 1)], [("u", 1)])
     options = WorstCaseOptions(samples=60, climbs=3, iterations=30)

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import linalg
+from support.tuned_plants import STATIC, first_order, tuned_plant
 
 from lftkit import hinf_norm
 from lftkit.systems.connection.feedback import close_loop
@@ -41,20 +42,14 @@ from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.structures.on_image import StructureOnImage
 from lftkit.tuning.structures.structures import Structure, controller
 
-OPTIONS = TuningOptions(starts=1)
+OPTIONS = TuningOptions(starts=0)
 
 
 def delayed_lag(dt: float = 0.1) -> System:
     """x+ = 0.9 x + w + u one sample late; y = x, z = (x, u / 2)."""
-    return System(
-        [[0.9, 1.0], [0.0, 0.0]],
-        [[1.0, 0.0], [0.0, 1.0]],
-        [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]],
-        [[0.0, 0.0], [0.0, 0.5], [0.0, 0.0]],
-        [("w", 1), ("u", 1)],
-        [("z", 2), ("y", 1)],
-        dt=dt,
-    )
+    A, B = [[0.9, 1.0], [0.0, 0.0]], np.eye(2)
+    C, D = [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [0.0, 0.5], [0.0, 0.0]]
+    return System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], dt=dt)
 
 
 def norm_with(plant: System, K: System) -> float:
@@ -75,7 +70,7 @@ def scanned() -> float:
 
 def test_no_gain_of_a_scan_is_better() -> None:
     plant = delayed_lag()
-    result = tune_discrete([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete([plant], [HinfGain("w", "z")], STATIC, initial=[[-0.1]], options=OPTIONS)
     best = scanned()
     assert str(result.status) == "converged"
     assert result.soft == pytest.approx(best, rel=1e-4) and result.soft < 1.0005 * best
@@ -105,7 +100,7 @@ def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
         HinfGain("w", "z", weight_in=lag, weight_out=double, name="weighted"),
         HinfGain("w", "z", bound=4.0, hard=True, name="bound"),
     ]
-    result = tune_discrete([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete([plant], needs, STATIC, initial=[[-0.1]], options=OPTIONS)
     assert result.feasible and result.certificate is not None and result.certificate.stable
     loop = close_loop(plant, result.controller, ["w"], ["z"])
     theta = np.linspace(0.0, np.pi, 2001)
@@ -115,14 +110,9 @@ def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
     assert 4.0 * result.values[1, 0] == pytest.approx(np.max(gains), rel=1e-4)
 
 
-def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
-    """x+ = pole x + w + u with the outputs x (to be measured and controlled)."""
-    return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
-
-
 def held(k: float, goal: TuningRequirement | Goal, plant: System | None = None) -> float:
     """Value of a goal for u = k y on the discrete loop, which is that of the image that is tuned."""
-    models, needs = resolved([plant or lag_on_samples()], [goal])
+    models, needs = resolved([plant or first_order(0.5, 0.1)], [goal])
     dt = models[0].dt
     K = System.static([[k]], [("y", 1)], [("u", 1)])
     found = certify(models, replace(K, dt=dt), needs)
@@ -176,27 +166,23 @@ def test_a_step_response_on_samples_is_compared_sample_by_sample() -> None:
     for number in range(400):
         error.append(x - (1.0 - np.exp(-number * dt / tau)))
         x = (0.5 + k) * x + 0.8  # the gain of the loop at rest is 1
-    plant = System([[0.5]], [[0.8, 1]], [[1], [1]], np.zeros((2, 2)), [("r", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
+    plant = tuned_plant([[0.5]], [[0.8, 1]], [[1], [1]], dt=dt)
     least = sum(np.exp(-2.0 * number * dt / tau) for number in range(400))
     wanted = np.sqrt(np.sum(np.square(error)) / least) / 0.1
-    assert held(k, StepTracking("r", "z", time_constant=tau), plant) == pytest.approx(wanted, rel=5e-3)  # leak of 1e-3
+    assert held(k, StepTracking("w", "z", time_constant=tau), plant) == pytest.approx(wanted, rel=5e-3)  # leak of 1e-3
 
 
 def test_the_optimal_regulator_of_samples_is_found() -> None:
     """A measured state: the static gain of the discrete Riccati equation has the least variance."""
     A, B, dt, effort = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), 0.1, 0.3
-    plant = System(
-        A,
-        np.hstack([np.eye(2), B]),
-        np.vstack([np.eye(2), np.zeros((1, 2)), np.eye(2)]),
-        np.vstack([np.zeros((2, 3)), [[0, 0, effort]], np.zeros((2, 3))]),
-        [("w", 2), ("u", 1)],
-        [("z", 3), ("y", 2)],
-        dt=dt,
-    )
+    C, D = np.vstack([np.eye(2), np.zeros((1, 2)), np.eye(2)]), np.zeros((5, 3))
+    D[2, 2] = effort
+    plant = System(A, np.hstack([np.eye(2), B]), C, D, [("w", 2), ("u", 1)], [("z", 3), ("y", 2)], dt=dt)
     P = linalg.solve_discrete_are(A, B, np.eye(2), [[effort**2]])
     K = -np.linalg.solve(B.T @ P @ B + effort**2, B.T @ P @ A)
-    result = tune_discrete([plant], [H2Gain("w", "z")], gain([("y", 2)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete(
+        [plant], [H2Gain("w", "z")], gain([("y", 2)], [("u", 1)]), initial=[[-1.0, -1.0]], options=OPTIONS
+    )
     assert str(result.status) == "converged"
     assert result.soft == pytest.approx(np.sqrt(np.trace(P) / dt), rel=1e-6)
     assert pytest.approx(K, rel=1e-2) == result.controller.D
@@ -204,10 +190,10 @@ def test_the_optimal_regulator_of_samples_is_found() -> None:
 
 def test_poles_are_held_where_they_are_asked_to_be() -> None:
     """The fastest lag with a decay of at most exp(-8 T) a sample: the hard requirement is active."""
-    plant = lag_on_samples(0.9)
+    plant = first_order(0.9, 0.1)
     needs = [HinfGain("u.added", "u.returned"), ClosedLoopPoles(min_decay=8.0)]
     model = resolved([plant], [Sensitivity("u")])[0]
-    result = tune_discrete(model, needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete(model, needs, STATIC, initial=[[-0.1]], options=OPTIONS)
     pole = np.exp(-8.0 * plant.dt)
     assert result.feasible and 0.9 + result.controller.D.item() == pytest.approx(pole, rel=1e-3)
 
@@ -221,14 +207,14 @@ def test_a_short_period_has_the_values_of_continuous_time() -> None:
         HinfGain("w", "z", band=(1.0, 30.0), name="band"),
     ]
     K = System.static([[-1.0]], [("y", 1)], [("u", 1)])
-    B, C, D = np.array([[2.0, 1.0]]), np.array([[1.0], [1.0]]), np.zeros((2, 2))  # a gain of 1 at rest
-    slow = System([[-1.0]], B, C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    B, C = np.array([[2.0, 1.0]]), np.array([[1.0], [1.0]])  # a gain of 1 at rest
+    slow = tuned_plant([[-1.0]], B, C)
     models, needs = resolved([slow], goals)
     continuous = certify(models, K, needs).values[:, 0]
     differences = []
     for dt in (2e-3, 1e-3):
         a = np.exp(-dt)
-        fast = System([[a]], (1 - a) * B, C, D, slow.inputs, slow.outputs, dt=dt)
+        fast = tuned_plant([[a]], (1 - a) * B, C, dt=dt)
         models, needs = resolved([fast], goals)
         differences.append(certify(models, replace(K, dt=dt), needs).values[:, 0] - continuous)
     assert np.abs(differences[1]).max() < 2e-2
@@ -283,7 +269,7 @@ def test_no_pi_of_a_scan_is_better() -> None:
     """Both gains scanned; the integral gain is held at -0.5 at most."""
     plant = delayed_lag()
     law = pid("y", "u", derivative_filter=1.0, terms="PI", dt=0.1).with_bounds({"Ki": (-np.inf, -0.5)})
-    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.2, -0.7]], options=TuningOptions(starts=0))
+    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.2, -0.7]], options=OPTIONS)
     best = min(peak_with_pi(kp, ki) for ki in (-0.8, -0.65, -0.55, -0.5) for kp in np.linspace(-0.5, 0.1, 61))
     assert result.certificate is not None and result.certificate.stable
     assert -0.5005 < result.x[1] <= -0.5 and result.at_bounds == ("Ki",)
@@ -294,19 +280,11 @@ def test_no_pi_of_a_scan_is_better() -> None:
 
 def test_fixed_entries_of_a_discrete_controller_stay() -> None:
     """A filter of one sample, u+ = k y: the same loop as a gain on a plant that is one sample later."""
-    plant = lag_on_samples(0.9)
+    plant = first_order(0.9, 0.1)
     law = state_space([("y", 1)], [("u", 1)], 1).with_fixed({"A[0,0]": 0.0, "B[0,0]": 1.0, "D[0,0]": 0.0})
-    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.1]], options=TuningOptions(starts=0))
-    later = System(
-        [[0.9, 1.0], [0.0, 0.0]],
-        [[1, 0], [0, 1]],
-        [[1, 0], [1, 0]],
-        np.zeros((2, 2)),
-        plant.inputs,
-        plant.outputs,
-        dt=0.1,
-    )
-    other = tune_discrete([later], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.1]], options=OPTIONS)
+    later = tuned_plant([[0.9, 1.0], [0.0, 0.0]], np.eye(2), [[1, 0], [1, 0]], dt=0.1)
+    other = tune_discrete([later], [HinfGain("w", "z")], STATIC, initial=[[-0.1]], options=OPTIONS)
     assert result.controller.A.item() == 0.0 and result.controller.B.item() == 1.0 and result.controller.D.item() == 0.0
     assert result.soft == pytest.approx(other.soft, rel=1e-4)
     assert result.x.item() == pytest.approx(other.controller.D.item(), rel=1e-2)
@@ -318,7 +296,7 @@ def drawn_loop(rng: np.random.Generator) -> tuple[System, System]:
         A = rng.normal(size=(3, 3))
         A *= 0.8 / np.abs(np.linalg.eigvals(A)).max()
         B, C, D = rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), np.array([[0.3, 0.0], [0.0, 0.0]])
-        plant = System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=0.2)
+        plant = tuned_plant(A, B, C, D, dt=0.2)
         k = 0.2 * rng.normal()
         if np.abs(np.linalg.eigvals(A + k * B[:, 1:] @ C[1:])).max() < 0.95:
             return plant, System.static([[k]], [("y", 1)], [("u", 1)])
@@ -349,9 +327,7 @@ def test_a_worst_case_in_discrete_time_is_that_of_the_unit_circle() -> None:
     """x+ = a x + w: the largest gain 1 / (1 - |a|) is at z = 1 for a positive pole, at z = -1 for a negative one."""
 
     def build(values: Mapping[str, float]) -> System:
-        return System(
-            [[values["a"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=0.1
-        )
+        return first_order(values["a"], 0.1)
 
     nothing = System.static([[0.0]], [("y", 1)], [("u", 1)])
     for box, at, omega in (((-0.5, 0.9), 0.9, 0.0), ((-0.9, 0.5), -0.9, np.pi / 0.1)):

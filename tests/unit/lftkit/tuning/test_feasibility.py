@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, first_order, lag, tuned_plant
 
 from lftkit.systems.system import System
 from lftkit.tuning import tune_discrete, tune_robust
@@ -15,39 +16,30 @@ from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures.structures import AffineStructure, gain, pid
 from lftkit.tuning.tuner import tune
 
-STATIC = gain([("y", 1)], [("u", 1)])
+GIVEN = TuningOptions(starts=0)
+GAIN = HinfGain("w", "z")
 
 
-def lag(pole: float) -> System:
-    """1 / (s - pole) with the disturbance at its input; outputs: state, command, measurement."""
-    D = [[0, 0], [0, 1], [0, 0]]
-    C = [[1.0], [0.0], [1.0]]
-    return System([[pole]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
+def limits(attenuation: float, effort: float) -> list[HinfGain]:
+    return [
+        HinfGain("w", "z", bound=attenuation, hard=True, name="attenuation"),
+        HinfGain("w", "effort", bound=effort, hard=True),
+        HinfGain("w", "z", name="soft"),
+    ]
 
 
 @pytest.mark.parametrize("gain_before", [8e4, 1e-3])
 def test_feasible_gain_is_found_from_far_infeasible_starts(gain_before: float) -> None:
     """All feasible gains are between 4 (soft made hard) and 4.5."""
-    needs = [
-        HinfGain("w", "z", bound=1.0 / 4.5, hard=True, name="attenuation"),
-        HinfGain("w", "effort", bound=0.9, hard=True),
-        HinfGain("w", "z", name="soft"),
-    ]
-    options = TuningOptions(starts=0)
-    result = tune([lag(-0.5)], needs, STATIC, initial=[[-gain_before]], options=options)
+    result = tune([lag(-0.5)], limits(1.0 / 4.5, 0.9), STATIC, initial=[[-gain_before]], options=GIVEN)
     assert result.feasible and result.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
 
 
 def test_infeasible_has_the_least_violation() -> None:
     """Effort k / (k + 1/2) at most 0.5 contradicts 1 / (k + 1/2) at most 0.5: equal violations at k = 1, of 4 / 3."""
-    needs = [
-        HinfGain("w", "z", bound=0.5, hard=True, name="attenuation"),
-        HinfGain("w", "effort", bound=0.5, hard=True),
-        HinfGain("w", "z", name="soft"),
-    ]
-    result = tune([lag(-0.5)], needs, STATIC, initial=[[-1e3]], options=TuningOptions(starts=0))
-    assert result.status == "infeasible" and not result.feasible
+    result = tune([lag(-0.5)], limits(0.5, 0.5), STATIC, initial=[[-3.0]], options=GIVEN)
+    assert result.status == "infeasible" and not result.feasible and "hard requirement" in result.advice
     assert result.hard == pytest.approx(4.0 / 3.0, rel=1e-3)
     assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
 
@@ -55,45 +47,28 @@ def test_infeasible_has_the_least_violation() -> None:
 @pytest.mark.parametrize("start", [0.5, pytest.param(-1e3, marks=pytest.mark.slow)])
 def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float) -> None:
     """The sum of the poles is -0.2 whatever the gain is: no decay of 10 rad/s."""
-    plant = System(
-        [[0, 1], [-1, -0.2]],
-        [[0, 0], [1, 1]],
-        [[1, 0], [0, 0], [1, 0]],
-        [[0, 0], [0, 1], [0, 0]],
-        [("w", 1), ("u", 1)],
-        [("z", 2), ("y", 1)],
-    )
-    needs = [HinfGain("w", "z"), ClosedLoopPoles(min_decay=10.0)]
-    result = tune([plant], needs, STATIC, initial=[[start]], options=TuningOptions(starts=0))
+    D = [[0, 0], [0, 1], [0, 0]]
+    plant = tuned_plant([[0, 1], [-1, -0.2]], [[0, 0], [1, 1]], [[1, 0], [0, 0], [1, 0]], D)
+    needs = [HinfGain("w", ("z", "effort")), ClosedLoopPoles(min_decay=10.0)]
+    result = tune([plant], needs, STATIC, initial=[[start]], options=GIVEN)
     assert result.status == "infeasible"
     assert result.hard == pytest.approx(2.0 - 0.1 / 10.0, rel=1e-9)
 
 
 FEW = TuningOptions(starts=2)
-
-
-def oscillator() -> System:
-    return System([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
-
-
-def plain_lag() -> System:
-    return System([[-1]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
-
-
-def first_order(pole: float, dt: float = 0.0) -> System:
-    """``x' = pole x + w + u``."""
-    ports: Any = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *ports, dt=dt)  # type: ignore[arg-type]
+OSCILLATOR = System([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]], [("u", 1)], [("y", 1)])
+LAG = System([[-1]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)])
+PID = pid("y", "u", derivative_filter=0.05)
 
 
 @pytest.mark.parametrize(
     ("model", "asked", "structure"),
     [
-        (oscillator(), [ClosedLoopPoles(min_decay=0.01)], pid("y", "u", derivative_filter=0.05)),
-        (oscillator(), [ClosedLoopPoles(min_decay=0.4, min_damping=0.5)], pid("y", "u", derivative_filter=0.05)),
-        (plain_lag(), [ClosedLoopPoles(max_frequency=10.0)], gain([("y", 1)], [("u", 1)])),
-        (plain_lag(), [ClosedLoopPoles(min_decay=2.0, max_frequency=2.1)], gain([("y", 1)], [("u", 1)])),
-        (plain_lag(), [HinfGain("u", "y", bound=0.9, hard=True)], gain([("y", 1)], [("u", 1)])),
+        (OSCILLATOR, [ClosedLoopPoles(min_decay=0.01)], PID),
+        (OSCILLATOR, [ClosedLoopPoles(min_decay=0.4, min_damping=0.5)], PID),
+        (LAG, [ClosedLoopPoles(max_frequency=10.0)], STATIC),
+        (LAG, [ClosedLoopPoles(min_decay=2.0, max_frequency=2.1)], STATIC),
+        (LAG, [HinfGain("u", "y", bound=0.9, hard=True)], STATIC),
     ],
 )
 def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure: AffineStructure) -> None:
@@ -107,15 +82,16 @@ def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure:
 
 def test_hard_requirements_alone_that_nothing_meets() -> None:
     """``s + 1 - k`` has its pole at k - 1: not faster than 3 and slower than 2 rad/s at once."""
-    result = tune([plain_lag()], [ClosedLoopPoles(3.0, max_frequency=2.0)], gain([("y", 1)], [("u", 1)]), options=FEW)
+    asked = [ClosedLoopPoles(3.0, max_frequency=2.0)]
+    result = tune([LAG], asked, STATIC, initial=[[-0.5]], options=GIVEN)
     assert str(result.status) == "infeasible" and result.hard > 1.0
 
 
 def test_hard_requirements_alone_over_a_box_and_in_discrete_time() -> None:
     asked = [ClosedLoopPoles(min_decay=1.0)]
-    robust = tune_robust(lambda v: first_order(v["a"]), {"a": (0.5, 1.5)}, asked, gain([("y", 1)], [("u", 1)]))
+    robust = tune_robust(lambda v: first_order(v["a"]), {"a": (0.5, 1.5)}, asked, STATIC)
     assert str(robust.status) == "converged" and robust.controller.D.item() <= -2.5 + 1e-6
-    sampled = tune_discrete([first_order(0.99, 0.1)], asked, gain([("y", 1)], [("u", 1)]), options=FEW)
+    sampled = tune_discrete([first_order(0.99, 0.1)], asked, STATIC, options=FEW)
     assert str(sampled.status) == "converged" and abs(0.99 + sampled.controller.D.item()) <= np.exp(-0.1)
 
 
@@ -127,7 +103,7 @@ def test_a_structure_without_free_parameters() -> None:
     """``1 / (s - 1 + 5 + 1 / s)`` has its peak at 1 rad/s, of 1/4; with Kp = 5 the loop is unstable."""
     options, plant = TuningOptions(starts=1), first_order(1.0)
     for asked, status in (
-        (HinfGain("w", "z"), "converged"),
+        (GAIN, "converged"),
         (HinfGain("w", "z", hard=True), "converged"),
         (HinfGain("w", "z", bound=0.01, hard=True), "infeasible"),
     ):
@@ -141,12 +117,11 @@ def test_a_structure_without_free_parameters() -> None:
 
 def test_a_structure_without_free_parameters_over_a_box() -> None:
     """``1 / (s - a + 5 + 1 / s)``: 1 / (5 - a) at most."""
-    asked, box = [HinfGain("w", "z")], {"a": (0.5, 1.5)}
-    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.0))
+    result = tune_robust(lambda v: first_order(v["a"]), {"a": (0.5, 1.5)}, [GAIN], held(-5.0))
     assert str(result.status) == "converged" and result.soft == pytest.approx(1.0 / 3.5, rel=1e-6)
     assert result.worst[0].parameters["a"] == pytest.approx(1.5)
     box = {"a": (4.0, 6.0)}
-    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.5), active=[{"a": 4.0}])
+    result = tune_robust(lambda v: first_order(v["a"]), box, [GAIN], held(-5.5), active=[{"a": 4.0}])
     assert str(result.status) == "not_stabilised"
 
 
@@ -154,7 +129,7 @@ def test_a_structure_without_free_parameters_over_a_box() -> None:
 def test_a_discrete_structure_without_free_parameters(k: float, status: str) -> None:
     """x+ = 0.5 x + w + k x."""
     structure = gain([("y", 1)], [("u", 1)]).with_fixed({(0, 0): k})
-    result = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], structure)
+    result = tune_discrete([first_order(0.5, 0.1)], [GAIN], structure)
     assert str(result.status) == status and result.controller.D.item() == k and result.controller.dt == 0.1
     assert result.soft == (pytest.approx(1.0) if k < 0 else np.inf)
 
@@ -162,7 +137,7 @@ def test_a_discrete_structure_without_free_parameters(k: float, status: str) -> 
 def test_a_discrete_pid_without_free_parameters() -> None:
     """``1 / (z + 0.1 (T / 2) (z + 1) / (z - 1))`` with T = 0.1 s."""
     law = pid("y", "u", derivative_filter=0.1, dt=0.1).with_fixed({"Kp": -0.5, "Ki": -0.1, "Kd": 0.0})
-    found = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], law)
+    found = tune_discrete([first_order(0.5, 0.1)], [GAIN], law)
     z = np.exp(1j * np.linspace(1e-3, np.pi, 100_000))
     assert str(found.status) == "converged"
     assert found.soft == pytest.approx(np.abs(1.0 / (z + 0.005 * (z + 1.0) / (z - 1.0))).max(), rel=1e-6)

@@ -79,18 +79,6 @@ def test_each_loop_has_its_own_level(start: float) -> None:
     assert found.soft == pytest.approx(LEVELS[0], rel=3e-3)
 
 
-def test_without_it_the_second_loop_is_anywhere_below_the_first() -> None:
-    found = tuned(errors_and_efforts(), replace(IN_ORDER, lexicographic=False))
-    assert found.levels == () and found.soft == pytest.approx(LEVELS[0], rel=2e-3)
-    assert reached(found, "z1") > 1.2 * LEVELS[1]
-
-
-def test_equal_levels_are_one() -> None:
-    found = tuned(errors_and_efforts((0.5, 0.5)))
-    assert [set(level.requirements) for level in found.levels] == [{"z0", "z1"}]
-    assert found.levels[0].value == pytest.approx(0.5, rel=2e-3)
-
-
 def test_what_competes_with_a_held_requirement_stays() -> None:
     """One loop: its error is least where its effort is largest. The third requirement falls with the effort."""
     needs = [
@@ -104,7 +92,7 @@ def test_what_competes_with_a_held_requirement_stays() -> None:
 
 
 def test_values_up_to_those_that_count_as_met_are_left() -> None:
-    found = tuned(errors_and_efforts(), replace(IN_ORDER, met=0.3))
+    found = tuned(errors_and_efforts(), replace(IN_ORDER, met=0.3, iterations=30))
     assert [level.requirements for level in found.levels] == [("z0",)]
     assert reached(found, "z1") <= 0.3 * 1.001
 
@@ -118,7 +106,7 @@ def test_a_target_ends_it() -> None:
     "second",
     [
         ClosedLoopPoles(min_decay=10.0, hard=False, name="second"),
-        Passivity("w1", "z1", input_index=-0.5, name="second"),
+        pytest.param(Passivity("w1", "z1", input_index=-0.5, name="second"), marks=pytest.mark.slow),
     ],
     ids=["poles", "passivity"],
 )
@@ -144,7 +132,7 @@ def test_in_discrete_time() -> None:
 
 def test_over_a_box_of_parameters() -> None:
     """The slowest pole, -1/2, is the worst: 1 / (1/2 - k) with -k / (1/2 - k) of at most the efforts."""
-    options = RobustOptions(tuning=IN_ORDER, search=WorstCaseOptions(samples=2, climbs=1))
+    options = RobustOptions(tuning=replace(IN_ORDER, iterations=20), search=WorstCaseOptions(samples=0, climbs=1))
     needs, box = errors_and_efforts(), {"a": (0.5, 1.5)}
     found = tune_robust(
         lambda values: lags(pole=-values["a"]), box, needs, law(), initial=[[-0.5, -0.5]], options=options

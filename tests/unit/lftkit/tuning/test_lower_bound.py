@@ -49,7 +49,7 @@ def problem_of(plant: System, kind: type[HinfGain] | type[H2Gain], order: int) -
 def test_the_hinf_bound_is_that_of_another_route_and_is_reached() -> None:
     """By the existence conditions of a textbook on a Schur form, and by a controller of full order; most have one."""
     found = 0
-    for seed in range(16):
+    for seed in range(8):
         plant = random_plant(seed)
         problem = problem_of(plant, HinfGain, plant.order)
         bound = full_order_bounds(problem)[0, 0]
@@ -60,7 +60,7 @@ def test_the_hinf_bound_is_that_of_another_route_and_is_reached() -> None:
         assert 0.997 * other - 1e-6 < bound < (1.0 + 1e-4) * other + 1e-6, seed
         values = [problem.evaluate(x, gradients=False).values[0, 0] for x in reduced_starts(problem)]
         assert bound <= min(values) * (1.0 + 1e-9) and min(values) < 1.02 * bound + 1e-2, seed
-    assert found > 12
+    assert found > 6
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -92,8 +92,10 @@ def coprime_problem() -> tuple[System, float]:
 
 def test_a_run_ends_near_the_bound_and_says_so() -> None:
     plant, optimum = coprime_problem()
-    options = TuningOptions(starts=1, gap=0.01)
-    result = tune([plant], [HinfGain("w", "z")], state_space([("y", 1)], [("u", 1)], 2), options=options)
+    problem, options = problem_of(plant, HinfGain, 2), TuningOptions(starts=0, gap=0.01)
+    result = tune(
+        [plant], problem.requirements, problem.structure, initial=reduced_starts(problem)[:1], options=options
+    )
     assert result.status is TuningStatus.CONVERGED and "any controller of any order" in result.advice
     assert result.lower_bound == pytest.approx(optimum, rel=1e-5) and result.lower_bound <= optimum
     assert optimum <= result.soft < 1.01 * optimum and result.gap == pytest.approx(result.soft / optimum - 1, abs=1e-5)
@@ -116,14 +118,8 @@ def test_no_bound_where_it_would_not_be_one() -> None:
     free = System([[-1]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
     law = gain([("y", 1)], [("u", 1)])
     assert full_order_bounds(Problem([free], [HinfGain("w", "z")], law))[0, 0] == -np.inf
-    noisy = System(
-        [[-1]],
-        [[1, 0, 1]],
-        [[1], [0], [1]],
-        [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
-        [("w", 2), ("u", 1)],
-        [("z", 2), ("y", 1)],
-    )
+    ports = [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]
+    noisy = System([[-1]], [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], *ports)
     for more, kept in (({}, True), ({"loop_delay": 0.1}, False)):
         found = full_order_bounds(Problem([noisy], [HinfGain("w", "z")], law, **more))[0, 0]  # type: ignore[arg-type]
         assert np.isfinite(found) == kept

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, tuned_plant
 
 from lftkit.systems.system import System
 from lftkit.tuning import HinfGain, TuningOptions, gain, tune
@@ -39,11 +40,7 @@ def check_certified(result) -> None:
     ("ground", "order"),
     [
         (1e-4, 0),
-        pytest.param(0.0, 0, marks=pytest.mark.slow),
-        pytest.param(0.3, 0, marks=pytest.mark.slow),
-        pytest.param(0.0, 1, marks=pytest.mark.slow),
-        pytest.param(1e-4, 1, marks=pytest.mark.slow),
-        pytest.param(0.3, 1, marks=pytest.mark.slow),
+        *(pytest.param(g, n, marks=pytest.mark.slow) for g in (0.0, 1e-4, 0.3) for n in (0, 1) if n or g != 1e-4),
     ],
 )
 def test_undamped_modes_are_tuned_and_certified(ground: float, order: int) -> None:
@@ -97,8 +94,8 @@ def test_structures_without_a_lower_order() -> None:
 def test_direct_path_that_no_controller_changes_bounds_the_value() -> None:
     """z = x + 3 w: the gain at infinite frequency is 3 for every controller."""
     D = [[3.0, 0.0], [0.0, 0.0]]
-    plant = System([[-1.0]], [[1, 1]], [[1], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-    result = tune([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1))
+    plant = tuned_plant([[-1.0]], [[1, 1]], [[1], [1]], D)
+    result = tune([plant], [HinfGain("w", "z")], STATIC, initial=[[-1.0]], options=TuningOptions(starts=0))
     assert result.soft == pytest.approx(3.0, rel=1e-3) and result.soft >= 3.0
 
 
@@ -106,26 +103,23 @@ def test_the_ports_of_the_controller_may_be_those_of_a_requirement() -> None:
     """Gain from the command to the measurement with the loop closed: g / (1 - g k) with g = 1 / (s + 1)."""
     plant = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)])
     needs = [HinfGain("u", "y"), HinfGain("u", "y", bound=0.25, hard=True, name="bound")]
-    result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=20))
+    result = tune([plant], needs, STATIC, initial=[[-1.0]], options=TuningOptions(starts=0, iterations=20))
     assert result.feasible and result.soft <= 0.25 * (1 + 1e-6)
 
 
 def test_a_loop_without_a_solution_is_an_unstable_one() -> None:
     """``y = x + u`` with u = y: which gain a search meets exactly depends on the last bits."""
-    matrices = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 1.0]]
-    plant = System(*matrices, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-    problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]))
+    plant = tuned_plant([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 1.0]])
+    problem = Problem([plant], [HinfGain("w", "z")], STATIC)
     assert problem.abscissa(np.array([1.0])) == np.inf and problem.abscissa(np.array([0.0])) == pytest.approx(-1.0)
 
 
 def test_a_value_that_falls_up_to_the_singular_loop_ends_before_it() -> None:
     """x' = -x + w + u, y = x - u / 2, u = k y: x = w / (s + 1 - k / (1 + k / 2)), singular at k = -2."""
-    plant = System(
-        [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, -0.5]], [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    )
+    plant = tuned_plant([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, -0.5]])
     requirements = [HinfGain("w", "z", name="gain"), HinfGain("w", "z", bound=10.0, hard=True, name="bound")]
     options = TuningOptions(starts=0)
-    result = tune([plant], requirements, gain([("y", 1)], [("u", 1)]), initial=[[-0.5]], options=options)
+    result = tune([plant], requirements, STATIC, initial=[[-0.5]], options=options)
     k = result.x.item()
     assert 1.0 + 0.5 * k == pytest.approx(LEAST, rel=1e-2)
     assert result.soft == pytest.approx(1.0 / (1.0 - k / (1.0 + 0.5 * k)), rel=1e-6)

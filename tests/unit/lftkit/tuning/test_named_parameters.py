@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, lag
 
 from lftkit.systems.system import System
 from lftkit.tuning import Decentralised, HinfGain, StableStateSpace, TuningOptions, controller, gain, pid, tune
@@ -78,15 +79,6 @@ def test_part_that_can_hold_nothing_is_refused() -> None:
     structure = Decentralised((StableStateSpace((("y", 1),), (("u", 1),), 1),))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="parameters of u cannot be fixed or bounded, got a StableStateSpace"):
         structure.with_fixed({"u.x[0]": 1.0})
-
-
-def lag() -> System:
-    """1 / (s + 1) with the disturbance at its input; outputs: state, command, measurement."""
-    D = [[0, 0], [0, 1], [0, 0]]
-    return System([[-1]], [[1, 1]], [[1], [0], [1]], D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
-
-
-STATIC = gain([("y", 1)], [("u", 1)])
 
 
 @pytest.mark.parametrize(("low", "high"), [(-3.0, 10.0), (-3.0, np.inf), (-3.0, -0.5)])

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, first_order, tuned_plant
 
-from lftkit.systems.system import System
-from lftkit.tuning import HinfGain, RobustOptions, TuningOptions, WorstCaseOptions, gain, tune_robust
+from lftkit.tuning import HinfGain, RobustOptions, TuningOptions, WorstCaseOptions, tune_robust
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.source import lower
 from lftkit.tuning.status import TuningStatus
@@ -82,16 +81,11 @@ def test_points_are_compared_by_violation_before_value() -> None:
 
 def test_a_worst_case_below_the_target_is_not_worse() -> None:
     """The first tuning ends below the target; parameters that are worse than it, but below the target, end nothing."""
-
-    def build(p: Mapping[str, float]) -> System:
-        C, D = [[1], [1]], np.zeros((2, 2))
-        return System([[-p["a"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
-
     common: Any = {
-        "build": build,
+        "build": lambda p: first_order(-p["a"]),
         "box": {"a": (1.0, 2.0)},
         "requirements": [HinfGain("w", "z")],
-        "structure": gain([("y", 1)], [("u", 1)]).with_bounds({"D[0,0]": (-4.0, 0.0)}),
+        "structure": STATIC.with_bounds({"D[0,0]": (-4.0, 0.0)}),
         "initial": [[-3.0]],
     }
     search = WorstCaseOptions(samples=5, climbs=1)
@@ -102,22 +96,17 @@ def test_a_worst_case_below_the_target_is_not_worse() -> None:
     assert len(exact.active) > 1 and exact.soft == pytest.approx(0.2, rel=1e-3)
 
 
-def build_scaled(p: Mapping[str, float]) -> System:
-    """x' = -x + w + u, z = p x, y = x: the gain is p / (1 - k)."""
-    return System(
-        [[-1.0]], [[1.0, 1.0]], [[p["p"]], [1.0]], [[0.0, 0.0]] * 2, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
-    )
-
-
 @pytest.mark.parametrize(("met", "models"), [(0.65, 1), (-float("inf"), 2)])
 def test_worst_cases_up_to_the_value_given_end_the_rounds(met: float, models: int) -> None:
-    """With k >= -1 the nominal model reaches 1/2 and the worst parameter 0.6, which is above what was tuned."""
-    free = gain([("y", 1)], [("u", 1)])
+    """With k >= -1 the nominal model reaches 1/2 and the worst parameter 0.6, which is above what was tuned.
+
+    x' = -x + w + u, z = p x, y = x: the gain is p / (1 - k).
+    """
     result = tune_robust(
-        build_scaled,
+        lambda v: tuned_plant([[-1.0]], [[1.0, 1.0]], [[v["p"]], [1.0]]),
         {"p": (1.0, 1.2)},
         [HinfGain("w", "z")],
-        free.with_bounds(dict.fromkeys(free.names, (-1.0, 0.0))),
+        STATIC.with_bounds({"D[0,0]": (-1.0, 0.0)}),
         active=[{"p": 1.0}],
         initial=[[0.0]],
         options=RobustOptions(TuningOptions(starts=0, met=met), WorstCaseOptions(samples=4, climbs=1, iterations=4)),

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 from scipy import optimize
+from support.tuned_plants import STATIC, lag, tuned_plant
 
 from lftkit.systems.system import System
 from lftkit.tuning import DescentOptions, DescentState, descend
@@ -15,25 +16,13 @@ from lftkit.tuning.descent.grid_source import GridSource
 from lftkit.tuning.descent.minimax.minimax import lower_point
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.structures.structures import gain, state_space
-
-
-def lag() -> System:
-    """1 / (s + 1) with a disturbance on its input, the command a second output."""
-    return System(
-        [[-1]],
-        [[1, 1]],
-        [[1], [0], [1]],
-        [[0, 0], [0, 1], [0, 0]],
-        [("w", 1), ("u", 1)],
-        [("z", 1), ("effort", 1), ("y", 1)],
-    )
+from lftkit.tuning.structures.structures import state_space
 
 
 def limited() -> Problem:
     """With u = k y the gain is 1 / (1 - k), the command's -k / (1 - k) is held at 0.8: the optimum is k = -4."""
     requirements = [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)]
-    return Problem([lag()], requirements, gain([("y", 1)], [("u", 1)]))
+    return Problem([lag()], requirements, STATIC)
 
 
 def two_axes(delay: float) -> tuple[Problem, np.ndarray]:
@@ -88,14 +77,8 @@ OPTIMUM = 0.0909
 
 def washed_out() -> System:
     """y = z = s / (s + 0.1) (w + u) / (s + 1): a pole of the controller at 0 cancels the zero, and remains there."""
-    return System(
-        [[-1.0, 0.0], [1.0, -0.1]],
-        [[1.0, 1.0], [0.0, 0.0]],
-        [[1.0, -0.1], [0.0, 0.0], [1.0, -0.1]],
-        [[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]],
-        [("w", 1), ("u", 1)],
-        [("z", 1), ("effort", 1), ("y", 1)],
-    )
+    C, D = [[1.0, -0.1], [0.0, 0.0], [1.0, -0.1]], [[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
+    return tuned_plant([[-1.0, 0.0], [1.0, -0.1]], [[1.0, 1.0], [0.0, 0.0]], C, D)
 
 
 def at_the_limit(seed: int) -> tuple[Problem, np.ndarray]:

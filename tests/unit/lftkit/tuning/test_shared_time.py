@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pytest
 from support.counted_time import Clock, counted_evaluations, structure_with_all_states_seen
+from support.tuned_plants import STATIC, first_order
 
 from lftkit.systems.system import System
 from lftkit.tuning import (
@@ -16,24 +16,19 @@ from lftkit.tuning import (
     TuningOptions,
     TuningResult,
     WorstCaseOptions,
-    gain,
     state_space,
     tune_robust,
 )
 from lftkit.tuning.tuner import tune
 
-LAW = gain([("y", 1)], [("u", 1)]).with_bounds({"D[0,0]": (-4.0, 0.0)})
-PORTS: Any = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+LAW = STATIC.with_bounds({"D[0,0]": (-4.0, 0.0)})
 SHORT = WorstCaseOptions(samples=4, climbs=1, iterations=3)
 
 
-def build(p: Mapping[str, float]) -> System:
-    return System([[-p["a"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *PORTS)
-
-
-def design(starts: int, **more: Any) -> TuningResult:
-    options = RobustOptions(TuningOptions(starts=starts, iterations=20), SHORT)
-    return tune_robust(build, {"a": (1.0, 3.0)}, [HinfGain("w", "z")], LAW, options=options, **more)
+def design(*starts: float) -> TuningResult:
+    options = RobustOptions(TuningOptions(starts=0, iterations=20), SHORT)
+    given, box = [[k] for k in starts], {"a": (1.0, 3.0)}
+    return tune_robust(lambda p: first_order(-p["a"]), box, [HinfGain("w", "z")], LAW, initial=given, options=options)
 
 
 def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,18 +44,17 @@ def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monke
 
     law = state_space([("y", 3)], [("u", 3)], 2)
     x = 0.01 * np.random.default_rng(0).standard_normal(law.size)
-    options = RobustOptions(TuningOptions(starts=5, wall_limit=600.0), WorstCaseOptions(samples=4, climbs=0))
+    options = RobustOptions(TuningOptions(starts=5, wall_limit=300.0), WorstCaseOptions(samples=4, climbs=0))
     result = tune_robust(varied, {"k": (0.0, 1.0)}, [HinfGain("w", "z")], law, initial=[x], options=options)
     assert len(result.rounds) > 1 and len(result.active) > 1
-    assert clock.now < 600.0 + 20.0
+    assert clock.now < 300.0 + 20.0
 
 
-def test_more_starts_are_never_worse_and_the_same_seed_gives_the_same_bits() -> None:
+def test_more_starts_are_never_worse_and_the_same_ones_give_the_same_bits() -> None:
     """The worst case is at least the value on the models that were tuned on."""
-    results = [design(starts, initial=[[-0.1]]) for starts in (0, 1, 1)]
-    few, many, _ = (result.worst[0].value for result in results)
-    assert many <= few * (1.0 + 1e-3) and all(r.worst[0].value >= r.soft * (1.0 - 1e-9) for r in results)
-    _, first, again = results
+    first, again, more = (design(*starts) for starts in ((-3.0,), (-3.0,), (-3.0, -0.1)))
+    assert more.worst[0].value <= first.worst[0].value * (1.0 + 1e-3)
+    assert all(r.worst[0].value >= r.soft * (1.0 - 1e-9) for r in (first, more))
     assert first.x.tobytes() == again.x.tobytes() and first.starts == again.starts and first.worst == again.worst
 
 
@@ -76,11 +70,9 @@ def test_no_more_than_a_few_evaluations_after_the_limit(
     counted_evaluations(clock, monkeypatch)
     structure = state_space([("y", 3)], [("u", 3)], order)
     result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(wall_limit=limit))
-    assert result.status == "out_of_time"
+    assert result.status == "out_of_time" and "allow more time" in result.advice
     assert limit < clock.now < limit + AFTER
-    assert np.isfinite(result.soft)
-    assert result.certificate is not None
-    assert result.certificate.stable
+    assert np.isfinite(result.soft) and result.certificate is not None and result.certificate.stable
 
 
 def test_no_start_is_begun_after_the_limit_in_other_processes() -> None:

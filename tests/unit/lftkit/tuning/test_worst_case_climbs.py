@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from support.tuned_plants import STATIC, lag, tuned_plant
 from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, first_order, mode, modes
 
 from lftkit.systems.system import System
@@ -13,7 +14,6 @@ from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
-from lftkit.tuning.structures.structures import gain
 
 
 def test_box_of_width_zero_gives_its_only_point() -> None:
@@ -108,23 +108,16 @@ def test_plant_with_a_pole_at_the_frequency_of_the_peak_is_climbed() -> None:
     assert found.value == pytest.approx(1.0, rel=1e-6) and found.sampled < 0.95
 
 
-def first_order_with_effort(p: Mapping[str, float]) -> System:
-    """1 / (s - pole) with the disturbance at its input; outputs: state, command, measurement."""
-    D = [[0, 0], [0, 1], [0, 0]]
-    C = [[1.0], [0.0], [1.0]]
-    return System([[p["pole"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
-
-
 def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
     """u = -k y, pole in [-1, -0.5]: the effort k / (k - pole) <= 0.9 binds at the pole -0.5, where k = 4.5."""
     needs = [HinfGain("w", "effort", bound=0.9, hard=True, name="effort"), HinfGain("w", "z")]
     result = tune_robust(
-        first_order_with_effort,
+        lambda p: lag(p["pole"]),
         {"pole": (-1.0, -0.5)},
         needs,
-        gain([("y", 1)], [("u", 1)]),
+        STATIC,
         initial=[[-2.0]],
-        options=RobustOptions(TuningOptions(starts=0), WorstCaseOptions(samples=4, climbs=1)),
+        options=RobustOptions(TuningOptions(starts=0), WorstCaseOptions(samples=2, climbs=1, iterations=5)),
     )
     assert result.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
@@ -138,11 +131,12 @@ def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
     """Pole in [-1, 1]: the effort k / (k - 1) falls to its infimum 1 as k grows, and never reaches it."""
     needs = [HinfGain("w", "z", bound=0.25, hard=True), HinfGain("w", "effort", name="effort")]
     result = tune_robust(
-        first_order_with_effort,
+        lambda p: lag(p["pole"]),
         {"pole": (-1.0, 1.0)},
         needs,
-        gain([("y", 1)], [("u", 1)]),
-        options=RobustOptions(TuningOptions(starts=1)),
+        STATIC,
+        initial=[[-2.0]],
+        options=RobustOptions(TuningOptions(starts=0), WorstCaseOptions(samples=2, climbs=1, iterations=5)),
     )
     assert -result.controller.D.item() >= 5.0 * (1 - 1e-4), "the gain 1 / (k - 1) <= 1/4 asks for k >= 5"
     assert 1.0 < result.soft < 1.25
@@ -153,15 +147,11 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     """Integral feedback of a resonance: the nominal design uses the collocated phase that a sign change takes away."""
 
     def build(p: Mapping[str, float]) -> System:
-        A = [[0, 1], [-1, -0.05]]
-        B = [[0, 0], [1, 1]]
-        C = [[1.0, 0.0], [p["mix"], 1.0]]
-        return System(A, B, C, np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+        return tuned_plant([[0, 1], [-1, -0.05]], [[0, 0], [1, 1]], [[1.0, 0.0], [p["mix"], 1.0]])
 
     box = {"mix": (-2.0, 2.0)}
-    structure = gain([("y", 1)], [("u", 1)])
-    options = RobustOptions(TuningOptions(starts=1))
-    result = tune_robust(build, box, [HinfGain("w", "z")], structure, active=[{"mix": 2.0}], options=options)
+    options = RobustOptions(TuningOptions(starts=1), WorstCaseOptions(samples=2, climbs=1))
+    result = tune_robust(build, box, [HinfGain("w", "z")], STATIC, active=[{"mix": 2.0}], options=options)
     assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
     assert result.status == "converged"
     assert all(np.isfinite(w.value) for w in result.worst)
