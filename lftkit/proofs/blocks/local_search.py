@@ -31,10 +31,12 @@ class SmallestPerturbation:
     ----------
     M : ndarray, complex, shape (z, w)
     structure : sequence of UncertaintyBlock
+    iterations : int
+        Most steps of a search.
     """
 
-    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock]) -> None:
-        self.M, self.parts = M, list(parts(structure))
+    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int = ITERATIONS) -> None:
+        self.M, self.parts, self.iterations = M, list(parts(structure)), iterations
         self.width = M.shape[1]
         scalars = [part for part in self.parts if part[0].kind != FULL]
         self.full = [(z, w) for block, z, w in self.parts if block.kind == FULL]
@@ -68,7 +70,7 @@ class SmallestPerturbation:
                     {"type": "eq", "fun": self.equalities, "jac": self.equality_slopes},
                     {"type": "ineq", "fun": self.inequalities, "jac": self.inequality_slopes},
                 ],
-                options={"maxiter": ITERATIONS, "ftol": 1e-10},
+                options={"maxiter": self.iterations, "ftol": 1e-10},
             )
         return self._delta(result.x) if np.all(np.isfinite(result.x)) else None
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray
+from lftkit.proofs.blocks.local_search import ITERATIONS as LOCAL_ITERATIONS
 from lftkit.proofs.blocks.local_search import TINY, SmallestPerturbation
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
@@ -33,7 +34,12 @@ class Perturbation:
 
 
 def lower_bound(
-    M: ComplexArray, structure: Sequence[UncertaintyBlock], *, starts: int, seed: int
+    M: ComplexArray,
+    structure: Sequence[UncertaintyBlock],
+    *,
+    starts: int,
+    seed: int,
+    iterations: int = LOCAL_ITERATIONS,
 ) -> tuple[float, ComplexArray | None]:
     """One over the norm of the smallest perturbation found, and the perturbation; 0 and None if none was found.
 
@@ -45,8 +51,10 @@ def lower_bound(
         Vectors to begin with.
     seed : int
         Of these.
+    iterations : int
+        Most steps of a local search, where there are real scalars.
     """
-    search = _Search(M, structure)
+    search = _Search(M, structure, iterations)
     rng = np.random.default_rng(seed)
     found: list[Perturbation] = []
     for number in range(starts):
@@ -62,10 +70,10 @@ def lower_bound(
 
 
 class _Search:
-    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock]) -> None:
+    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int) -> None:
         self.M, self.structure, self.parts = M, structure, list(parts(structure))
         self.real = any(block.kind == REAL for block in structure)
-        self.local = SmallestPerturbation(M, structure)
+        self.local = SmallestPerturbation(M, structure, iterations)
         self.singular = linalg.svd(M)[2].conj() if M.size else np.zeros((0, 0), complex)
 
     def first(self, number: int, rng: np.random.Generator) -> ComplexArray:

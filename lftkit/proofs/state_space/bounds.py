@@ -214,7 +214,7 @@ def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: flo
     factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
     worst = Member(np.inf, point, frequency)
     if disks_of(axis):
-        found = DiskSearch(axis, box, WHOLE, seed).unstable(largest)
+        found = DiskSearch(axis, box, WHOLE, seed).unstable(min(largest, factor))
         if found is not None and found[0] < factor:
             factor, worst = found
     return factor, worst

@@ -120,15 +120,26 @@ class CornerSearch:
 
         A singular LFT, or one that became singular on the way there, counts as unstable.
         """
-        system = self.system
-        delta = self._per_channel(factor * self.offset(corners))
-        loop = (np.eye(delta.shape[1]) - system.D * delta[:, None, :]).astype(complex)
-        posed = determinants(loop).real > 0.0  # one at the nominal member
-        result = np.full(len(corners), np.inf)
-        seen = inverses(loop[posed]).real @ system.C
-        largest = eigenvalues(np.asarray(system.A + system.B @ (delta[posed][:, :, None] * seen))).real.max(axis=1)
-        result[posed] = np.where(largest < 0.0, largest, np.inf)
-        return result
+        found = abscissas(self.system, self._per_channel(factor * self.offset(corners)))
+        return np.where(found < 0.0, found, np.inf)
+
+
+def abscissas(system: System, deltas: FloatArray) -> FloatArray:
+    """Largest real parts of the poles (k,) of the members with deviations `deltas` (k, channels).
+
+    Infinite where the LFT is singular, or became so on the way from the nominal member: the determinant of its loop is
+    one there.
+    """
+    q, n = deltas.shape[1], system.order
+    loops = (np.eye(q) - system.D[:q, :q] * deltas[:, None, :]).astype(complex)
+    posed = determinants(loops).real > 0.0
+    result = np.full(len(deltas), np.inf)
+    if not n:
+        return np.where(posed, -np.inf, result)
+    seen = inverses(loops[posed]).real @ system.C[:q]
+    moved = system.A + system.B[:, :q] @ (deltas[posed][:, :, None] * seen)
+    result[posed] = eigenvalues(np.asarray(moved)).real.max(axis=1)
+    return result
 
 
 def earliest_unstable_corner(

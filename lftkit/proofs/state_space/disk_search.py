@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from lftkit.proofs.blocks.lower import lower_bound
 from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
 from lftkit.proofs.state_space.search import Member, member_gain
+from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
 from lftkit.uncertainty.parameters import RealParameter
@@ -32,12 +33,15 @@ GRID = 30
 """Frequencies between a tenth of the slowest pole and ten times the fastest, beside those of the poles."""
 REFINED = 2
 """Best frequencies of the grid about which the axis is searched."""
+CLOSE = 0.5
+"""Frequencies of the grid at which no element of less than twice the size asked for makes the loop singular are left
+out of the search; about others there may be one between the frequencies of the grid."""
 EVALUATIONS = 12
-STARTS = 4
-"""Members with which the search for a gain at a frequency begins."""
-FIRST, LATER = (1, 1), (2, 2)
-"""Vectors with which the search for a singular loop begins, and attempts to find on which side of its nominal value
-each parameter is where sides have other widths: on the grid, and about its best frequencies."""
+GAIN_STARTS = (2, 8)
+"""Members with which the search for a gain at a frequency begins: on the grid, and at the best frequency."""
+FIRST, LATER = (1, 2, 40), (4, 3, 200)
+"""Vectors with which the search for a singular loop begins, attempts to find on which side of its nominal value each
+parameter is where sides have other widths, and steps of a local search: over the axis, and at the best frequency."""
 ASCENTS, CLIMBED = 40, 1e-7
 """Most steps of an ascent; least relative increase that is worth another one."""
 SHORT = 1e-3
@@ -101,27 +105,39 @@ class DiskSearch:
         return np.asarray(np.unique([low, *grid[(grid >= low) & (grid <= high)], high]))
 
     def worst(
-        self, at: Callable[[float], tuple[float, Any]], closely: Callable[[float], tuple[float, Any]] | None = None
+        self,
+        at: Callable[[float], tuple[float, Any]],
+        closely: Callable[[float, Any], tuple[float, Any]],
+        ceiling: Callable[[float], float] = lambda _: np.inf,
+        floor: float = -np.inf,
     ) -> tuple[float, float, Any]:
         """Largest value over the band of a function of frequency, its frequency, and what comes with it.
 
-        `closely` is the function about the best frequencies of the grid, the same by default.
+        `closely` is the function about the best frequencies of the grid, and has what came with the best value. Where
+        an upper bound of the function, `ceiling`, is below what was found or `floor` it is not evaluated: there is
+        nothing with a value that is not above the floor.
         """
-        closely = closely or at
         omega = self.frequencies()
-        found = [at(float(w)) for w in omega]
-        order = np.argsort([-value for value, _ in found], kind="stable")
-        best = found[order[0]][0], float(omega[order[0]]), found[order[0]][1]
+        ceilings = np.array([ceiling(float(w)) for w in omega])
+        values, best = np.full(len(omega), -np.inf), (-np.inf, float(omega[0]), None)
+        for k in np.argsort(-ceilings, kind="stable"):
+            if ceilings[k] <= max(best[0], CLOSE * floor):
+                break
+            values[k], what = at(float(omega[k]))
+            if values[k] > best[0]:
+                best = float(values[k]), float(omega[k]), what
 
         def objective(where: float) -> float:
             nonlocal best
             w = math.exp(where)
-            value, what = closely(w)
+            if (above := ceiling(w)) <= max(best[0], floor):
+                return -above
+            value, what = closely(w, best[2])
             if value > best[0]:
                 best = value, w, what
             return -value
 
-        for k in order[:REFINED]:
+        for k in [k for k in np.argsort(-values, kind="stable") if values[k] > -np.inf][:REFINED]:
             low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
             high = high if np.isfinite(high) else 10.0 * max(low, 1e-300)
             low = low if low > 0.0 else 1e-3 * high
@@ -139,19 +155,23 @@ class DiskSearch:
 
         Sides are measured from the nominal values, which the box contains.
         """
-        value, omega, found = self.worst(lambda w: self._singular_at(w, *FIRST), lambda w: self._singular_at(w, *LATER))
+        first = partial(self._singular_at, starts=FIRST[0], attempts=FIRST[1], iterations=FIRST[2])
+        value, omega, found = self.worst(first, lambda w, _: first(w), self._ceiling, 1.0 / largest)
+        if found is not None:
+            closely = self._singular_at(omega, *LATER)
+            value, found = closely if closely[0] > value else (value, found)
         if not value * largest > 1.0:
             return None
         point, values = found
         return 1.0 / value, DiskMember(np.inf, point, omega, values)
 
-    def _singular_at(self, omega: float, starts: int, attempts: int) -> tuple[float, Any]:
+    def _singular_at(self, omega: float, starts: int, attempts: int, iterations: int) -> tuple[float, Any]:
         """One over the smallest factor found at a frequency, and the member there."""
-        M = self.response(omega)[: len(self.system.channels), : len(self.system.channels)]
+        M = self.response(omega)
         sides = np.abs(self.deviations).max(axis=1)
         best: tuple[float, Any] = (0.0, None)
         for _ in range(attempts):
-            value, delta, values = self._smallest(M, sides, starts)
+            value, delta, values = self._smallest(M, sides, starts, iterations)
             if not value:
                 break
             real = delta * sides
@@ -166,10 +186,13 @@ class DiskSearch:
             sides = allowed
         return best
 
-    def _smallest(
-        self, M: ComplexArray, sides: FloatArray, starts: int
-    ) -> tuple[float, FloatArray, dict[str, ComplexArray]]:
-        """Smallest perturbation of elements that are scaled by `sides` and radii, one over its size first."""
+    def _ceiling(self, omega: float) -> float:
+        """Upper bound of what :meth:`_singular_at` finds."""
+        matrix, _ = self._scaled(self.response(omega), np.abs(self.deviations).max(axis=1))
+        return float(linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+    def _scaled(self, M: ComplexArray, sides: FloatArray) -> tuple[ComplexArray, list[UncertaintyBlock]]:
+        """Balanced response of the elements' channels, scaled by `sides` and radii, and their structure."""
         into: list[int] = []
         out: list[int] = []
         scale, structure = [], []
@@ -183,8 +206,14 @@ class DiskSearch:
             out += own
             scale += [disk.radius] * len(own)
             structure.append(full_block(disk.outputs, disk.inputs) if disk.full else complex_block(len(disk.channels)))
-        matrix = M[np.ix_(into, out)] * np.array(scale)
-        value, found = lower_bound(balanced_matrix(matrix, structure)[0], structure, starts=starts, seed=self.seed)
+        return balanced_matrix(M[np.ix_(into, out)] * np.array(scale), structure)[0], structure
+
+    def _smallest(
+        self, M: ComplexArray, sides: FloatArray, starts: int, iterations: int
+    ) -> tuple[float, FloatArray, dict[str, ComplexArray]]:
+        """Smallest perturbation of elements that are scaled by `sides` and radii, one over its size first."""
+        scaled = self._scaled(M, sides)
+        value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations)
         if found is None:
             return 0.0, np.zeros(len(sides)), {}
         reals, values, row, column = np.zeros(len(sides)), {}, 0, 0
@@ -203,9 +232,10 @@ class DiskSearch:
 
     def largest_gain(self) -> DiskMember:
         """Member of the box with the largest gain found."""
-        value, omega, found = self.worst(self._gain_at)
-        point, values = found
-        return DiskMember(value, point, omega, values)
+        first = partial(self._gain_at, starts=GAIN_STARTS[0])
+        value, omega, found = self.worst(first, lambda w, member: self._climbed_to(w, *member))
+        value, found = max((value, found), self._gain_at(omega, GAIN_STARTS[1]), key=lambda pair: pair[0])
+        return DiskMember(value, found[0], omega, found[1])
 
     def worst_member(self) -> Member:
         """The member with the largest gain found: infinite where one is unstable."""
@@ -223,9 +253,13 @@ class DiskSearch:
 
     def climbed(self, member: DiskMember) -> DiskMember:
         """That of an ascent from a member at its frequency."""
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        value, found = self._ascent(self.response(member.frequency), member.point - nominal, dict(member.disks))
+        value, found = self._climbed_to(member.frequency, member.point, member.disks)
         return DiskMember(value, found[0], member.frequency, found[1])
+
+    def _climbed_to(self, omega: float, point: FloatArray, disks: Mapping[str, ComplexArray]) -> tuple[float, Any]:
+        """Gain at a frequency at the end of an ascent from a member, and the member there."""
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        return self._ascent(self.response(omega), point - nominal, dict(disks))
 
     def gain(self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]) -> float:
         """Gain of the member with deviations `real` (p,) and `values`, by the response `M` of all channels."""
@@ -233,16 +267,15 @@ class DiskSearch:
 
     def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
         """That of an ascent from a member's real elements at one frequency."""
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        value, found = self._ascent(self.response(omega), np.asarray(point) - nominal, self._random_disks())
+        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks())
         return DiskMember(value, found[0], omega, found[1])
 
-    def _gain_at(self, omega: float) -> tuple[float, Any]:
+    def _gain_at(self, omega: float, starts: int) -> tuple[float, Any]:
         M = self.response(omega)
         rng = np.random.default_rng(self.seed)
-        starts = [self.deviations.mean(axis=1)]
-        starts += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(STARTS - 1)]
-        found = [self._ascent(M, start, self._random_disks(rng)) for start in starts]
+        points = [self.deviations.mean(axis=1)]
+        points += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(starts - 1)]
+        found = [self._ascent(M, point, self._random_disks(rng)) for point in points]
         return max(found, key=lambda pair: pair[0])
 
     def _random_disks(self, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:

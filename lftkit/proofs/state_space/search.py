@@ -16,7 +16,7 @@ from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
+from lftkit.proofs.state_space.corners import CornerSearch, abscissas, earliest_unstable_corner
 from lftkit.systems.system import System
 
 sl_optimize: Any = optimize
@@ -28,6 +28,10 @@ CLIMBS, CORNER_STEPS, SLOPES = 4, 10, 80
 RANDOM_CORNERS = 16
 """Random corners to begin with there, beside those that the derivatives at the nominal member give."""
 RAY_STEPS = 48
+PRECISION = 1e-9
+"""Relative, of the first factor on a ray with an unstable member."""
+LARGE = 1e300
+"""Finite number in the place of an infinite one, for the search of a root."""
 
 
 @dataclass(frozen=True)
@@ -307,23 +311,21 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     """First factor on a ray from the nominal member with an unstable member, to 1e-9; infinite if there is none."""
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])
-    q = len(per_channel)
-    looped = bool(system.D[:q, :q].any())
+    grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
+    found = abscissas(system, grid[:, None] * per_channel)
+    if not np.any(found >= 0.0):
+        return np.inf
+    first = int(np.argmax(found >= 0.0))
 
-    def unstable(factor: float) -> bool:
-        delta = factor * per_channel
-        if not looped:
-            return not_stable(system.A + system.B[:, :q] @ (delta[:, None] * system.C[:q]))
-        loop = np.eye(q) - system.D[:q, :q] * delta
-        if not float(linalg.det(loop)) > 0.0:  # one at the nominal member; zero where the LFT is singular
-            return True
-        channels = linalg.lapack.dgesv(loop, system.C[:q])[2]  # no warning where the LFT is nearly singular
-        return not_stable(system.A + system.B[:, :q] @ (delta[:, None] * channels))
+    def abscissa(factor: float) -> float:
+        return min(float(abscissas(system, factor * per_channel[None])[0]), LARGE)
 
-    def not_stable(A: FloatArray) -> bool:
-        return bool(system.order and linalg.eigvals(A).real.max() >= 0.0)
-
-    return first_true(unstable, largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5, 1e-9)
+    low, high = float(grid[first - 1]) if first else 0.0, float(grid[first])
+    if abscissa(low) >= 0.0:  # at the nominal member
+        return first_true(lambda factor: abscissa(factor) >= 0.0, [high], PRECISION)
+    root = sl_optimize.brentq(abscissa, low, high, xtol=1e-300, rtol=0.1 * PRECISION, maxiter=200, disp=False)
+    beyond = (min(root * (1.0 + part * PRECISION), high) for part in (0.2, 0.5, 1.0, 10.0, 1e3))
+    return next((factor for factor in beyond if abscissa(factor) >= 0.0), high)
 
 
 def first_true(condition: Callable[[float], bool], grid: Iterable[float], rtol: float) -> float:
