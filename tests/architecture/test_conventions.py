@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from support.packages import files_of
+from support.packages import files_of, tree
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -31,11 +31,6 @@ FOLDERS = {
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in files_of(folder))
 FUNCTION = 60
 PARAMETERS = 8
-
-
-@cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text("utf-8"), str(path))
 
 
 @cache

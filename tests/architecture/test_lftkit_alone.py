@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from support.packages import files_of
+from support.packages import files_of, tree
 
 TESTS = Path(__file__).parents[1]
 OTHERS = {path.parent.name for path in TESTS.parent.glob("*/__init__.py")} - {"lftkit"} | {
@@ -27,7 +27,7 @@ EARLIER_NAMES = "support/format_names.py"
 def imported(path: Path) -> set[str]:
     """Modules that a file imports, wherever in it."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

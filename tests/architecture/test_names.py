@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from support.packages import LIBRARIES, ROOT, files_of
+from support.packages import LIBRARIES, ROOT, files_of, tree
 from support.skip_remedies import REMEDIES, remedy
 
 CODE = sorted(
@@ -31,7 +31,7 @@ def relative(path: Path) -> str:
 
 def classes(path: Path) -> Iterator[tuple[str, str]]:
     """Public classes that a module defines, with their places."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield node.name, f"{relative(path)}:{node.lineno}"
 
@@ -52,9 +52,9 @@ def test_no_name_stands_for_two_classes() -> None:
 
 def skip_reasons(path: Path) -> Iterator[str]:
     """Reasons in calls of pytest.skip, skipif and importorskip; what is filled in at run time is left out."""
-    if "skip" not in (text := path.read_text("utf-8")):
+    if "skip" not in path.read_text("utf-8"):
         return
-    for node in ast.walk(ast.parse(text, str(path))):
+    for node in ast.walk(tree(path)):
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
             continue
         given = {k.arg: k.value for k in node.keywords}

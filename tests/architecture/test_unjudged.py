@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.packages import tree
 from support.unjudged import REMEDIES, UnjudgedWarning, judged
 
 ROOT = Path(__file__).parents[2]
@@ -16,6 +17,7 @@ CHOICES = {"keeps_pace", "judged", "judged_at_pace"}
 
 SLOW_MACHINE = """
 import pytest
+from support.packages import tree
 from support.unjudged import judged
 
 @pytest.fixture(scope="module")
@@ -62,12 +64,12 @@ def names_in(tree: ast.AST) -> set[str]:
 
 def test_no_bound_depends_on_the_speed_of_the_machine() -> None:
     """Neither ``0.2 if keeps_pace(run) else 1.0`` nor ``x < 0.2 or not keeps_pace(run)``: the part is judged or not."""
-    texts = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "tests").rglob("*.py"))}
+    texts = {path: path.read_text("utf-8") for path in sorted((ROOT / "tests").rglob("*.py"))}
     chosen = [
-        f"{name}, line {node.lineno}"
-        for name, text in texts.items()
+        f"{path.name}, line {node.lineno}"
+        for path, text in texts.items()
         if any(choice in text for choice in CHOICES)
-        for node in ast.walk(ast.parse(text))
+        for node in ast.walk(tree(path))
         if (isinstance(node, ast.IfExp) and names_in(node.test) & CHOICES)
         or (isinstance(node, ast.BoolOp) and names_in(node) & CHOICES)
     ]

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import yaml
 from support import axe, headless_browser
-from support.packages import files_of
+from support.packages import files_of, tree
 
 ROOT = Path(__file__).parents[2]
 
@@ -81,7 +81,7 @@ def public_objects() -> set[str]:
             parts = path.relative_to(folder.parent).with_suffix("").parts
             name = ".".join(part for part in parts if part != "__init__")
             kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-            body = [node for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, kinds)]
+            body = [node for node in tree(path).body if isinstance(node, kinds)]
             found |= {f"{name}.{node.name}" for node in body if not node.name.startswith("_")}
     return found
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+import gc
+from functools import cache
 from pathlib import Path
 
 from pointing_analysis.files.structured_text import load_toml
@@ -19,3 +22,15 @@ FOLDERS = tuple(name if name in LIBRARIES else f"{ROS_PACKAGE}/{name}" for name 
 def files_of(folder: Path, pattern: str = "*.py") -> list[Path]:
     """Files of a package in order, without what ``pip install ./lftkit`` leaves in its folder ``build``."""
     return sorted(path for path in folder.rglob(pattern) if "build" not in path.relative_to(folder).parts)
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """Syntax tree of a file, which stays: looking for garbage in many of them takes longer than making them."""
+    gc.disable()
+    try:
+        found = ast.parse(path.read_text("utf-8"), str(path))
+        gc.freeze()
+        return found
+    finally:
+        gc.enable()
