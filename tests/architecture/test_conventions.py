@@ -85,7 +85,7 @@ def test_what_is_imported_at_every_start_is_small() -> None:
         "first = [m for m in ('scipy', *large) if m in sys.modules]\n"
         "import los_testbed.run.summary.summary; print(first, [m for m in large if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, cwd=ROOT)
     assert done.stdout.strip() == "[] []", done.stderr
 
 

@@ -39,7 +39,7 @@ def test_what_was_not_judged_is_counted_at_the_end_of_a_run(tmp_path: Path) -> N
     variables = {**own, "PYTHONPATH": str(ROOT / "tests"), "SKIPPED_TESTS_FILE": str(told)}
     command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "--rootdir", str(tmp_path), "-q"]
     command += ["-p", "conftest", "-p", "no:cacheprovider", "-n", "1", str(tmp_path)]
-    done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout
     lines = told.read_text().splitlines()
     assert [line.split(" -> ")[0] for line in lines] == [

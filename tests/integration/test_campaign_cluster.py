@@ -140,8 +140,8 @@ class Processes:
     def wait(self, workers: int) -> None:
         from distributed import Client
 
-        with Client(self.address, timeout=60) as client:
-            client.wait_for_workers(workers, timeout=120)
+        with Client(self.address, timeout=600) as client:
+            client.wait_for_workers(workers, timeout=600)
 
     def end(self) -> None:
         for process in reversed(self.started):
@@ -313,7 +313,7 @@ def test_unreachable_scheduler_is_one_line_before_members_are_searched_for(
 def test_address_of_another_program_is_refused(answer: bytes, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A silent one, a web server, one that sends zeros."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 1.0)
+    monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 60.0 if answer else 1.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:

@@ -91,7 +91,7 @@ def test_after_a_signal(name: str, started: str, temporary: Path, tmp_path: Path
         os.killpg(process.pid, signal.SIGINT)
     else:
         process.send_signal(getattr(signal, name))
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=600)
     end = time.monotonic() + 60.0
     while (list(temporary.iterdir()) or list(processes_of(variable))) and time.monotonic() < end:
         assert name == "SIGKILL", "others leave nothing when they have ended"

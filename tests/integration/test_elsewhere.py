@@ -55,6 +55,6 @@ def test_a_machine_that_was_just_started_without_a_compiler() -> None:
 
 def test_the_exit_code_is_that_of_the_command() -> None:
     program = [sys.executable, str(ROOT / "tests/elsewhere.py"), "pipe", "--", "sh", "-c", "exit 7"]
-    assert subprocess.run(program, stdout=subprocess.DEVNULL, timeout=120).returncode == 7
-    refused = subprocess.run([*program[:2], "mars"], capture_output=True, text=True, timeout=120)
+    assert subprocess.run(program, stdout=subprocess.DEVNULL, timeout=600).returncode == 7
+    refused = subprocess.run([*program[:2], "mars"], capture_output=True, text=True, timeout=600)
     assert refused.returncode == 2 and "invalid choice: 'mars'" in refused.stderr

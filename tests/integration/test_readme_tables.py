@@ -73,7 +73,7 @@ def test_errors_do_not_change_the_page(tmp_path: Path, name: str, text: str) -> 
     page = tmp_path / "page.md"
     page.write_text("<!-- gammas:begin -->\n<!-- gammas:end -->\n")
     command = [sys.executable, str(ROOT / "docs" / "fill_tables.py"), name, "--page", str(page)]
-    done = subprocess.run(command, input=text, text=True, capture_output=True, timeout=60)
+    done = subprocess.run(command, input=text, text=True, capture_output=True, timeout=600)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert page.read_text() == "<!-- gammas:begin -->\n<!-- gammas:end -->\n"

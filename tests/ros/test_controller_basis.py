@@ -33,7 +33,7 @@ def test_a_node_refuses_a_controller_for_another_mirror(name: str, tmp_path: Pat
         [*node_command(name), "--ros-args", "-p", f"parameters:={user}", "-p", "priority:=false"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         env={**os.environ, **variables},
     )
     assert done.returncode == 2

@@ -109,7 +109,7 @@ def test_a_rig_that_waits_for_the_start_of_its_run_has_lost_nothing_when_it_begi
             assert json.loads(process.stdout.readline())["event"] == "opened"
             time.sleep(12.0)  # a drift of 6 ms, and packets for ten buffers
             start = [sys.executable, "-m", "los_testbed.cli.app", "control", "start", f"--domain={private_domain()}"]
-            subprocess.run(start, check=True, timeout=120, env=VARIABLES)
+            subprocess.run(start, check=True, timeout=600, env=VARIABLES)
             out = run.communicate(timeout=200)[0]
         finally:
             run.kill()

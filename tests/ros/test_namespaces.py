@@ -139,7 +139,7 @@ def test_processes_that_look_for_a_free_domain_at_the_same_moment_get_two():
         process.stdin.flush()
     domains = [process.stdout.readline() for process in started]
     for process in started:
-        process.communicate("end\n", timeout=60)
+        process.communicate("end\n", timeout=600)
     assert [process.returncode for process in started] == [0, 0]
     assert "" not in domains and len(set(domains)) == 2, domains
 

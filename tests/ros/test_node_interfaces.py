@@ -152,7 +152,7 @@ def test_security_that_the_middleware_cannot_give_is_refused(tmp_path):
         "ROS_SECURITY_KEYSTORE": str(keystore),
     }
     done = subprocess.run(
-        node_command("estimator"), env=variables, capture_output=True, text=True, timeout=60, cwd=tmp_path
+        node_command("estimator"), env=variables, capture_output=True, text=True, timeout=600, cwd=tmp_path
     )
     if done.returncode == 0:
         pytest.skip("this middleware has security")

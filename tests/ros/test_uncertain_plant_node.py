@@ -24,7 +24,7 @@ def start(logs: Path, *parameters: str) -> subprocess.CompletedProcess[str]:
         [sys.executable, "-m", "los_testbed.nodes.plant", "--ros-args", *given],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         env=environment(private_domain(), logs),
     )
 

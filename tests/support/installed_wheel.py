@@ -83,7 +83,7 @@ def closure(requirements: list[str]) -> set[str]:
 
 def environment(folder: Path, wheels: list[Path], requirements: list[str]) -> Path:
     """Virtual environment with the wheels and what the requirements need; returns its folder of programs."""
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True, timeout=120)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True, timeout=600)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     site = folder / "lib" / version / "site-packages"
     for name in closure(requirements):
@@ -94,7 +94,7 @@ def environment(folder: Path, wheels: list[Path], requirements: list[str]) -> Pa
                 (site / top).symlink_to(original)
     install = [sys.executable, "-m", "pip", "--python", str(folder / "bin/python"), "install", "--quiet"]
     options = ["--no-deps", "--no-index", "--disable-pip-version-check", *map(str, wheels)]
-    subprocess.run([*install, *options], check=True, timeout=120)
+    subprocess.run([*install, *options], check=True, timeout=600)
     return folder / "bin"
 
 

@@ -24,7 +24,7 @@ EXAMPLES = Path(__file__).parents[3] / "examples"
 )
 def test_example(name: str, expected: list[str]) -> None:
     done = subprocess.run(
-        [sys.executable, EXAMPLES / f"{name}.py"], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, EXAMPLES / f"{name}.py"], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
     for text in expected:

@@ -210,7 +210,7 @@ def test_a_sqlite3_bag_is_refused_with_the_command_that_converts_it(
     convert = refused(capsys, "analyse", bag).split("rosbags; ")[1].split()
     tool = Path(sys.executable).parent / convert[0]
     words = [{"BAG": str(bag), "NEW": str(tmp_path / "new")}.get(word, word) for word in convert[1:]]
-    subprocess.run([sys.executable, tool, *words], check=True, capture_output=True, timeout=120)
+    subprocess.run([sys.executable, tool, *words], check=True, capture_output=True, timeout=600)
     assert (
         open_los(tmp_path / "new", los="/los", unit="arcsec")["truth/los"].values.tolist()
         == (samples() * RAD_PER_ARCSEC).tolist()

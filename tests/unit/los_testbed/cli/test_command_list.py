@@ -15,7 +15,7 @@ def test_the_help_imports_no_command() -> None:
         "import sys; from los_testbed.cli.app import main; main(['--help']);"
         "print('imported', sorted({'numpy', 'scipy', 'pydantic', 'los_testbed.cli.run'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600)
     assert done.stdout.splitlines()[-1] == "imported []"
     assert all(f" {name} " in done.stdout for name in ENTRIES)
 
@@ -28,6 +28,6 @@ def test_bash_completes_commands_and_options(words: str, expected: set[str]) -> 
     asked = {"_LOS_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
     code = "from los_testbed.cli.app import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **asked}, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **asked}, timeout=600
     )
     assert set(done.stdout.split()) == expected, done.stderr

@@ -45,7 +45,7 @@ def page_after(folder, *events):
         pytest.skip("no node on this machine")
     (folder / "page.cjs").write_text(DOCUMENT)
     words = [node, str(folder / "page.cjs"), str(SCRIPT), json.dumps(events)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

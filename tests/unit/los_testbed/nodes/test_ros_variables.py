@@ -50,6 +50,6 @@ def test_a_node_that_is_started_by_hand_ends_with_the_same_line():
     pytest.importorskip("rclpy")
     variables = {**os.environ, "RMW_IMPLEMENTATION": "rmw_other_cpp"}
     command = [sys.executable, "-m", "los_testbed.nodes.plant"]
-    done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=600)
     assert done.returncode == ExitCode.USER_ERROR
     assert done.stderr.startswith("los_testbed: RMW_IMPLEMENTATION must be ") and done.stderr.count("\n") == 1
