@@ -13,14 +13,7 @@ from support.skip_remedies import REMEDIES, remedy
 
 CODE = sorted(
     path
-    for folder in (
-        *LIBRARIES,
-        "ros_ws/src",
-        "tests",
-        "benchmarks",
-        "examples",
-        "docs",
-    )
+    for folder in (*LIBRARIES, "ros_ws/src", "tests", "benchmarks", "examples", "docs")
     for path in files_of(ROOT / folder)
 )
 

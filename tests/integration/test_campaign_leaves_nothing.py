@@ -67,10 +67,7 @@ def processes_of(variable: str) -> Iterator[int]:
 @pytest.mark.parametrize("started", ["folder", pytest.param("rows", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name",
-    [
-        "SIGINT",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("keyboard", "SIGTERM", "SIGHUP", "SIGKILL")),
-    ],
+    ["SIGINT", *(pytest.param(name, marks=pytest.mark.slow) for name in ("keyboard", "SIGTERM", "SIGHUP", "SIGKILL"))],
 )
 def test_after_a_signal(name: str, started: str, temporary: Path, tmp_path: Path) -> None:
     """While the workers start, and while members are computed; a key of a terminal reaches workers, too."""

@@ -104,8 +104,7 @@ def addresses_of(client: Any) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "uid",
-    [pytest.param(0, id="same-user"), pytest.param(NOBODY, id="other-user", marks=pytest.mark.slow)],
+    "uid", [pytest.param(0, id="same-user"), pytest.param(NOBODY, id="other-user", marks=pytest.mark.slow)]
 )
 def test_client_without_the_certificate_is_refused(uid: int, open_folder: Path) -> None:
     """By scheduler, worker and nanny; the same program with the certificate is let in, so it is that which it lacks."""

@@ -142,11 +142,7 @@ DISTURBANCE: dict[str, Row] = {
     "other names": (forces("time,F1,F2,F3,M1,M2,M3"), "", "must have columns of Fx, Fy|F1, F2"),
     "errors of an axis": (forces(rows=[r.replace("1e-3,2", "#N/A,2") for r in FORCES]), "", "row 3|column Fx (N)|#N/A"),
     "a row of totals": (forces() + "total,1,1,1,1,1,1\n", "", "row 2502|column time (s)|total"),
-    "an empty cell": (
-        forces(rows=[*FORCES[:9], "0.009,,0,0,0,0,0\n", *FORCES[10:]]),
-        "",
-        "finite values|1 that are",
-    ),
+    "an empty cell": (forces(rows=[*FORCES[:9], "0.009,,0,0,0,0,0\n", *FORCES[10:]]), "", "finite values|1 that are"),
     "a gap": (forces(rows=FORCES[:900] + FORCES[905:]), "", "without gaps|0.006 s"),
     "a time twice": (forces(rows=FORCES[:900] + FORCES[899:]), "", "uniform|0 to 0.001"),
     "a short record": (forces(rows=FORCES[:500]), "", "as long as the run|0.5 s|repeat"),

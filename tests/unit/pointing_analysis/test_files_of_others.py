@@ -144,10 +144,7 @@ def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:
         open_los(tmp_path / "a.h5", unit="mas")
 
 
-@pytest.mark.parametrize(
-    ("seconds", "gap"),
-    [(60, 1), (60, 103), pytest.param(3600, 103, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("seconds", "gap"), [(60, 1), (60, 103), pytest.param(3600, 103, marks=pytest.mark.slow)])
 def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int) -> None:
     n = seconds * 512
     kept = np.delete(np.arange(n), np.arange(9000, 9000 + gap))
@@ -205,10 +202,7 @@ def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pyte
     run = open_los(tmp_path / "a.csv")
     found = summarise(run, requirements=[parse("prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")])
     assert found.samples_lost == 100 and found.verdicts[0].missing == 100
-    assert found.problems == (
-        "1 empty rows skipped",
-        "x [mas], y [mas]: 100 samples without a value: missing",
-    )
+    assert found.problems == ("1 empty rows skipped", "x [mas], y [mas]: 100 samples without a value: missing")
     assert main(["analyse", str(tmp_path / "a.csv"), "--requirements", str(tmp_path / "m.toml"), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["samples_lost"] == 100

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pointing_analysis.spectra.line_search import (
-    BAND,
-    FALSE_LINES,
-    amplitude_bounds,
-    find_lines,
-)
+from pointing_analysis.spectra.line_search import BAND, FALSE_LINES, amplitude_bounds, find_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.spectra import psd
 

@@ -11,14 +11,7 @@ import pytest
 import yaml
 
 from lftkit.errors import InputError
-from pointing_analysis.requirements.requirement import (
-    INTERPRETATIONS,
-    Requirement,
-    entries,
-    from_entries,
-    load,
-    parse,
-)
+from pointing_analysis.requirements.requirement import INTERPRETATIONS, Requirement, entries, from_entries, load, parse
 from pointing_analysis.units import ANGLES
 
 INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
