@@ -47,7 +47,7 @@ def check(run: Run, signals: dict[str, np.ndarray]) -> None:
         {"index": False},
         {"chunks": False},
         {"chunks": False, "index": False},
-        {"chunk_size": 4000},
+        {"chunk_size": 20_000},
     ],
     ids=str,
 )
