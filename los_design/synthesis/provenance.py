@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ import titop_plant
 from lftkit.systems.sampled.sampled_system import SampledSystem
 
 
+@cache
 def commit() -> str:
-    """Commit of the source tree; a tree with changes is marked."""
+    """Commit of the source tree when it was first asked for, after which it is loaded; one with changes is marked."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         result = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)

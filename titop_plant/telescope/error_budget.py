@@ -304,6 +304,7 @@ def error_budget(telescope: Telescope) -> ErrorBudget:
     )
 
 
+@cache
 def _tone_share(noise: float, known: float, probability: float, on_axis: float) -> float:
     """:func:`largest_tone` beside `noise`; `known` is that of the first probability."""
     return known if probability == FIRST_PROBABILITY else largest_tone(noise, 1.0, probability, on_axis)

@@ -98,8 +98,11 @@ def test_responses_are_those_of_the_lft(depth: MemberMetrics) -> None:
         assert np.abs(T - expected).max() < 1e-9 * np.abs(expected).max()
 
 
-def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_path: Path) -> None:
+def test_stability_is_that_of_the_eigenvalues(
+    evaluator: MemberEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a stable loop and of one with another gain of the mirror; the count of encirclements agrees at each."""
+    monkeypatch.setattr("los_loop.member_loop.DRAWS", 20)
     k_fsm = SampledSystem.from_file(RunParts(BASE).model_files["k_fsm"])
     replace(k_fsm, C=-30.0 * k_fsm.C, D=-30.0 * k_fsm.D).to_file(tmp_path / "k_fsm.json")
     unstable = MemberEvaluator.of(replace(BASE, loop="fsm", k_fsm=str(tmp_path / "k_fsm.json")))

@@ -92,7 +92,7 @@ def test_the_command_of_a_member_has_every_setting_of_the_campaign(capsys: Any, 
     assert plain["rpe_window_p997_mas"] != row["rpe_window_p997_mas"]
 
 
-@pytest.mark.parametrize("name", list(COLUMNS))
+@pytest.mark.parametrize("name", ["small", *(pytest.param(n, marks=pytest.mark.further) for n in tuple(COLUMNS)[1:])])
 def test_the_gain_of_a_member_at_depth_model_is_that_of_its_assembled_loop(name: str, files: dict[str, str]) -> None:
     """By the periodic solution of the loop that is closed with this member's plant."""
     parameters = files[name]

@@ -31,7 +31,7 @@ harmonics = [{order = 1, force = [2.0, 0.0, 1.0]}]
 name = "thruster pair"
 kind = "pulses"
 torque = [0.2, 0.0, 0.1]
-period = 0.5
+period = 0.1
 width = 0.05
 """
 ROWS = ("cooler", "thruster pair")
@@ -41,7 +41,7 @@ ROWS = ("cooler", "thruster pair")
 def base(tmp_path: Path) -> RunConfig:
     (tmp_path / "telescope.toml").write_text(SOURCES)
     parameters = str(tmp_path / "telescope.toml")
-    return RunConfig(mode="inprocess", duration=2.0, loop="fsm", scenario="design", parameters=parameters)
+    return RunConfig(mode="inprocess", duration=1.2, loop="fsm", scenario="design", parameters=parameters)
 
 
 def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig, tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig,
 
 
 def test_a_budget_has_a_source_for_each(base: RunConfig, tmp_path: Path) -> None:
-    table = {"loop": "fsm", "part": "sources", "settings": {"parameters": base.parameters, "duration": 2.0}}
+    table = {"loop": "fsm", "part": "sources", "settings": {"parameters": base.parameters, "duration": base.duration}}
     found = sources_of_table(("loop",), table, np.pi / 648e6)
     assert [source.path for source in found] == [("loop", name) for name in ROWS]
     run_in_process(replace(base, scenario="imbalance"), tmp_path / "bag")
