@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, tangent_crossing
 
-from lftkit import Port, RealParameter, System
+from lftkit import Port, RealParameter, System, real, s
 from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
 
 LONG = BoundOptions(wall_limit=3600.0)
@@ -86,16 +86,7 @@ def test_a_narrow_interval_with_the_largest_loss_is_not_bisected_for_ever() -> N
 
 
 def test_an_unstable_member_is_named_at_once() -> None:
-    system = System(
-        [[-1.0]],
-        [[1.0, 1.0]],
-        [[1.0], [1.0]],
-        np.zeros((2, 2)),
-        (Port("u", 1),),
-        (Port("y", 1),),
-        channels=("p",),
-        elements=(RealParameter("p", 0.0, -0.5, 1.5),),
-    )
+    system = (1 / (s + 1 - real("p", 0.0, -0.5, 1.5))).system("u", "y")
     bounds = worst_case_gain(system)
     assert bounds.status == "unstable" and bounds.upper == np.inf and bounds.proof is None
     assert bounds.point["p"] >= 1.0

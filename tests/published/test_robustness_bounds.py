@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from published.values.robustness import SLICOT
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
 from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
@@ -16,28 +17,14 @@ from lftkit.proofs.state_space.scaling_search import find_scalings
 LONG = BoundOptions(wall_limit=3600.0)
 """Wall limit [s] that no machine reaches; the number of cells ends a computation."""
 
-SLICOT_AB13MD = np.array(
-    [
-        [-1 + 6j, 2 - 3j, 3 + 8j, 3 + 8j, -5 - 9j, -6 + 2j],
-        [4 + 2j, -2 + 5j, -6 - 7j, -4 + 11j, 8 - 7j, 12 - 1j],
-        [5 - 4j, -4 - 8j, 1 - 3j, -6 + 14j, 2 - 5j, 4 + 16j],
-    ]
-)  # the matrix of the example is these three rows twice
-
 
 def test_the_example_of_slicot_ab13md() -> None:
     """Two real scalars, a full 2 x 2 block and two complex scalars: upper bound 41.74753408 of mu."""
-    matrix, inputs = np.vstack([SLICOT_AB13MD, SLICOT_AB13MD]), np.eye(6, dtype=complex)
-    structure = [
-        (REAL, slice(0, 1)),
-        (REAL, slice(1, 2)),
-        (FULL, slice(2, 4)),
-        (FULL, slice(4, 5)),
-        (FULL, slice(5, 6)),
-    ]
+    inputs = np.eye(6, dtype=complex)
+    structure = [(REAL, slice(0, 1)), (REAL, slice(1, 2)), *((FULL, slice(*ends)) for ends in ((2, 4), (4, 5), (5, 6)))]
 
     def passes(level: float) -> bool:
-        blocks = [BarrierBlock(kind, matrix[part] / level, inputs[part]) for kind, part in structure]
+        blocks = [BarrierBlock(kind, SLICOT[part] / level, inputs[part]) for kind, part in structure]
         return find_scalings(blocks, precision=1e-12).margin > 0.0
 
     assert passes(41.74753408 * (1 + 1e-7))

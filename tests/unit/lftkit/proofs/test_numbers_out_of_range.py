@@ -109,57 +109,46 @@ def test_a_share_of_subnormal_sizes_is_no_small_share() -> None:
         assert not weighted_share(bound)[0] < 0.95
 
 
-def loop_proof() -> LoopProof:
-    system = aligned_modes(1, damping=0.1)
-    model = loop_model(system, dt=0.1)
-    found = prove_level(model, box_of(system), band=(0.0, 31.4), level=11.0)
-    assert not found.uncovered
-    return LoopProof(
-        model, tuple(p.name for p in system.parameters), box_of(system), (0.0, 31.4), 11.0, tuple(found.strips)
-    )
-
-
 @pytest.fixture(scope="module")
 def loop() -> LoopProof:
-    return loop_proof()
+    system = aligned_modes(1, damping=0.1)
+    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
+    found = prove_level(model, box, band, level=11.0)
+    assert not found.uncovered
+    return LoopProof(model, tuple(p.name for p in system.parameters), box, band, 11.0, tuple(found.strips))
 
 
-def scaled(proof: LoopProof, factor: float, level: float) -> LoopProof:
-    """All scalings of a proof times a factor, which leaves a true inequality true and a false one false."""
+def scaled(strips: Any, factor: float) -> Any:
+    """All scalings times a factor, which leaves a true inequality true and a false one false."""
     with np.errstate(all="ignore"):
-        strips = [
+        return tuple(
             dataclasses.replace(
-                s,
-                D=tuple(factor * m for m in s.D),
-                G=tuple(factor * m for m in s.G),
-                factor=factor * s.factor,
+                s, D=tuple(factor * m for m in s.D), G=tuple(factor * m for m in s.G), factor=factor * s.factor
             )
-            for s in proof.strips
-        ]
-    return dataclasses.replace(proof, strips=tuple(strips), level=level)
+            for s in strips
+        )
 
 
 @pytest.mark.parametrize("power", POWERS)
 def test_scaled_scalings_prove_no_lower_level(loop: LoopProof, power: int) -> None:
     """The gain of the modes is 5: no level below it must be proven by overflow."""
     for level in (0.01, 4.9):
+        strips = scaled(loop.strips, float(f"1e{power}"))
         with pytest.raises(ProofError):
-            check_loop_proof(scaled(loop, float(f"1e{power}"), level), stability=False)
+            check_loop_proof(dataclasses.replace(loop, strips=strips, level=level), stability=False)
 
 
 @pytest.mark.parametrize("value", VALUES)
 def test_one_scaling_out_of_range_proves_no_lower_level(loop: LoopProof, value: float) -> None:
     for name in ("D", "G", "factor"):
-        strips = []
-        for strip in loop.strips:
-            given = getattr(strip, name)
-            if name == "factor":
-                strips.append(dataclasses.replace(strip, factor=np.full(given.shape, value)))
-            else:
-                changed = tuple(np.full(m.shape, value, complex) for m in given)
-                strips.append(dataclasses.replace(strip, **{name: changed}))  # type: ignore[arg-type]
+        given = [getattr(strip, name) for strip in loop.strips]
+        full = [
+            np.full(g.shape, value) if name == "factor" else tuple(np.full(m.shape, value + 0j) for m in g)
+            for g in given
+        ]
+        strips = tuple(dataclasses.replace(strip, **{name: one}) for strip, one in zip(loop.strips, full))
         with pytest.raises(ProofError):
-            check_loop_proof(dataclasses.replace(loop, strips=tuple(strips), level=0.01), stability=False)
+            check_loop_proof(dataclasses.replace(loop, strips=strips, level=0.01), stability=False)
 
 
 @pytest.mark.parametrize("name", ["C", "B", "D", "weights", "poles"])
@@ -201,13 +190,16 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path] if isinstance(value, (int, float)) else []
 
 
+def entry(content: Any, path: tuple[Any, ...]) -> Any:
+    for key in path:
+        content = content[key]
+    return content
+
+
 def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
     found = copy.deepcopy(content)
     for path, value in change.items():
-        place: Any = found
-        for key in path[:-1]:
-            place = place[key]
-        place[path[-1]] = value
+        entry(found, path[:-1])[path[-1]] = value
     found["sha256"] = digest(found)
     return found
 
@@ -215,16 +207,13 @@ def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict
 @pytest.mark.parametrize("power", POWERS)
 def test_scaled_cells_prove_no_lower_level(cells: dict[str, Any], power: int) -> None:
     """P, Q, D, G and the factor of a cell times a power of ten, and a level that is exceeded."""
-    content = copy.deepcopy(cells)
-    for cell in content["cells"]:
-        for path in leaves(cell):
-            if path[0] in ("P", "Q", "D", "G", "performance"):
-                place: Any = cell
-                for key in path[:-1]:
-                    place = place[key]
-                place[path[-1]] *= float(f"1e{power}")
+    scaled = {
+        path: float(f"1e{power}") * entry(cells, path)
+        for path in leaves(cells)
+        if path[0] == "cells" and path[2] in ("P", "Q", "D", "G", "performance")
+    }
     with pytest.raises(ProofError):
-        check_proof(changed(content, {("claim", "level"): 0.01 * content["claim"]["level"]}))
+        check_proof(changed(cells, {**scaled, ("claim", "level"): 0.01 * cells["claim"]["level"]}))
 
 
 @pytest.mark.parametrize("value", VALUES)
@@ -241,19 +230,7 @@ def test_an_axis_proof_of_scaled_scalings_proves_no_lower_level() -> None:
     proof = bounds.proof
     assert isinstance(proof, AxisProof) and check_proof(proof)
     for power in POWERS:
-        with np.errstate(all="ignore"):
-            sides = {
-                side: tuple(
-                    dataclasses.replace(
-                        s,
-                        D=tuple(float(f"1e{power}") * m for m in s.D),
-                        G=tuple(float(f"1e{power}") * m for m in s.G),
-                        factor=float(f"1e{power}") * s.factor,
-                    )
-                    for s in getattr(proof, side)
-                )
-                for side in ("below", "above")
-            }
+        sides = {side: scaled(getattr(proof, side), float(f"1e{power}")) for side in ("below", "above")}
         with pytest.raises(ProofError):
             check_proof(dataclasses.replace(proof, level=0.01 * bounds.lower, **sides))
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
-from lftkit import Port, RealParameter, System
+from lftkit import RealParameter, System, real, z
 from lftkit.analysis.disk_margin import disk_gains, disk_phase
 from lftkit.proofs import (
     check_proof,
@@ -56,11 +56,8 @@ def test_the_profile_of_a_gain_is_reached_and_bounded() -> None:
 
 def test_a_discrete_system_is_taken_on_the_circle() -> None:
     """x+ = p x + u, p in [0, 0.6]: gain 1 / |exp(j w dt) - p|."""
-    p = RealParameter("p", 0.3, 0.0, 0.6)
-    ports = (Port("u", 1),), (Port("y", 1),)
     dt = 0.1
-    matrices = [[0.3]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))
-    system = System(*matrices, *ports, channels=("p",), elements=(p,), dt=dt)
+    system = (1 / (z(dt) - real("p", 0.3, 0.0, 0.6))).system("u", "y")
     omega = np.array([0.0, 10.0, np.pi / 0.1])
     profile = gain_profile(system, omega)
     grid = np.linspace(0.0, 0.6, 2001)

@@ -27,6 +27,7 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.sampling import sampled
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures import structures
 
@@ -57,6 +58,7 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "parameter must be one of k, got 'q'": lambda: FAMILY.at({"q": 2.0}),
     "p: input port must be one of u, got 'v'": lambda: FAMILY.select(inputs=["v"]),
     "p: input port must be one of u, got 'x'": lambda: FAMILY["y", "x"],
+    "port must be one of .*, got 'w'": lambda: FAMILY.renamed({"w": "x"}),
     "read-only": lambda: FAMILY.D.__setitem__((0, 0), 1.0),
     "must have one definition, got two": lambda: System(
         [], [], [], np.zeros((3, 3)), U, Y, channels=("k", "k"), elements=(SPRING, OTHER)
@@ -87,6 +89,7 @@ REFUSED: dict[str, Callable[[], Any]] = {
     ).to_control(),
     r"dt must be positive, got 0\.0": lambda: to_discrete(ONE, ONE, ONE, ONE, 0.0),
     "dt must be positive, got nan": lambda: to_discrete(ONE, ONE, ONE, ONE, np.nan),
+    "method must be one of": lambda: sampled(NOTHING, 1e-2, method="magic"),  # type: ignore[arg-type]
     "proper transfer function": lambda: transfer([1, 0, 0], [1, 1]),
     # connections
     "need 2 x 1": lambda: close_loop(WIDE, System.static(ONE, Y, U), ["u"], ["y"]),

@@ -46,24 +46,11 @@ def test_round_trips_lose_nothing(dt: float, order: int, tmp_path: Path) -> None
 
 
 def test_json_keeps_elements_of_every_kind_to_the_last_bit() -> None:
-    elements = (
-        RealParameter("k", 1 / 3, 0.1, 0.7, "N/m", "a"),
-        ComplexParameter("c", 0.1, 0.2),
-        DynamicElement("f", 1, 2),
-    )
-    rng = np.random.default_rng(0)
-    made = System(
-        rng.standard_normal((2, 2)) / 3,
-        rng.standard_normal((2, 6)),
-        rng.standard_normal((6, 2)),
-        rng.standard_normal((6, 6)),
-        [("u", 1)],
-        [("y", 1)],
-        "s",
-        0.1,
-        ("k", "f", "f", "c", "k"),
-        elements,
-    )
+    k = RealParameter("k", 1 / 3, 0.1, 0.7, "N/m", "a")
+    elements = (k, ComplexParameter("c", 0.1, 0.2), DynamicElement("f", 1, 2))
+    rng, channels = np.random.default_rng(0), ("k", "f", "f", "c", "k")
+    matrices = [rng.standard_normal(shape) / 3 for shape in ((2, 2), (2, 6), (6, 2), (6, 6))]
+    made = System(*matrices, [("u", 1)], [("y", 1)], "s", 0.1, channels, elements)
     same(lk.from_json(lk.to_json(made)), made)
 
 
@@ -159,12 +146,7 @@ def test_connections_take_whatever_is_a_system() -> None:
         assert isinstance(made, System)
     assert lk.feedback(theirs, 2.0).poles().real.tolist() == [-3.0]
     both: dict[str, Any] = {"a": theirs, "b": lk.real("k", 1.0, percent=10)}
-    whole = lk.connect(
-        both,
-        [("r", "a.u"), ("a.y", "b.u")],
-        inputs=[Port("r", 1)],
-        outputs={"y": "b.y"},
-    )
+    whole = lk.connect(both, [("r", "a.u"), ("a.y", "b.u")], inputs=[Port("r", 1)], outputs={"y": "b.y"})
     assert whole.occurrences() == {"k": 1} and abs(whole.at(k=1.1)(0) - 1.1) < 1e-12
     assert lk.append(theirs.copy(), lk.as_system(3.0, "v", "w")).D.tolist() == [[0.0, 0.0], [0.0, 3.0]]
 

@@ -12,7 +12,6 @@ from scipy import signal
 
 from lftkit import Port, SampledSystem, state_space
 from lftkit.systems.connection.filters import high_pass, with_input_filter
-from lftkit.systems.sampled.sampling import sampled
 
 PORTS = (Port("u", 2),), (Port("y", 1),)
 
@@ -98,17 +97,6 @@ def test_the_earlier_name_of_the_format_is_read(tmp_path: Path) -> None:
     assert content["format"] == "lftkit/sampled-system"
     path.write_text(json.dumps({**content, "format": "los-testbed/sampled-system"}))
     assert SampledSystem.from_file(path).to_json() == example().to_json()
-
-
-def test_tustin_keeps_the_response_at_its_warped_frequency() -> None:
-    lag = state_space([[-2.0]], [[2.0]], [[1.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
-    k, w = sampled(lag, 1e-2), 3.0
-    z = np.exp(1j * w * k.dt)
-    H = k.C @ np.linalg.inv(z * np.eye(1) - k.A) @ k.B + k.D
-    warped = 2.0 / k.dt * np.tan(w * k.dt / 2.0)
-    assert H[0, 0] == pytest.approx(2.0 / (1j * warped + 2.0), rel=1e-12)
-    with pytest.raises(ValueError, match="method must be one of"):
-        sampled(lag, 1e-2, method="magic")
 
 
 def test_washout_takes_away_a_bias_and_nothing_else() -> None:

@@ -10,25 +10,7 @@ from lftkit.analysis.frequency_response import direct_response
 from lftkit.proofs import robust_stability
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.connection.filters import transfer
-from lftkit.systems.sampled.sampling import sampled
 from lftkit.tuning.structures.structures import pid
-
-
-def gain(k: RealParameter) -> System:
-    """y = k u."""
-    empty = np.zeros((0, 0))
-    D = [[0.0, 1.0], [1.0, k.nominal]]
-    return System(empty, empty, empty, D, (Port("u", 1),), (Port("y", 1),), channels=(k.name,), elements=(k,))
-
-
-def test_delta_zero_is_nominal_and_values_are_physical() -> None:
-    system = gain(RealParameter("k", 2.0, 1.0, 5.0))
-    assert system.nominal().D[0, 0] == 2.0
-    assert system.at({"k": 4.5}).D[0, 0] == pytest.approx(4.5, abs=1e-15)
-
-
-def test_occurrences_count_the_channels(make) -> None:
-    assert make(np.random.default_rng(1)).occurrences() == {"k": 2, "m": 1}
 
 
 def test_ill_posed_values_are_refused() -> None:
@@ -53,26 +35,6 @@ def test_sub_system_by_names_and_sampling(make) -> None:
     assert len(system.sample(np.random.default_rng(3), 2)) == 2
 
 
-def test_renaming_keeps_the_response(make) -> None:
-    system = make(np.random.default_rng(2))
-    other = system.renamed({"u": "command"}, {"k": "stiffness"})
-    assert other.occurrences() == {"stiffness": 2, "m": 1}
-    np.testing.assert_array_equal(other.at({"stiffness": 1.1}).A, system.at({"k": 1.1}).A)
-    with pytest.raises(ValueError, match=r"port must be one of .*, got 'v'"):
-        system.renamed({"v": "x"})
-
-
-def test_normalised_family_is_the_same_family(make) -> None:
-    system = make(np.random.default_rng(4))
-    unit = system.normalised()
-    for nu_k, nu_m in ((-1.0, 1.0), (0.0, 0.0), (0.3, -0.8), (1.0, -1.0)):
-        physical = {n: system.parameter(n).from_normalised(nu) for n, nu in (("k", nu_k), ("m", nu_m))}
-        np.testing.assert_allclose(
-            unit.at({"k": nu_k, "m": nu_m})(1.7j), system.at(physical)(1.7j), rtol=1e-12, atol=1e-12
-        )
-    assert unit.occurrences() == system.occurrences()
-
-
 def plant() -> System:
     rng = np.random.default_rng(0)
     ports_in, ports_out = [Port("w", 2, "N"), Port("u", 1, "N")], [Port("z", 1, "rad"), Port("y", 2, "m")]
@@ -95,13 +57,6 @@ def test_transfer_and_series_are_products(s: complex) -> None:
     first, second = transfer([1, 2, 3], [2, 4, 8]), transfer([1, 0], [1, 5])
     value = (s**2 + 2 * s + 3) / (2 * s**2 + 4 * s + 8) * s / (s + 5)
     assert direct_response(*cascade(first, second).matrices, s.imag).item() == pytest.approx(value)
-
-
-def test_tustin_keeps_stability_and_the_gain_at_zero() -> None:
-    system = sampled(plant(), 1e-2)
-    assert np.abs(np.linalg.eigvals(system.A)).max() < 1
-    dc = system.C @ np.linalg.solve(np.eye(4) - system.A, system.B) + system.D
-    assert dc == pytest.approx(direct_response(*plant().matrices, 0.0).real)
 
 
 def test_pid_response() -> None:
