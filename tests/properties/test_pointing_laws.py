@@ -63,11 +63,7 @@ def test_densities_are_not_negative_and_add_up(e: np.ndarray) -> None:
     assert np.all(np.diff(s.cumulative_rms()) >= 0)
 
 
-@given(
-    arrays(np.float64, st.integers(5, 400), elements=st.floats(0, 1e3)),
-    st.floats(0.5, 0.999),
-    st.floats(0.5, 0.99),
-)
+@given(arrays(np.float64, st.integers(5, 400), elements=st.floats(0, 1e3)), st.floats(0.5, 0.999), st.floats(0.5, 0.99))
 @settings(max_examples=33, deadline=None)
 def test_bounds_hold_the_estimate_and_widen_with_confidence(x: np.ndarray, p: float, c: float) -> None:
     assume(np.ptp(x) > 0)

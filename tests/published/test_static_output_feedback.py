@@ -62,11 +62,7 @@ def test_decoupling_is_found_for_ac1() -> None:
 
 
 @pytest.mark.parametrize(
-    "start",
-    [
-        [258.4, -438.5, 163.0, -276.5],
-        pytest.param([413.6, -697.6, 264.7, -446.4], marks=pytest.mark.slow),
-    ],
+    "start", [[258.4, -438.5, 163.0, -276.5], pytest.param([413.6, -697.6, 264.7, -446.4], marks=pytest.mark.slow)]
 )
 def test_a_value_that_falls_as_the_gains_grow_is_not_converged(start: list[float]) -> None:
     """HE2: along a valley the value falls from 3.913 at gains of 300 to 3.896 at gains of 1e5; 3.899 is published."""

@@ -6,15 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import scipy.linalg
-from support.circle_reference import (
-    butterworth,
-    chebyshev,
-    delayed,
-    exact_h2,
-    exact_norm,
-    filtered,
-    near_the_circle,
-)
+from support.circle_reference import butterworth, chebyshev, delayed, exact_h2, exact_norm, filtered, near_the_circle
 from support.resonant_systems import resonator, sum_of
 
 from lftkit.analysis.circle.exact_circle_norm import Quotient

@@ -53,10 +53,7 @@ def test_peak_of_a_matrix_with_feedthrough(certificate: str) -> None:
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.01])
-@pytest.mark.parametrize(
-    ("a", "omega"),
-    [(0.9, 0.0), (-0.9, np.pi)],
-)
+@pytest.mark.parametrize(("a", "omega"), [(0.9, 0.0), (-0.9, np.pi)])
 def test_discrete_lag(dt: float, a: float, omega: float) -> None:
     """1 / (z - a) is largest at z = 1 or z = -1."""
     norm = hinf_norm([[a]], [[1.0]], [[2.0]], [[0.0]], dt=dt)

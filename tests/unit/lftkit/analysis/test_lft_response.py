@@ -80,10 +80,7 @@ def test_a_loop_closed_twice_is_closed_with_the_sum() -> None:
     a, b = 0.3 * random(rng, Q), 0.3 * random(rng, Q)
     seen = np.linalg.inv(np.eye(Q) - own.M * a)
     first = LftResponse(
-        seen @ own.M,
-        own.T12 @ np.linalg.inv(np.eye(Q) - a[:, None] * own.M),
-        seen @ own.T21,
-        own.closed(a[None])[0],
+        seen @ own.M, own.T12 @ np.linalg.inv(np.eye(Q) - a[:, None] * own.M), seen @ own.T21, own.closed(a[None])[0]
     )
     np.testing.assert_allclose(first.closed(b[None])[0], own.closed((a + b)[None])[0], rtol=1e-9)
 

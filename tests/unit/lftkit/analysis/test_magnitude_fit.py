@@ -34,8 +34,7 @@ def test_a_gain_of_that_order_is_found(response: Any, order: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "seed", "dt"),
-    [(0, 0, 0.02), (1, 1, 0.0), (2, 0, 0.02), pytest.param(3, 1, 0.0, marks=pytest.mark.slow)],
+    ("order", "seed", "dt"), [(0, 0, 0.02), (1, 1, 0.0), (2, 0, 0.02), pytest.param(3, 1, 0.0, marks=pytest.mark.slow)]
 )
 def test_an_envelope_is_above_and_minimum_phase(order: int, seed: int, dt: float) -> None:
     rng = np.random.default_rng(seed)

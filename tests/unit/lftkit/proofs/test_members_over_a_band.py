@@ -35,10 +35,7 @@ def test_the_peak_in_a_band_is_found(seed: int) -> None:
     low = 10.0 ** rng.uniform(-2.0, 2.0) if seed % 3 else 0.0
     high = low + 10.0 ** rng.uniform(-1.0, 3.0) if seed % 5 else np.inf
     expected = band_gain(*system.matrices, (low, high)).upper
-    for found in (
-        member_gain(system, np.zeros(0), (low, high)),
-        DiskSearch(system, [], (low, high), 0).largest_gain(),
-    ):
+    for found in (member_gain(system, np.zeros(0), (low, high)), DiskSearch(system, [], (low, high), 0).largest_gain()):
         assert low <= found.frequency <= high
         assert expected * (1.0 - CLOSE) <= found.gain <= expected * (1.0 + 1e-9)
 

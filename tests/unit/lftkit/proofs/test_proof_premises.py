@@ -11,14 +11,7 @@ import pytest
 
 from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.proofs import ProofError, check_proof, worst_case_gain
-from lftkit.proofs.sampled_loop import (
-    LoopModel,
-    LoopProof,
-    bounds,
-    check_loop_proof,
-    loop_model,
-    prove_level,
-)
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof, bounds, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.trusted import sampled_loop, stability, strips
 from lftkit.proofs.trusted.proof import Strip

@@ -194,10 +194,7 @@ def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_b
     [
         (lambda: hinfsyn(random_plant(0, 2), "x", "u"), "outputs must be of z, y, got x"),
         (lambda: hinfsyn(random_plant(0, 2), "y", ["u", "w"]), "some inputs must be the controller's and some not"),
-        (
-            lambda: mixsyn(system(1 / (s + 1)), system(1 / s), 1.0),
-            "the mode at 0 is not stable and must be seen in y",
-        ),
+        (lambda: mixsyn(system(1 / (s + 1)), system(1 / s), 1.0), "the mode at 0 is not stable and must be seen in y"),
         (lambda: augw(system(1 / (s + 1))), "one of the weights error, effort and output, got none"),
         (lambda: h2syn(random_plant(0, 2, through=True), "y", "u"), "D11 must be zero"),
         (lambda: mixsyn(system(1 / (s + 1)), random_plant(0, 1)), "z1 must have 1 inputs or one, got 5"),

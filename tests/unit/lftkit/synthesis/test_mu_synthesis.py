@@ -26,13 +26,7 @@ def plant(expression: Any) -> System:
             "error": System.static([[1.0, -1.0]], [("r", 1), ("y", 1)], [("e", 1)]),
             "effort": System.static([[0.05]], [("u", 1)], [("z", 1)]),
         },
-        [
-            ("u", "G.u"),
-            ("u", "effort.u"),
-            ("w", "error.r"),
-            ("G.y", "error.y"),
-            ("error.e", "W.e"),
-        ],
+        [("u", "G.u"), ("u", "effort.u"), ("w", "error.r"), ("G.y", "error.y"), ("error.e", "W.e")],
         inputs=[("w", 1), ("u", 1)],
         outputs={"z": "W.z", "effort": "effort.z", "e": "error.e"},
     )

@@ -148,10 +148,7 @@ def test_mistakes_name_ports_and_sizes() -> None:
         (lambda: G.matrices, "s1: system must be certain"),
         (lambda: System([], [], [], [[1]], [("u", 1)], [("y", 1)], ("k",)), "name must be text"),
         (lambda: System([], [], [], [[1]], [("u", 1)], [("y", 1)], dt=-1.0), "dt must be 0"),
-        (
-            lambda: System([], [], [], np.eye(2), [("u", 1)], [("y", 1)], "s", 0.0, ("f",), (F,)),
-            "multiple of 2",
-        ),
+        (lambda: System([], [], [], np.eye(2), [("u", 1)], [("y", 1)], "s", 0.0, ("f",), (F,)), "multiple of 2"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
             call()
@@ -163,11 +160,7 @@ def test_mistakes_name_ports_and_sizes() -> None:
 def test_uncertainty_is_never_lost_in_silence() -> None:
     """Functions that work on certain continuous systems refuse the others."""
     G, Z = system(1), system(8, elements=(), dt=0.1)
-    for call in (
-        lambda s: lk.cascade(s, s),
-        lambda s: frequency_response(s, [1.0]),
-        lambda s: s.to_control(),
-    ):
+    for call in (lambda s: lk.cascade(s, s), lambda s: frequency_response(s, [1.0]), lambda s: s.to_control()):
         with pytest.raises(ValueError, match="must be certain"):
             call(G)
 

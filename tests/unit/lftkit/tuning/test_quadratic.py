@@ -39,10 +39,7 @@ def constrained(x: np.ndarray) -> OracleResult:
     """The same with sqrt(2) |x1| <= 1 and 2 x2 <= 1 (Curtis, Mitchell and Overton 2017): 0.08578643762690495."""
     free = rosenbrock(x)
     root = np.sqrt(2.0)
-    hard = [
-        piece(root * abs(x[0]), [root * np.sign(x[0]), 0.0], 5, True),
-        piece(2 * x[1], [0.0, 2.0], 6, True),
-    ]
+    hard = [piece(root * abs(x[0]), [root * np.sign(x[0]), 0.0], 5, True), piece(2 * x[1], [0.0, 2.0], 6, True)]
     return OracleResult(free.objective, max(p.value for p in hard) - HARD_TARGET, (*free.pieces, *hard))
 
 

@@ -24,11 +24,7 @@ from lftkit.tuning.responses import (
     gain_matrices,
     parameters_of,
 )
-from lftkit.tuning.responses.blocks import (
-    active_commands,
-    entry_sizes,
-    with_least_decay,
-)
+from lftkit.tuning.responses.blocks import active_commands, entry_sizes, with_least_decay
 from lftkit.tuning.responses.problem import CHUNK, close
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
@@ -310,11 +306,7 @@ def test_what_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "poles",
-    [
-        [[1e-3, 0.0], [0.0, -2.0]],
-        [[0.01, 3.0], [-3.0, 0.01]],
-        [[1e-3, 1.0], [0.0, 1e-3]],
-    ],
+    [[[1e-3, 0.0], [0.0, -2.0]], [[0.01, 3.0], [-3.0, 0.01]], [[1e-3, 1.0], [0.0, 1e-3]]],
     ids=["real", "pair", "Jordan block"],
 )
 def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) -> None:
