@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit.tuning import Descent, DescentOptions, DescentState, descend
+from lftkit.tuning import Descent, DescentOptions, descend
 from lftkit.tuning.responses import (
     ControllerBlock,
     PlantSamples,
@@ -256,21 +255,6 @@ def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     further = descended(one, found.x, 60, 1e-6)
     assert further.point.value > 0.995 * found.point.value, "a descent that goes on from there"
     assert descended(one, controller(1, 0.05), 6, 1e-3, confirm=True).status == "iterations"
-
-
-def test_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
-    """From looks at all pairs at the beginning and at the end of a `converged` descent, through JSON."""
-    one = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1])
-    states: list[Any] = []
-    options = DescentOptions(2000, 1e-3, confirm=True)
-    whole = descend(ResponseSource(one, stable), controller(1, 0.05), options, keep=states.append)
-    assert len(states) > 8
-    for state in [states[1], states[-2]]:
-        kept = DescentState.from_mapping(json.loads(json.dumps(state.to_mapping())))
-        again = descend(ResponseSource(one, stable), controller(1, 0.05), options, goes_on=kept)
-        assert again.x.tobytes() == whole.x.tobytes()
-        assert again.point.value == whole.point.value
-        assert (again.status, again.iterations) == (whole.status, whole.iterations)
 
 
 def test_a_descent_stops_at_its_target_and_at_its_limits() -> None:
