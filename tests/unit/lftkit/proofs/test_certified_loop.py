@@ -141,7 +141,7 @@ def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None
     assert truth < proof.level
 
 
-@pytest.mark.parametrize("factor", [1.004, 0.999, 2.0])
+@pytest.mark.parametrize("factor", [1.004, 0.999, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_proof_of_another_level_is_used_where_it_holds(proof: LoopProof, factor: float) -> None:
     level, box = factor * peak(0.8), box_of(oscillator())
     bounds = prove_level(proof.model, box, proof.band, level, known=proof.strips)
@@ -182,7 +182,7 @@ def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
     return np.asarray(np.linalg.eigvals(whole), dtype=complex)
 
 
-@pytest.mark.parametrize("gain", [-9.0, -0.3, 0.05, 0.12, 4.0, 20.0])
+@pytest.mark.parametrize("gain", [-9.0, 0.05, 0.12, 20.0])
 def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
     """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large."""
     plant, law = held_loop()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles.full_order_bound import full_order_bound
 from scipy import linalg
+from support.slow_cases import slow
 
 from lftkit import InputError, Port, System, hinf_norm, loop_margins, s
 from lftkit.synthesis import augw, h2syn, hinfsyn, mixsyn, ncfsyn
@@ -16,11 +17,6 @@ from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
 from lftkit.tuning.full_order import central, lowest_level
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
-
-
-def slow(*values: Any) -> Any:
-    """Values of a case of the longer campaign."""
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def system(expression: Any) -> System:

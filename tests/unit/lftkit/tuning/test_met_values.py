@@ -10,7 +10,7 @@ import pytest
 from lftkit import System
 from lftkit.tuning import HinfGain, TuningOptions, TuningResult, gain, tune
 
-EFFORT = TuningOptions(starts=1, seed=0)
+EFFORT = TuningOptions(starts=0)
 
 
 def tuned(*more: HinfGain, met: float, options: TuningOptions = EFFORT) -> TuningResult:
