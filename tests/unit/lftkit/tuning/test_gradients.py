@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.slow_cases import slow
 
 from lftkit.analysis.frequency_response import direct_response
 from lftkit.systems.connection.feedback import close_loop
@@ -69,13 +70,10 @@ STRUCTURES = {
 @pytest.mark.parametrize(
     ("name", "delay"),
     [
-        *((name, 0.05) for name in STRUCTURES),
-        *((name, 0.0) for name in ("static", "full order 2")),
-        *(
-            pytest.param(name, 0.0, marks=pytest.mark.slow)
-            for name in STRUCTURES
-            if name not in ("static", "full order 2")
-        ),
+        *((name, 0.05) for name in STRUCTURES if name != "fixed entry"),
+        ("static", 0.0),
+        ("fixed entry", 0.0),
+        *(slow(name, 0.0) for name in STRUCTURES if name not in ("static", "fixed entry")),
     ],
 )
 def test_gradient_equals_central_differences(name: str, delay: float) -> None:

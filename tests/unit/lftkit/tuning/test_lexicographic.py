@@ -135,7 +135,13 @@ def test_over_a_box_of_parameters() -> None:
     options = RobustOptions(tuning=replace(IN_ORDER, iterations=20), search=WorstCaseOptions(samples=0, climbs=1))
     needs, box = errors_and_efforts(), {"a": (0.5, 1.5)}
     found = tune_robust(
-        lambda values: lags(pole=-values["a"]), box, needs, law(), initial=[[-0.5, -0.5]], options=options
+        lambda values: lags(pole=-values["a"]),
+        box,
+        needs,
+        law(),
+        active=[{"a": 1.0}, {"a": 0.5}],
+        initial=[[-0.5, -0.5]],
+        options=options,
     )
     worst = {case.requirement: case for case in found.worst}
     assert [level.requirements for level in found.levels] == [("z0",), ("z1",)]
