@@ -32,6 +32,7 @@ NOT_RUN = {
 }
 """What is not run, by its words, and why."""
 TESTED_ELSEWHERE = {"tutorial.md": ("test_three_paths.py", "test_tutorials.py")}
+TESTED_ELSEWHERE |= dict.fromkeys(("your_data.md", "your_disturbances.md"), ("test_pages_on_files.py",))
 TESTED_ELSEWHERE |= {path.name: ("test_contributing_pages.py",) for path in (ROOT / "docs/extend").glob("*.md")}
 SHORTER = {
     "run": {"--mode": "inprocess", "--duration": "2", "--no-report": ""},
@@ -53,19 +54,6 @@ def blocks(name: str, language: str) -> list[str]:
 def python_of(name: str) -> None:
     for block in blocks(name, "python"):
         exec(compile(block, name, "exec"), {})
-
-
-def of_disturbances() -> None:
-    python_of("your_disturbances.md")
-    Path("my_sources.toml").write_text(blocks("your_disturbances.md", "toml")[0])
-
-
-def of_data() -> None:
-    python_of("your_data.md")
-    designs = Path(str(los_estimator.__file__)).parent / "designs"
-    read = f"SampledSystem.from_file({str(designs / 'k_fsm.json')!r}).to_control()"
-    text = f"from lftkit.systems.sampled.sampled_system import SampledSystem\n\nobserver = {read}\n"
-    Path("my_laws.py").write_text(text)
 
 
 def of_budget() -> None:
@@ -107,8 +95,6 @@ def of_code() -> None:
 
 
 PREPARED: dict[str, Callable[[], None]] = {
-    "your_disturbances.md": of_disturbances,
-    "your_data.md": of_data,
     "image_quality.md": of_images,
     "pointing_analysis.md": of_analysis,
     "your_spacecraft.md": of_telescope,

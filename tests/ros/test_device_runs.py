@@ -51,6 +51,7 @@ def command_of(folder, device, duration, *options):
     files = write_controllers(folder)
     command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--device={device}", f"--duration={duration}"]
     command += ["--camera-latency=7", f"--domain={private_domain()}", "--no-report", "--max-missed=100"]
+    command += ["--hold-ticks=1000", "--fade-ticks=1000"]  # the emulator may get no processor for a while
     return [*command, f"--k-fsm={files['k_fsm']}", f"--k-pma={files['k_pma']}", f"--output={folder / 'bag'}", *options]
 
 

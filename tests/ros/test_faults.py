@@ -54,12 +54,13 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
             killed.append(seen.next(TRUTH_LOS))
             os.kill(runner.processes[name], signal.SIGKILL)
             time.sleep(0.5)  # what the bystander has still to read is from before
-            seen.next(FSM_COMMAND, seen.next(TRUTH_LOS))
+            killed.append(seen.next(TRUTH_LOS))
+            seen.next(FSM_COMMAND, killed[-1])
         finally:
             seen.close()
 
     # long enough for the new node to find the recorder, too
-    results = run_with_fault(tmp_path, 500, kill, after=2500)
+    results = run_with_fault(tmp_path, 500, kill, after=5000)
     assert sum(thread.startswith("dds.udp") for thread in threads) >= 8, "the names of its threads are known"
     assert not [thread for thread in threads if "shm" in thread]
     assert set(glob("/dev/shm/*fastrtps*")) <= before
@@ -72,8 +73,8 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     gaps = np.diff(commands.stamp)
     widest = int(np.argmax(gaps))
     assert gaps[widest] > 50 * MS, "commands stopped"
-    assert abs(commands.stamp[widest] - killed[0]) < 1000 * MS, "when the node was killed"
-    assert commands.stamp[-1] > stamp[-1] - 500 * MS, "and came back"
+    assert commands.stamp[widest] < killed[1] and commands.stamp[widest + 1] > killed[0], "when the node was killed"
+    assert commands.stamp[-1] > stamp[-1] - 2000 * MS, "and came back"
     # the new node may find the plant before it finds the recorder: only the plant knows how long it was without
     missed = int(results.statistics["plant"]["missed_ticks"])
     assert missed > 50
@@ -94,13 +95,13 @@ def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_pa
             time.sleep(0.3)  # what the bystander has still to read is from before
             stopped.append(seen.next(TRUTH_LOS))
             stopped.append(seen.next(TRUTH_LOS, stopped[0] + 500 * MS))
-            time.sleep(0.3)  # what the plant says about it goes to the recorder
+            time.sleep(2.0)  # what the plant says about it goes to the recorder
         finally:
             os.kill(pid, signal.SIGCONT)
             told_between.append(time.time_ns())
             seen.close()
 
-    results = run_with_fault(tmp_path, 800, stop_for_a_while, after=900)
+    results = run_with_fault(tmp_path, 800, stop_for_a_while, after=3000)
     assert not results.failures
     run = Run.open(results.bag)
     stamp, angle = mirror_angle(results.bag)
@@ -109,7 +110,7 @@ def test_without_commands_the_mirror_goes_smoothly_to_zero_and_comes_back(tmp_pa
     if judged_at_pace(run, "the share of samples that are recorded"):
         assert inside.sum() > 350
     assert np.abs(angle[inside]).max() < 1e-7, "at zero while there are no commands"
-    assert run["fsm/command"].stamp[-1] > stamp[-1] - 400 * MS, "commands came back"
+    assert run["fsm/command"].stamp[-1] > stamp[-1] - 2000 * MS, "commands came back"
     assert np.abs(angle[-300:]).max() > 5e-5, "and are obeyed"
     # by pi/40 of 1e-4 rad a tick while fading; in normal motion 3 Hz * 1e-4 rad times the ticks that a command is held
     steps = np.abs(np.diff(angle[600:], axis=0) / (np.diff(stamp[600:]) / MS)[:, None]).max()
@@ -159,8 +160,9 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     assert "recorder ended unexpectedly (signal 9)" in results.failures[0]
     salvage = repair_bag(tmp_path / "bag", tmp_path / "saved")
     run = Run.open(tmp_path / "saved")
-    assert (salvage.last_stamp - run["truth/los"].stamp[0]) // MS > done[0] - 2000
     second = Run.open(results.bag)
+    if judged_at_pace(second, "that a recorder writes once a second"):
+        assert (salvage.last_stamp - run["truth/los"].stamp[0]) // MS > done[0] - 2000
     assert results.bag.name == "bag-2"
     assert len(second["truth/los"]) > 100
     if judged_at_pace(second, "that the second bag has most of the rest of the run"):
@@ -168,7 +170,9 @@ def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     ticks = int(results.statistics["plant"]["ticks"])
     assert len(run["truth/los"]) + len(second["truth/los"]) < ticks
     assert_plant_is_recorded(second, len(span_of(second)), joined=True)
-    assert ticks - 100 < (span_of(second)[-1] - span_of(run)[0]) // MS + 1 <= ticks, "the plant went on all the time"
+    lost = int(results.statistics["plant"].get("lost_periods", 0))  # they may be at the ends
+    spanned = (span_of(second)[-1] - span_of(run)[0]) // MS + 1
+    assert ticks - 100 - lost < spanned <= ticks, "the plant went on all the time"
 
 
 def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost(tmp_path):
@@ -241,7 +245,8 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
         assert min(map(int, counts.values())) >= 76, counts
     assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) == 160 + first[0]
     truth = Run.open(results.bag)["truth/los"].stamp
-    assert int(plant["ticks"]) - 100 < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
+    lost = int(plant.get("lost_periods", 0))  # they may be at the ends
+    assert int(plant["ticks"]) - 100 - lost < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
     angle = mirror_angle(results.bag)[1]
     assert np.isfinite(angle).all()
     if judged_at_pace(Run.open(results.bag), "that the mirror does not follow a rogue"):

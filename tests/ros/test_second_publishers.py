@@ -49,8 +49,9 @@ def intrude(runner):
     rogue = Bystander(runner.domain, (FSM_COMMAND, TRUTH_LOS), [TRUTH_LOS])
     reports = [rogue.node.create_publisher(DiagnosticArray, name, 100) for name in ("/diagnostics", OWN)]
     try:
-        end = time.monotonic() + 20.0
-        while reports[1].get_subscription_count() < 1 and time.monotonic() < end:
+        end = time.monotonic() + 60.0
+        while reports[1].get_subscription_count() < 1:
+            assert time.monotonic() < end, "nobody hears the reports"
             time.sleep(0.05)
         time.sleep(0.3)
         for topic in ("/telescope/truth/los", "/telescope/fsm/command", OWN):

@@ -60,7 +60,7 @@ class Bystander:
         # deep enough that nothing is pushed out before its reader has it
         self._outputs = {t.name: RawPublisher(self.node, t.path, t.type_name, 1000) for t in sends}
         self._inputs = {t.name: RawSubscription(self.node, t.path, t.type_name) for t in hears}
-        end = time.monotonic() + (10.0 if wait else 0.0)
+        end = time.monotonic() + (60.0 if wait else 0.0)
         while True:
             matched = self._matched()
             time.sleep(pause)  # the other side, or one more node, may see the match a little later
@@ -114,7 +114,7 @@ class Bystander:
 
     def settle(self) -> None:
         """Wait until every reader has what was sent."""
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         assert all(publisher.settle(deadline) for publisher in self._outputs.values())
 
     def close(self) -> None:
