@@ -40,11 +40,11 @@ def until_replaced(name):
 @pytest.mark.parametrize("name", ["controller", pytest.param("estimator", marks=pytest.mark.slow)])
 def test_a_follower_that_is_told_to_end_by_a_stranger_is_replaced(tmp_path, name):
     # long enough for the new node to find the recorder, too
-    results = run_with_fault(tmp_path, 400, until_replaced(name), after=2500)
+    results = run_with_fault(tmp_path, 400, until_replaced(name), after=5000)
     told = [line for line in results.failures if not line.startswith("recorder")]  # starved, it may be replaced as well
     assert told == [f"{name} ended unexpectedly (signal 15); it was restarted"]
     run = Run.open(results.bag)
-    assert run["fsm/command"].stamp[-1] > run["truth/los"].stamp[-1] - 500_000_000, "commands came back"
+    assert run["fsm/command"].stamp[-1] > run["truth/los"].stamp[-1] - 2_000_000_000, "commands came back"
 
 
 def test_a_recorder_that_is_told_to_end_by_a_stranger_records_the_rest_of_the_run(tmp_path):

@@ -12,6 +12,7 @@ import pytest
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.report.report import render, view
 from pointing_analysis.requirements.summary import summarise
 
@@ -35,7 +36,11 @@ def bag(folder: Path, **parameters: Any) -> Run:
     return Run.open(write_bag(folder, {"truth/los": truth}, parameters={**given, **parameters}))
 
 
-def test_the_report_has_pictures_of_what_moves_and_no_lines_or_tones_of_fixed_frequency(tmp_path: Path) -> None:
+def test_the_report_has_pictures_of_what_moves_and_no_lines_or_tones_of_fixed_frequency(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = (lambda drawn: moving_pictures(drawn.views, drawn.requirements),)
+    monkeypatch.setattr("pointing_analysis.report.report.PICTURES", pictures)
     run = bag(tmp_path / "moving", motion=MOTION)
     page = render([run])
     for name in ("rpe-over-time", "waterfall-1", "campbell-1"):
