@@ -50,7 +50,8 @@ class TuningOptions:
         Show a progress line.
     parameter_limit : float
         Magnitude of a parameter beyond which no controller is looked at, for want of a bound of its own; at least a
-        thousand times that of the starts. A run that ends there is ``unbounded``.
+        thousand times that of the starts. A run that ends there, or with a value that counts as zero and falls on as
+        large parameters grow, is ``unbounded``.
     """
 
     starts: int = 24

@@ -75,8 +75,8 @@ _ADVICE = {
         "a hard requirement stays above 1: make it soft to see what is reachable, relax its bound, or raise the order"
     ),
     "unbounded": (
-        "parameters grew to the limit: the value falls for ever as they do, or does not depend on them; add a "
-        "requirement on commands, noise or controller poles, or give bounds"
+        "parameters grew without end: the value falls as they do, or does not depend on them; add a requirement on "
+        "commands, noise or controller poles, or give bounds"
     ),
     "failed": (
         "the arithmetic of the best start failed; the best point so far is given: try other starts, or scale the model"

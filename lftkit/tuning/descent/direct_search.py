@@ -20,7 +20,7 @@ from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.quasi_newton import QuasiNewtonResult, quasi_newton
 from lftkit.tuning.descent.single_start import StartResult, stabilise, unstable
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
-from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
+from lftkit.tuning.descent.smooth_phase import negligible_value, smooth_phase
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
@@ -35,7 +35,6 @@ RESTART_SIZES = -3.0, 0.0  # decades of the size of such a perturbation, in the 
 METRIC_FLOOR = 1e-6  # of its eigenvalues, relative
 RESTART_STEPS, RESTART_TOLERANCE = 400, 1e-8  # of the logarithm
 MAX_MOVES = 8  # rounds of descents from points of more gain
-SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
 
 def direct_screen(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
@@ -92,16 +91,6 @@ def perturbed(x: FloatArray, decades: tuple[float, float], rng: np.random.Genera
     """A copy of `x` (size,) with relative changes, their size uniform in the decades; small entries change, too."""
     size = np.abs(x) + 0.1 * float(np.sqrt(np.mean(x**2)))
     return np.asarray(x + 10.0 ** rng.uniform(*decades) * size * rng.standard_normal(len(x)))
-
-
-def negligible_value(problem: Problem) -> float:
-    """Value that counts as zero: the infimum is zero and only approached."""
-    parts = [
-        float(np.quantile(np.sqrt(np.sum(np.abs(P11) ** 2, axis=(1, 2))), SCALE))
-        for loop in problem.gains
-        for P11 in loop.grid.P11.values()
-    ]
-    return max(NEGLIGIBLE * max(parts, default=1.0), 1e-290)
 
 
 class _Direct:

@@ -12,7 +12,7 @@ from lftkit.tuning.descent.bundle_method import BundleResult, minimise
 from lftkit.tuning.descent.gain_moves import descended, gain_moves
 from lftkit.tuning.descent.grid_source import FEASIBLE, GridSource, Point, point_at
 from lftkit.tuning.descent.minimax.minimax import VISIBLE, DescentOptions, lower_point
-from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
+from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, negligible_value, smooth_phase
 from lftkit.tuning.descent.starts import lowered_gain
 from lftkit.tuning.pieces import HARD_TARGET, Oracle, OracleResult
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
@@ -22,6 +22,8 @@ STABILISING_STEPS = 120
 SCREENING_EVALUATIONS, SMOOTH_EVALUATIONS, CONFIRMING_EVALUATIONS = 100, 600, 80
 EVALUATIONS_PER_ITERATION = 4  # of the smooth phase, for each quadratic program that is allowed
 WORTH_REPEATING = 0.05  # relative decrease by a smooth phase that is worth another one
+GROWN, GROWS, FALLS = 1e-3, 1.2, 1.5  # parts of the limit that a parameter has, growth and fall that show no minimum
+GROWTH_EVALUATIONS = 150
 MAX_CYCLES = 4  # of smooth phase and bundle method
 ENDS = (TuningStatus.TARGET, TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED, TuningStatus.ITERATIONS)
 CUT = (TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED)
@@ -159,10 +161,10 @@ class _Run:
     def to_the_end(self) -> TuningStatus:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, first = self._limits, self.point
-        self.point = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
+        endless = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
         if self._settled():
             return TuningStatus.CONVERGED
-        if self._at_limit():
+        if endless or self._at_limit():
             return TuningStatus.UNBOUNDED
         negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
         if self.point.feasible and -np.inf < self.point.soft <= negligible:
@@ -206,18 +208,33 @@ class _Run:
         if not self.point.better_than(point):
             self.point = point
 
-    def _smooth_repeatedly(self, evaluations: int) -> Point:
+    def _smooth_repeatedly(self, evaluations: int) -> bool:
         """Smooth phases from the end of the last one, as long as they lower the value and within the evaluations.
 
-        The p-norm of a new phase passes by kinks at which the prox-linear steps of the one before ended.
+        The p-norm of a new phase passes by kinks at which the prox-linear steps of the one before ended. Whether the
+        value has no minimum, by :meth:`_falls_with_growth`.
         """
         last = self.evaluations + evaluations
         while True:
             before, left = self.point, last - self.evaluations
             self.point = self._smooth(min(SMOOTH_EVALUATIONS, left))
+            if self._falls_with_growth():
+                return True
             ended = left <= SMOOTH_EVALUATIONS or not self.point.feasible or self._at_limit()
             if ended or not self.point.better_than(before, WORTH_REPEATING) or time.monotonic() > self._limits.deadline:
-                return self.point
+                return False
+
+    def _falls_with_growth(self) -> bool:
+        """Whether a value that counts as zero still falls while large parameters grow: it has no minimum."""
+        before = self.point
+        if not before.feasible or self._share(before) < GROWN or before.soft > negligible_value(self._problem):
+            return False
+        self.point = self._smooth(GROWTH_EVALUATIONS)
+        return self.point.soft <= before.soft / FALLS and self._share(self.point) >= GROWS * self._share(before)
+
+    def _share(self, point: Point) -> float:
+        """The largest parameter as a part of its limit."""
+        return float(np.max(np.abs(point.x) / self._problem.limit))
 
     def _smooth(self, evaluations: int) -> Point:
         limits = self._limits

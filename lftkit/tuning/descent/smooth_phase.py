@@ -30,6 +30,7 @@ PER_STEP = 2  # evaluations, at least
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
 NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
+SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,16 @@ def smooth_phase(
         rounds.smooth(floor)
         rounds.descend(floor)
     return SmoothPhase(rounds.checked(), rounds.source.evaluations)
+
+
+def negligible_value(problem: Problem) -> float:
+    """Value that counts as zero: the infimum is zero and only approached."""
+    parts = [
+        float(np.quantile(np.sqrt(np.sum(np.abs(P11) ** 2, axis=(1, 2))), SCALE))
+        for loop in problem.gains
+        for P11 in loop.grid.P11.values()
+    ]
+    return max(NEGLIGIBLE * max(parts, default=1.0), 1e-290)
 
 
 class _Rounds:

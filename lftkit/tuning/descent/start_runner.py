@@ -22,12 +22,12 @@ from lftkit.tuning.descent.direct_search import (
     direct_polish,
     direct_restarts,
     direct_screen,
-    negligible_value,
     perturbed,
 )
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import ARITHMETIC, StartResult, failed, screen, tune_from
+from lftkit.tuning.descent.smooth_phase import negligible_value
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
