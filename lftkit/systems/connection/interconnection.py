@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -185,11 +187,12 @@ def append(*systems: System) -> System:
     return replace(whole, inputs=inputs, outputs=tuple(p for s in systems for p in s.outputs))
 
 
-def feedback(forward: System, backward: System | None = None, *, sign: float = -1.0) -> System:
+def feedback(forward: Any, backward: Any = None, *, sign: float = -1.0) -> System:
     """``(I - sign G K)^-1 G`` with G forward and K backward, by position; K is 1 where none is given.
 
     **Negative feedback unless sign is 1.** The ports are those of G; the inputs of K are the outputs of G, and its
-    outputs are added to the inputs of G.
+    outputs are added to the inputs of G. Each is a :class:`System` or what
+    :func:`lftkit.systems.exchange.as_system` takes; a number is that times the identity of the other's size.
 
     Raises
     ------
@@ -202,13 +205,22 @@ def feedback(forward: System, backward: System | None = None, *, sign: float = -
     >>> lag = feedback(transfer([4.0], [1.0, 0.0]))
     >>> lag.poles().real.tolist()
     [-4.0]
+    >>> sensitivity = feedback(1, lag)
+    >>> abs(sensitivity(1j) * (1 + lag(1j)) - 1) < 1e-12
+    True
     """
     if sign not in (1.0, -1.0):
         raise InputError(f"sign must be 1.0 or -1.0, got {sign}")
-    forward, backward = as_system(forward), None if backward is None else as_system(backward)
+    if isinstance(forward, Real) and backward is not None and not isinstance(backward, Real):
+        backward = as_system(backward)
+        forward = forward * np.eye(total_size(backward.inputs))
+    forward = as_system(forward)
     if backward is None:
         same_size(forward.inputs, forward.outputs, "feedback without a second system: inputs and outputs")
-        backward = System.static(np.eye(total_size(forward.outputs)), forward.outputs, forward.inputs)
+        backward = 1.0
+    if isinstance(backward, Real):
+        backward = backward * np.eye(total_size(forward.inputs), total_size(forward.outputs))
+    backward = as_system(backward)
     same_size(forward.outputs, backward.inputs, "feedback: outputs forward and inputs backward")
     same_size(backward.outputs, forward.inputs, "feedback: outputs backward and inputs forward")
     m, p = total_size(forward.inputs), total_size(forward.outputs)

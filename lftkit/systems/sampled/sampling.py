@@ -10,6 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
+from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.system import System
@@ -18,7 +19,7 @@ METHODS = ("tustin", "hold")
 
 
 def sampled(
-    system: System,
+    system: Any,
     dt: float,
     *,
     method: str = "tustin",
@@ -29,7 +30,7 @@ def sampled(
 
     Parameters
     ----------
-    system : System
+    system : System, or what :func:`lftkit.systems.exchange.as_system` takes, as an expression
         Continuous time; of an uncertain system the nominal member.
     dt : float
         Period [s].
@@ -47,18 +48,19 @@ def sampled(
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
         raise InputError(f"dt must be positive, got {dt}")
-    system.require_continuous()
-    s = system.nominal()
+    continuous = as_system(system)
+    continuous.require_continuous()
+    s = continuous.nominal()
     matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
     return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
 
 
-def discretise(system: System, dt: float, *, method: str = "tustin") -> System:
+def discretise(system: Any, dt: float, *, method: str = "tustin") -> System:
     """The system in discrete time, as a :class:`System`; :func:`sampled` gives a controller ready to run.
 
     Parameters
     ----------
-    system : System
+    system : System, or what :func:`lftkit.systems.exchange.as_system` takes, as an expression
         Continuous time. Uncertain elements stay with the method "tustin"; dynamics become discrete ones.
     dt : float
         Period [s].
@@ -80,9 +82,10 @@ def discretise(system: System, dt: float, *, method: str = "tustin") -> System:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
         raise InputError(f"dt must be positive, got {dt}")
-    system.require_continuous()
-    matrices = to_discrete(*system.lft, dt) if method == "tustin" else _zero_order_hold(*system.matrices, dt)
-    return system.with_lft(matrices, dt=dt)
+    continuous = as_system(system)
+    continuous.require_continuous()
+    matrices = to_discrete(*continuous.lft, dt) if method == "tustin" else _zero_order_hold(*continuous.matrices, dt)
+    return continuous.with_lft(matrices, dt=dt)
 
 
 def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.delta import Value, chosen_values
 from lftkit.systems.operand import constant_matrix
@@ -168,6 +168,10 @@ class Expression:
     def nominal(self) -> System:
         """The system at the nominal values of its elements."""
         return self.system().nominal()
+
+    def poles(self) -> ComplexArray:
+        """Poles of the nominal system, see :meth:`System.poles`."""
+        return self.system().poles()
 
     def sample(self, rng: np.random.Generator, count: int = 1) -> list[System]:
         """The system at `count` random values of its elements."""

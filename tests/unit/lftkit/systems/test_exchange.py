@@ -151,6 +151,16 @@ def test_connections_take_whatever_is_a_system() -> None:
     assert lk.append(theirs.copy(), lk.as_system(3.0, "v", "w")).D.tolist() == [[0.0, 0.0], [0.0, 3.0]]
 
 
+def test_sensitivity_and_sampled_form_of_an_expression_of_two_channels() -> None:
+    loop = lk.matrix([[1 / (lk.s + 1), 0.5], [0, 2 / (lk.s + 3)]])
+    sensitivity, at = lk.feedback(1, loop), 0.7j
+    assert np.allclose(sensitivity(at) @ (np.eye(2) + loop(at)), np.eye(2), atol=1e-12)
+    assert sorted(loop.poles().real) == pytest.approx([-3.0, -1.0])
+    dt = 0.1
+    z = np.exp(at * dt)
+    assert np.allclose(lk.discretise(loop, dt)(z), loop(2.0 / dt * (z - 1.0) / (z + 1.0)), atol=1e-12)
+
+
 def test_numbers_of_numpy_are_numbers_of_a_file() -> None:
     elements = (
         RealParameter("k", np.float32(1.0), np.int64(0), 2.0),  # type: ignore[arg-type]
