@@ -37,7 +37,7 @@ import numpy as np
 from lftkit import Connection, Port, SampledSystem, System, connect, static_gain
 from lftkit.systems.connection.filters import high_pass, with_input_filter
 from lftkit.systems.delay import delayed_port
-from lftkit.systems.sampled.sampling import sampled
+from lftkit.systems.sampling import sampled
 from lftkit.tuning import state_space
 from lftkit.tuning.structures.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis

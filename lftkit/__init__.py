@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from lftkit.systems.minimal import minimal_realisation
     from lftkit.systems.ports import Port
     from lftkit.systems.sampled.sampled_system import SampledSystem
-    from lftkit.systems.sampled.sampling import discretise, sampled
+    from lftkit.systems.sampling import discretise, sampled
     from lftkit.systems.symbolic.expressions import Expression, matrix
     from lftkit.systems.symbolic.variables import complex_gain, dynamic, real, s, z
     from lftkit.systems.system import System, from_control, state_space, static_gain
@@ -172,7 +172,7 @@ _MODULES = {
     "systems.minimal": ("minimal_realisation",),
     "systems.ports": ("Port",),
     "systems.sampled.sampled_system": ("SampledSystem",),
-    "systems.sampled.sampling": ("discretise", "sampled"),
+    "systems.sampling": ("discretise", "sampled"),
     "systems.system": ("System", "from_control", "state_space", "static_gain"),
     "systems.symbolic.variables": ("complex_gain", "dynamic", "real", "s", "z"),
     "uncertainty.elements": ("ComplexParameter", "DynamicElement"),

@@ -26,7 +26,7 @@ from lftkit import SampledSystem, System, state_space
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.connection.filters import high_pass, with_input_filter
-from lftkit.systems.sampled.sampling import sampled
+from lftkit.systems.sampling import sampled
 from titop_plant.interface import (
     ACCELEROMETERS,
     CAMERA,

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
-from lftkit.systems.sampled.sampling import sampled
+from lftkit.systems.sampling import sampled
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop

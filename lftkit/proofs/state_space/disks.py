@@ -12,7 +12,7 @@ from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
-from lftkit.systems.sampled.sampling import discretise
+from lftkit.systems.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
 from lftkit.uncertainty.parameters import RealParameter

@@ -1,1 +1,1 @@
-"""Discrete systems with named ports, and sampling of continuous ones."""
+"""Discrete systems with named ports, and the bilinear map."""

@@ -27,7 +27,7 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.sampled.bilinear import to_discrete
-from lftkit.systems.sampled.sampling import sampled
+from lftkit.systems.sampling import sampled
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures import structures
 
