@@ -113,9 +113,9 @@ class DiskSearch:
     ) -> tuple[float, float, Any]:
         """Largest value over the band of a function of frequency, its frequency, and what comes with it.
 
-        `closely` is the function about the best frequencies of the grid, and has what came with the best value. Where
-        an upper bound of the function, `ceiling`, is below what was found or `floor` it is not evaluated: there is
-        nothing with a value that is not above the floor.
+        `closely` is the function about the best frequencies of the grid, and has what came with the best value. A
+        frequency of the grid is left out where an upper bound of the function, `ceiling`, is below what was found, or
+        well below `floor`, the least value that is looked for.
         """
         omega = self.frequencies()
         ceilings = np.array([ceiling(float(w)) for w in omega])
@@ -130,8 +130,6 @@ class DiskSearch:
         def objective(where: float) -> float:
             nonlocal best
             w = math.exp(where)
-            if (above := ceiling(w)) <= max(best[0], floor):
-                return -above
             value, what = closely(w, best[2])
             if value > best[0]:
                 best = value, w, what
@@ -155,8 +153,12 @@ class DiskSearch:
 
         Sides are measured from the nominal values, which the box contains.
         """
-        first = partial(self._singular_at, starts=FIRST[0], attempts=FIRST[1], iterations=FIRST[2])
-        value, omega, found = self.worst(first, lambda w, _: first(w), self._ceiling, 1.0 / largest)
+        value, omega, found = self.worst(
+            lambda w: self._singular_at(w, *FIRST),
+            lambda w, _: self._singular_at(w, *FIRST),
+            self._ceiling,
+            1.0 / largest,
+        )
         if found is not None:
             closely = self._singular_at(omega, *LATER)
             value, found = closely if closely[0] > value else (value, found)

@@ -24,9 +24,11 @@ from lftkit.proofs import (
     stability_profile,
     worst_case_gain,
 )
+from lftkit.proofs.state_space.bounds import smallest_unstable
 from lftkit.proofs.state_space.disks import dynamics_with
 from lftkit.proofs.trusted.cells import digest
-from lftkit.uncertainty.elements import DynamicElement
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
+from lftkit.uncertainty.parameters import RealParameter
 
 LONG = BoundOptions(wall_limit=3600.0)
 
@@ -256,3 +258,23 @@ def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, 
     assert hinf_norm(*member.matrices, dt=dt).value == pytest.approx(0.4, rel=1e-9)
     near = abs(end * np.pi - 2e-6) / dt  # tan(omega dt / 2) is 1e-6, or one over it
     assert abs(member.response([near])[0, 0, 0] - value) < 0.4 * 1.1e-5
+
+
+@pytest.mark.parametrize("seed", range(8, 12))
+def test_the_smallest_unstable_factor_is_that_of_a_grid(seed: int) -> None:
+    """Two equal resonances of damping ratio 0.015; a pole is on the axis where the complex element closes the loop."""
+    rng = np.random.default_rng(seed)
+    A, B, C = (
+        np.kron(np.eye(2), [[-0.01, 1.0], [-1.0, -0.03]]),
+        rng.standard_normal((4, 2)),
+        rng.standard_normal((2, 4)),
+    )
+    elements = RealParameter("p", 0.0, -0.6, 0.6), ComplexParameter("f", 0.0, 0.3)
+    system = System(A, 0.25 * B, 0.25 * C, np.zeros((2, 2)), (), (), channels=("p", "f"), elements=elements)
+    omega = np.concatenate([np.linspace(0.0, 3.0, 2000), np.linspace(0.9, 1.1, 2000)])
+    parts = np.linspace(-2.0, 2.0, 3201)
+    M = np.array([0.25 * C @ linalg.solve(1j * w * np.eye(4) - A, 0.25 * B) for w in omega])
+    closed = M[:, 1, 1, None] + (M[:, 1, 0] * M[:, 0, 1])[:, None] * 0.6 * parts / (1.0 - M[:, :1, 0] * 0.6 * parts)
+    expected = float(np.maximum(np.abs(parts), 1.0 / (0.3 * np.abs(closed))).min())
+    found, _ = smallest_unstable(system, [(-0.6, 0.6)], 2.0, seed=0)
+    assert found == pytest.approx(expected, rel=5e-3) if expected < 1.9 else found >= 1.9
