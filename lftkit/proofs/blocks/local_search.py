@@ -33,10 +33,20 @@ class SmallestPerturbation:
     structure : sequence of UncertaintyBlock
     iterations : int
         Most steps of a search.
+    sides : ndarray, shape (real scalars, 2), optional
+        Magnitudes of the smallest and the largest value of each real scalar in a perturbation of size 1; 1 and 1 by
+        default.
     """
 
-    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int = ITERATIONS) -> None:
+    def __init__(
+        self,
+        M: ComplexArray,
+        structure: Sequence[UncertaintyBlock],
+        iterations: int = ITERATIONS,
+        sides: FloatArray | None = None,
+    ) -> None:
         self.M, self.parts, self.iterations = M, list(parts(structure)), iterations
+        self.sides = np.ones((sum(block.kind == REAL for block in structure), 2)) if sides is None else sides
         self.width = M.shape[1]
         scalars = [part for part in self.parts if part[0].kind != FULL]
         self.full = [(z, w) for block, z, w in self.parts if block.kind == FULL]
@@ -79,12 +89,22 @@ class SmallestPerturbation:
         x = np.zeros(self.count)
         x[: self.width], x[self.width : 2 * self.width] = w.real, w.imag
         values = np.array([self._quotient(w, z, own) for block, z, own in self.parts if block.kind != FULL], complex)
-        values = np.where(self.real, values.real, values)
+        values[self.real] = self._allowed(values[self.real].real)
         values = values / np.maximum(1.0, np.abs(values) / FAR)
         x[self._re], x[self._im] = values.real, values.imag[~self.real]
         sizes = [np.sqrt(float(np.vdot(w[own], w[own]).real) / self._square(w, z)) for z, own in self.full]
-        x[-1] = max([1e-6, *np.abs(values), *sizes])
+        x[-1] = max([1e-6, *self.real_sizes(values[self.real].real), *np.abs(values[~self.real]), *sizes])
         return x
+
+    def _allowed(self, values: FloatArray) -> FloatArray:
+        """Real scalars, zero where there is no value of their sign."""
+        return np.asarray(np.where(np.where(values < 0.0, self.sides[:, 0], self.sides[:, 1]) > 0.0, values, 0.0))
+
+    def real_sizes(self, values: FloatArray) -> FloatArray:
+        """Sizes of real scalars: values over the side on which they are; infinite where that has no width."""
+        side = np.where(values < 0.0, self.sides[:, 0], self.sides[:, 1])
+        sizes = np.where(values == 0.0, 0.0, np.inf)
+        return np.asarray(np.divide(np.abs(values), side, out=sizes, where=(side > 0.0) & (values != 0.0)))
 
     def _square(self, w: ComplexArray, z: slice) -> float:
         seen = self.M[z] @ w
@@ -125,7 +145,8 @@ class SmallestPerturbation:
         real, other = deltas[self.real].real, deltas[~self.real]
         seen = [(self.M[z] @ w, w[own]) for z, own in self.full]
         full = [size**2 * np.vdot(z, z).real - np.vdot(own, own).real for z, own in seen]
-        return np.concatenate([size - real, size + real, size**2 - np.abs(other) ** 2, full])
+        down, up = self.sides.T
+        return np.concatenate([up * size - real, down * size + real, size**2 - np.abs(other) ** 2, full])
 
     def inequality_slopes(self, x: FloatArray) -> FloatArray:
         """Their derivatives, (rows, variables)."""
@@ -135,7 +156,7 @@ class SmallestPerturbation:
         slopes = np.zeros((end + len(self.full), self.count))
         slopes[np.arange(count), real] = -1.0
         slopes[np.arange(count, 2 * count), real] = 1.0
-        slopes[: 2 * count, -1] = 1.0
+        slopes[: 2 * count, -1] = np.concatenate([self.sides[:, 1], self.sides[:, 0]])
         rows = np.arange(2 * count, end)
         slopes[rows, self._re[~self.real]], slopes[rows, self._im] = -2.0 * other.real, -2.0 * other.imag
         slopes[rows, -1] = 2.0 * size

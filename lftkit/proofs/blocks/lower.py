@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.local_search import ITERATIONS as LOCAL_ITERATIONS
 from lftkit.proofs.blocks.local_search import TINY, SmallestPerturbation
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
@@ -27,7 +27,7 @@ SINGULAR = 1e-11
 
 @dataclass(frozen=True)
 class Perturbation:
-    """A member of the structure: `matrix` (w by z), `size` its largest block's norm."""
+    """A member of the structure: `matrix` (w by z), `size` that of its largest block."""
 
     matrix: ComplexArray
     size: float
@@ -40,6 +40,7 @@ def lower_bound(
     starts: int,
     seed: int,
     iterations: int = LOCAL_ITERATIONS,
+    sides: FloatArray | None = None,
 ) -> tuple[float, ComplexArray | None]:
     """One over the norm of the smallest perturbation found, and the perturbation; 0 and None if none was found.
 
@@ -53,8 +54,10 @@ def lower_bound(
         Of these.
     iterations : int
         Most steps of a local search, where there are real scalars.
+    sides : ndarray, shape (real scalars, 2), optional
+        Of the local search, see :class:`SmallestPerturbation`.
     """
-    search = _Search(M, structure, iterations)
+    search = _Search(M, structure, iterations, sides)
     rng = np.random.default_rng(seed)
     found: list[Perturbation] = []
     for number in range(starts):
@@ -70,10 +73,12 @@ def lower_bound(
 
 
 class _Search:
-    def __init__(self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int) -> None:
+    def __init__(
+        self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int, sides: FloatArray | None
+    ) -> None:
         self.M, self.structure, self.parts = M, structure, list(parts(structure))
         self.real = any(block.kind == REAL for block in structure)
-        self.local = SmallestPerturbation(M, structure, iterations)
+        self.local = SmallestPerturbation(M, structure, iterations, sides)
         self.singular = linalg.svd(M)[2].conj() if M.size else np.zeros((0, 0), complex)
 
     def first(self, number: int, rng: np.random.Generator) -> ComplexArray:
@@ -189,7 +194,10 @@ class _Search:
 
     def _finished(self, delta: ComplexArray) -> Perturbation | None:
         """The perturbation with its size, if it is one and ``I - M Delta`` is singular."""
-        sizes = [float(linalg.norm(delta[w_part, z_part], 2)) for _, z_part, w_part in self.parts]
+        others = [part for part in self.parts if part[0].kind != REAL]
+        reals = [delta[w.start, z.start].real for block, z, w in self.parts if block.kind == REAL]
+        sizes = [float(linalg.norm(delta[w_part, z_part], 2)) for _, z_part, w_part in others]
+        sizes += self.local.real_sizes(np.array(reals, dtype=float)).tolist()
         least = float(linalg.svd(np.eye(len(self.M)) - self.M @ delta, compute_uv=False)[-1])
         size = max(sizes)
         return Perturbation(delta, size) if least <= 10.0 * SINGULAR and 0.0 < size < np.inf else None

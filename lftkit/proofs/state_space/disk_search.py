@@ -39,9 +39,9 @@ out of the search; about others there may be one between the frequencies of the 
 EVALUATIONS = 12
 GAIN_STARTS = (2, 8)
 """Members with which the search for a gain at a frequency begins: on the grid, and at the best frequency."""
-FIRST, LATER = (1, 2, 40), (4, 3, 200)
-"""Vectors with which the search for a singular loop begins, attempts to find on which side of its nominal value each
-parameter is where sides have other widths, and steps of a local search: over the axis, and at the best frequency."""
+FIRST, LATER = (1, 40), (4, 200)
+"""Vectors with which the search for a singular loop begins, and steps of a local search: over the axis, and at the best
+frequency."""
 ASCENTS, CLIMBED = 40, 1e-7
 """Most steps of an ascent; least relative increase that is worth another one."""
 SHORT = 1e-3
@@ -167,38 +167,34 @@ class DiskSearch:
         point, values = found
         return 1.0 / value, DiskMember(np.inf, point, omega, values)
 
-    def _singular_at(self, omega: float, starts: int, attempts: int, iterations: int) -> tuple[float, Any]:
+    def _singular_at(self, omega: float, starts: int, iterations: int) -> tuple[float, Any]:
         """One over the smallest factor found at a frequency, and the member there."""
-        M = self.response(omega)
-        sides = np.abs(self.deviations).max(axis=1)
-        best: tuple[float, Any] = (0.0, None)
-        for _ in range(attempts):
-            value, delta, values = self._smallest(M, sides, starts, iterations)
-            if not value:
-                break
-            real = delta * sides
-            allowed = np.where(real < 0.0, -self.deviations[:, 0], self.deviations[:, 1])
-            own = np.abs(real[real != 0.0]) / np.maximum(allowed[real != 0.0], 1e-300)
-            size = max([*own, *(linalg.norm(v, 2) / d.radius for v, d in zip(values.values(), self.disks))])
-            if 1.0 / size > best[0]:
-                nominal = np.array([p.nominal for p in self.system.parameters])
-                best = 1.0 / float(size), (nominal + real, values)
-            if np.array_equal(allowed, sides) or not np.all(allowed > 0.0):
-                break
-            sides = allowed
-        return best
+        widest = self._widest
+        sides = np.abs(self.deviations) / np.where(widest > 0.0, widest, 1.0)[:, None]
+        scaled = self._scaled(self.response(omega))
+        value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
+        if found is None:
+            return 0.0, None
+        real, values = self._values(found)
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        return value, (nominal + real, values)
+
+    @property
+    def _widest(self) -> FloatArray:
+        """Width of the wider side of each real element (p,)."""
+        return np.asarray(np.abs(self.deviations).max(axis=1))
 
     def _ceiling(self, omega: float) -> float:
         """Upper bound of what :meth:`_singular_at` finds."""
-        matrix, _ = self._scaled(self.response(omega), np.abs(self.deviations).max(axis=1))
+        matrix, _ = self._scaled(self.response(omega))
         return float(linalg.norm(matrix, 2)) if matrix.size else 0.0
 
-    def _scaled(self, M: ComplexArray, sides: FloatArray) -> tuple[ComplexArray, list[UncertaintyBlock]]:
-        """Balanced response of the elements' channels, scaled by `sides` and radii, and their structure."""
+    def _scaled(self, M: ComplexArray) -> tuple[ComplexArray, list[UncertaintyBlock]]:
+        """Balanced response of the elements' channels, scaled by the wider sides and radii, and their structure."""
         into: list[int] = []
         out: list[int] = []
         scale, structure = [], []
-        for group, side in zip(self.groups, sides):
+        for group, side in zip(self.groups, self._widest):
             into, out = into + group, out + group
             scale += [side] * len(group)
             structure.append(real_block(len(group)))
@@ -210,15 +206,9 @@ class DiskSearch:
             structure.append(full_block(disk.outputs, disk.inputs) if disk.full else complex_block(len(disk.channels)))
         return balanced_matrix(M[np.ix_(into, out)] * np.array(scale), structure)[0], structure
 
-    def _smallest(
-        self, M: ComplexArray, sides: FloatArray, starts: int, iterations: int
-    ) -> tuple[float, FloatArray, dict[str, ComplexArray]]:
-        """Smallest perturbation of elements that are scaled by `sides` and radii, one over its size first."""
-        scaled = self._scaled(M, sides)
-        value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations)
-        if found is None:
-            return 0.0, np.zeros(len(sides)), {}
-        reals, values, row, column = np.zeros(len(sides)), {}, 0, 0
+    def _values(self, found: ComplexArray) -> tuple[FloatArray, dict[str, ComplexArray]]:
+        """Deviations of the real elements and values of the others in a perturbation of the scaled response."""
+        reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
         for k, group in enumerate(self.groups):
             reals[k] = found[row, column].real
             row, column = row + len(group), column + len(group)
@@ -228,7 +218,7 @@ class DiskSearch:
             size = (rows, columns) if disk.full else (1, 1)
             values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
             row, column = row + rows, column + columns
-        return value, reals, values
+        return reals * self._widest, values
 
     # gain
 
