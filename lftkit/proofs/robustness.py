@@ -28,7 +28,7 @@ from lftkit.systems.system import System
 
 FEW_STATES = 7
 """Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
-FEW_CELLS = 20
+FEW_CELLS = 60
 """Cells after which stability is proven over the frequency axis, where no method was asked for and it can be used."""
 
 
