@@ -17,7 +17,6 @@ CHOICES = {"keeps_pace", "judged", "judged_at_pace"}
 
 SLOW_MACHINE = """
 import pytest
-from support.packages import tree
 from support.unjudged import judged
 
 @pytest.fixture(scope="module")
