@@ -44,13 +44,7 @@ def sampled(
     ValueError
         Unknown method, or a period that is not positive.
     """
-    if method not in METHODS:
-        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt must be positive, got {dt}")
-    continuous = as_system(system)
-    continuous.require_continuous()
-    s = continuous.nominal()
+    s = _continuous(system, dt, method).nominal()
     matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
     return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
 
@@ -78,14 +72,20 @@ def discretise(system: Any, dt: float, *, method: str = "tustin") -> System:
     >>> float(discretise(transfer([1.0], [1.0, 1.0]), 0.5, method="hold").A[0, 0]) == float(np.exp(-0.5))
     True
     """
+    continuous = _continuous(system, dt, method)
+    matrices = to_discrete(*continuous.lft, dt) if method == "tustin" else _zero_order_hold(*continuous.matrices, dt)
+    return continuous.with_lft(matrices, dt=dt)
+
+
+def _continuous(system: Any, dt: float, method: str) -> System:
+    """The system to be sampled, with a period and a method that there are."""
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not (np.isfinite(dt) and dt > 0):
         raise InputError(f"dt must be positive, got {dt}")
-    continuous = as_system(system)
-    continuous.require_continuous()
-    matrices = to_discrete(*continuous.lft, dt) if method == "tustin" else _zero_order_hold(*continuous.matrices, dt)
-    return continuous.with_lft(matrices, dt=dt)
+    found = as_system(system)
+    found.require_continuous()
+    return found
 
 
 def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:
