@@ -38,7 +38,7 @@ def test_feasible_gain_is_found_from_far_infeasible_starts(gain_before: float) -
 
 def test_infeasible_has_the_least_violation() -> None:
     """Effort k / (k + 1/2) at most 0.5 contradicts 1 / (k + 1/2) at most 0.5: equal violations at k = 1, of 4 / 3."""
-    result = tune([lag(-0.5)], limits(0.5, 0.5), STATIC, initial=[[-3.0]], options=GIVEN)
+    result = tune([lag(-0.5)], limits(0.5, 0.5), STATIC, initial=[[-1e3]], options=GIVEN)
     assert result.status == "infeasible" and not result.feasible and "hard requirement" in result.advice
     assert result.hard == pytest.approx(4.0 / 3.0, rel=1e-3)
     assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
