@@ -107,15 +107,15 @@ class DiskSearch:
     def worst(
         self,
         at: Callable[[float], tuple[float, Any]],
-        closely: Callable[[float, Any], tuple[float, Any]],
+        closely: Callable[[float, Any], tuple[float, Any]] | None = None,
         ceiling: Callable[[float], float] = lambda _: np.inf,
         floor: float = -np.inf,
     ) -> tuple[float, float, Any]:
         """Largest value over the band of a function of frequency, its frequency, and what comes with it.
 
-        `closely` is the function about the best frequencies of the grid, and has what came with the best value. A
-        frequency of the grid is left out where an upper bound of the function, `ceiling`, is below what was found, or
-        well below `floor`, the least value that is looked for.
+        `closely` is the function about the best frequencies of the grid, the same by default; it has what came with the
+        best value. A frequency of the grid is left out where an upper bound of the function, `ceiling`, is below what
+        was found, or well below `floor`, the least value that is looked for.
         """
         omega = self.frequencies()
         ceilings = np.array([ceiling(float(w)) for w in omega])
@@ -130,7 +130,7 @@ class DiskSearch:
         def objective(where: float) -> float:
             nonlocal best
             w = math.exp(where)
-            value, what = closely(w, best[2])
+            value, what = closely(w, best[2]) if closely else at(w)
             if value > best[0]:
                 best = value, w, what
             return -value
@@ -153,12 +153,8 @@ class DiskSearch:
 
         Sides are measured from the nominal values, which the box contains.
         """
-        value, omega, found = self.worst(
-            lambda w: self._singular_at(w, *FIRST),
-            lambda w, _: self._singular_at(w, *FIRST),
-            self._ceiling,
-            1.0 / largest,
-        )
+        first = partial(self._singular_at, starts=FIRST[0], iterations=FIRST[1])
+        value, omega, found = self.worst(first, ceiling=self._ceiling, floor=1.0 / largest)
         if found is not None:
             closely = self._singular_at(omega, *LATER)
             value, found = closely if closely[0] > value else (value, found)
