@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from _pytest.doctest import DoctestModule
 from support.further import is_further
 from support.skip_remedies import summary
 from support.unjudged import UnjudgedWarning, unjudged_lines
@@ -77,6 +78,22 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         give_way(item.nodeid)
 
 
+class DoctestsWhereExamplesAre:
+    """With ``--doctest-modules`` a module without examples is neither imported nor searched for them."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collect_file(self, file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+        collectors = yield
+        if file_path.suffix != ".py" or b">>>" in file_path.read_bytes():
+            return collectors
+        return [each for each in collectors if not isinstance(each, DoctestModule)]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A plugin of the run, since the packages are outside the folder of this file."""
+    config.pluginmanager.register(DoctestsWhereExamplesAre())
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """Nearly all that is made while tests are collected stays: nothing is gained by looking for garbage in it."""
@@ -89,7 +106,6 @@ def pytest_collection() -> Generator[None, object, object]:
 
 def pytest_collection_finish() -> None:
     """The collected tests stay until the end: later collections of garbage need not look at them."""
-    gc.collect()
     gc.freeze()
 
 
