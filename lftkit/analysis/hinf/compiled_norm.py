@@ -2,7 +2,9 @@
 
 Seeds, steps to the peak and test of the level are those of :mod:`lftkit.analysis.hinf.small_norm`; only the eigenvalues
 come from the complex routine of LAPACK, which numba reaches. numba is optional (extra ``fast``) and is imported with
-this module. All compiled code is in this file, since its cache follows the changes of one file only.
+this module. All compiled code is in this file, since its cache follows the changes of one file only. It is written in
+loops: each method of an array, each assignment of a slice with the message of its error, is compiled as well, once,
+for a second or more.
 """
 
 from __future__ import annotations
@@ -162,44 +164,124 @@ def _seeds(poles: ComplexArray) -> FloatArray:
 
 
 @compiled
+def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """``matrix^-1 right`` by elimination with partial pivoting, in the place of both."""
+    n, columns = right.shape
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if pivot != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            for j in range(columns):
+                right[k, j], right[pivot, j] = right[pivot, j], right[k, j]
+        if matrix[k, k] == 0.0:
+            raise np.linalg.LinAlgError("singular matrix")
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, n):
+                matrix[i, j] -= factor * matrix[k, j]
+            for j in range(columns):
+                right[i, j] -= factor * right[k, j]
+    for k in range(n - 1, -1, -1):
+        for j in range(columns):
+            for i in range(k + 1, n):
+                right[k, j] -= matrix[k, i] * right[i, j]
+            right[k, j] /= matrix[k, k]
+    return right
+
+
+@compiled
 def _direct(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, point: complex) -> float:
     """Gain of ``D + C (point I - A)^-1 B``."""
     shifted = -A.astype(np.complex128)
     for k in range(len(A)):
         shifted[k, k] += point
-    return _gain(C.astype(np.complex128) @ np.linalg.solve(shifted, B.astype(np.complex128)) + D.astype(np.complex128))
+    return _gain(C.astype(np.complex128) @ _solved(shifted, B.astype(np.complex128)) + D.astype(np.complex128))
 
 
 @compiled
 def _hamiltonian(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> ComplexArray:
     """Eigenvalues of the Hamiltonian matrix, imaginary where the gain equals `level`."""
-    n = len(A)
+    n, m = len(A), D.shape[1]
     b, c, d = B / np.sqrt(level), C / np.sqrt(level), D / level
-    across = np.ascontiguousarray(d.T) @ c
-    both = np.concatenate((across, np.ascontiguousarray(b.T)), axis=1).astype(np.complex128)
-    gap = np.linalg.solve(np.eye(D.shape[1]) - np.ascontiguousarray(d.T) @ d + 0.0j, both)
+    turned = np.ascontiguousarray(d.T)
+    across, square, outputs = turned @ c, turned @ d, np.ascontiguousarray(c.T) @ c
+    gap, both = np.empty((m, m), dtype=np.complex128), np.empty((m, 2 * n), dtype=np.complex128)
+    for i in range(m):
+        for j in range(m):
+            gap[i, j] = (1.0 if i == j else 0.0) - square[i, j]
+        for j in range(n):
+            both[i, j], both[i, n + j] = across[i, j], b[j, i]
+    solved = _solved(gap, both)
+    above, below = b.astype(np.complex128) @ solved, np.ascontiguousarray(across.T).astype(np.complex128) @ solved
     H = np.empty((2 * n, 2 * n), dtype=np.complex128)
-    H[:n] = b.astype(np.complex128) @ gap
-    H[n:] = np.ascontiguousarray(-across.T).astype(np.complex128) @ gap
-    H[:n, :n] += A
-    H[n:, n:] -= A.T
-    H[n:, :n] -= np.ascontiguousarray(c.T) @ c
+    for i in range(n):
+        for j in range(n):
+            H[i, j], H[i, n + j] = above[i, j] + A[i, j], above[i, n + j]
+            H[n + i, j], H[n + i, n + j] = -below[i, j] - outputs[i, j], -below[i, n + j] - A[j, i]
     return np.linalg.eigvals(H)  # type: ignore[return-value]
 
 
 @compiled
 def _crossings(values: ComplexArray, poles: ComplexArray, rounding: float) -> FloatArray:
     """Frequencies of the eigenvalues that may be imaginary, ascending, and the middles between them."""
-    found = np.empty(len(values))
+    places = np.empty(2 * len(values))
     count = 0
     for value in values:
         off, height = abs(value.real), abs(value.imag)
         reach = min(abs(value), _distance(poles, height))
         if off <= 2.0 * np.sqrt(rounding * reach) + rounding:
-            found[count] = height
+            at = count
+            while at > 0 and places[at - 1] > height:
+                places[at] = places[at - 1]
+                at -= 1
+            places[at] = height
             count += 1
-    places = np.sort(found[:count])
-    return places if count < 2 else np.concatenate((places, 0.5 * (places[1:] + places[:-1])))
+    for k in range(count - 1):
+        places[count + k] = 0.5 * (places[k + 1] + places[k])
+    return places[: max(2 * count - 1, 0)]
+
+
+@compiled
+def _largest(matrix: ComplexArray) -> float:
+    """Largest modulus of an entry; NaN where one is."""
+    best = 0.0
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            size = abs(matrix[i, j])
+            if np.isnan(size):
+                return size  # type: ignore[no-any-return]
+            best = max(best, size)
+    return best
+
+
+@compiled
+def _column_norm(matrix: ComplexArray) -> float:
+    """Largest sum of the moduli of a column; NaN where one is."""
+    best = 0.0
+    for j in range(matrix.shape[1]):
+        size = 0.0
+        for i in range(matrix.shape[0]):
+            size += abs(matrix[i, j])
+        if np.isnan(size):
+            return size
+        best = max(best, size)
+    return best
+
+
+@compiled
+def _residues(left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Residues (n, p, m) of the modes with the outputs `left` (p, n) and the inputs `right` (n, m)."""
+    (p, n), m = left.shape, right.shape[1]
+    residues = np.empty((n, p, m), dtype=np.complex128)
+    for k in range(n):
+        for i in range(p):
+            for j in range(m):
+                residues[k, i, j] = left[i, k] * right[k, j]
+    return residues
 
 
 @compiled
@@ -212,26 +294,22 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
     A, B, C, D = system
     n = len(A)
     poles, vectors = np.linalg.eig(A.astype(np.complex128))
-    decay = -poles.real.max()
-    if not decay > 0.0:
-        return REFUSED
-    if sign != 0.0 and (-4.0 * poles.real / np.abs(1.0 - poles) ** 2).min() < AT_CIRCLE * n:
-        return REFUSED
+    decay, fastest = np.inf, 0.0
+    for pole in poles:
+        if not pole.real < 0.0 or (sign != 0.0 and -4.0 * pole.real / abs(1.0 - pole) ** 2 < AT_CIRCLE * n):
+            return REFUSED
+        decay, fastest = min(decay, -pole.real), max(fastest, abs(pole))
     inverse = np.linalg.inv(vectors)
-    condition = n**0.5 * np.abs(inverse).sum(axis=0).max()
+    condition = n**0.5 * _column_norm(inverse)
     if not condition * n * EPS < 1.0:
         return REFUSED
-    left, right = C.astype(np.complex128) @ vectors, inverse @ B.astype(np.complex128)
-    residues = np.empty((n, D.shape[0], D.shape[1]), dtype=np.complex128)
-    for k in range(n):
-        for i in range(D.shape[0]):
-            residues[k, i] = left[i, k] * right[k]
-    rounding = EPS * (max(lost, 1.0) * np.abs(poles).max() + lost) * condition
+    residues = _residues(C.astype(np.complex128) @ vectors, inverse @ B.astype(np.complex128))
+    rounding = EPS * (max(lost, 1.0) * fastest + lost) * condition
     terms = 0.0
     for k in range(n):
-        terms += np.abs(residues[k]).max() / -poles[k].real
+        terms += _largest(residues[k]) / -poles[k].real
     least = max((CANCELLED * EPS / rtol) ** 0.5 * terms, 1.0 / LARGE)
-    if rounding > SEPARATION * rtol**0.5 * decay or not terms + np.abs(D).max() < LARGE:
+    if rounding > SEPARATION * rtol**0.5 * decay or not terms + _largest(D.astype(np.complex128)) < LARGE:
         return REFUSED
     omega, gain = _best(poles, residues, D, _seeds(poles))
     direct = _gain(D.astype(np.complex128))
@@ -251,7 +329,9 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
         upper = value * (1.0 + rtol)
         gap = 1.0 - (direct / upper) ** 2
         values = _hamiltonian(A, B, C, D, upper)
-        size = np.abs(values).max()
+        size = 0.0
+        for root in values:
+            size = max(size, abs(root))
         places = _crossings(values, poles, EPS * (max(lost, 1.0) * size + lost) * condition / gap)
         if not len(places):
             return value, upper, omega
@@ -274,7 +354,7 @@ def mapped(given: Matrices, sign: float) -> tuple[Matrices, float]:
     for k in range(n):
         shifted[k, k] += 1.0
     inverse = np.linalg.inv(shifted).real.copy()
-    condition = np.abs(shifted).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max()
+    condition = _column_norm(shifted) * _column_norm(inverse.astype(np.complex128))
     own, driven = -2.0 * inverse, inverse @ B
     for k in range(n):
         own[k, k] += 1.0
@@ -282,7 +362,6 @@ def mapped(given: Matrices, sign: float) -> tuple[Matrices, float]:
     return matrices, condition  # type: ignore[return-value]
 
 
-@compiled
 def circle_norm(given: Matrices, rtol: float) -> Found:
     """As :func:`norm`, for a balanced system in discrete time, by the maps of `HalfPlane`: the angle [rad] is the last.
 

@@ -137,7 +137,7 @@ def test_one_compilation_serves_every_layout():
     A, B, C, D = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.eye(2), np.eye(2), np.zeros((2, 2))
     hinf_norm(A, B, C, D)
     hinf_norm(A / 8, B, C, D, dt=1.0)
-    before = len(kernel.norm.signatures), len(kernel.circle_norm.signatures)
+    before = len(kernel.norm.signatures), len(kernel.mapped.signatures)
     for given in (A, np.asfortranarray(A), np.eye(5)[::2, ::2][:2, :2] - 2 * np.eye(2)):
         for writeable in (True, False):
             matrices = [np.asfortranarray(given), B.T, C[::-1], D.copy()]
@@ -146,4 +146,4 @@ def test_one_compilation_serves_every_layout():
             hinf_norm(*matrices)
             hinf_norm(*matrices, rtol=np.float64(1e-6))
             hinf_norm(*(np.asarray(M / 8) for M in matrices), dt=np.float64(0.1))
-    assert (len(kernel.norm.signatures), len(kernel.circle_norm.signatures)) == before
+    assert (len(kernel.norm.signatures), len(kernel.mapped.signatures)) == before
