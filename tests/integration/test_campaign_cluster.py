@@ -25,6 +25,7 @@ from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.identity import identity
+from support.slow_cases import slow
 
 BASE = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imbalance")
 OPTIONS = [
@@ -350,7 +351,7 @@ def test_worker_that_joins_later_is_compared_too(one_worker: Any, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("module", "name"),
-    [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow"), ("cryptography", "cryptography")],
+    [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow"), slow("cryptography", "cryptography")],
 )
 def test_missing_extra_is_named_before_members_are_searched_for(
     module: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

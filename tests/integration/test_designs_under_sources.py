@@ -82,6 +82,7 @@ def test_the_verdicts_are_those_of_runs_under_the_sources(folder: Path, tmp_path
         assert f"RPE {closed.rpe_rms:.3g} mas rms under them, {opened.rpe_rms:.3g} without fine control" in said
 
 
+@pytest.mark.further
 def test_the_worst_member_is_judged_as_well(folder: Path) -> None:
     stored = Path(str(worst_points.__file__)).parent / "worst_points.json"
     shutil.copy(stored, folder)

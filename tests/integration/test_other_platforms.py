@@ -23,6 +23,7 @@ def program(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=ELSEWHERE, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.further
 def test_a_run_in_process_and_its_page(tmp_path: Path) -> None:
     done = program("run", "--mode", "inprocess", "--duration", "1", "--output", str(tmp_path / "bag"))
     assert done.returncode == 0, done.stderr

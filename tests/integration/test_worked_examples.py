@@ -47,6 +47,7 @@ def test_fixed_order_missile_autopilot() -> None:
         assert results[order].certificate.upper.max() == pytest.approx(results[order].soft, rel=2e-5)
 
 
+@pytest.mark.further
 def test_multi_requirement_pid() -> None:
     example = run("multi_requirement_pid")
     result = example["main"]()

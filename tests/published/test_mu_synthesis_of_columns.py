@@ -44,6 +44,7 @@ def column() -> System:
     )
 
 
+@pytest.mark.further
 def test_two_iterations_are_near_the_printed_ones() -> None:
     """Printed: 1.1823 for the first controller, 1.0238 for the second one with its scalings by eye."""
     found = musyn(column(), "v", "u", iterations=2, omega=OMEGA[::2])

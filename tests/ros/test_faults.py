@@ -143,6 +143,7 @@ def test_a_stopped_recorder_does_not_touch_the_loop_and_its_losses_are_counted(t
         assert int(results.statistics["estimator"]["gap_ticks"]) < 250, "the others did not notice"
 
 
+@pytest.mark.further
 def test_a_killed_recorder_loses_at_most_what_is_not_yet_written(tmp_path):
     """It writes once a second; a busy machine may take another one."""
     done = []
@@ -201,6 +202,7 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
 WRONG = ("limit", "not_finite")
 
 
+@pytest.mark.further
 def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     """80 messages of each kind; what the rogue sends is wrong whenever it arrives."""
     fsm, pma, m1 = codec_for(FSM_COMMAND), codec_for(PMA_COMMAND), codec_for(M1_ACCEL)

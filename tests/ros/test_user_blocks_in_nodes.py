@@ -207,6 +207,7 @@ sys.exit({node}.main(sys.argv[1:], build=lambda config: SlowAtFirst()))
 """
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("node", ["estimator", pytest.param("controller", marks=pytest.mark.slow)])
 def test_a_first_step_of_a_third_of_a_second_costs_no_more_than_that(tmp_path: Path, node: str) -> None:
     """What comes after it is as late as it is; none of it is taken for a stamp of the future."""

@@ -29,6 +29,7 @@ PATCHED = ((sampled_loop, ["stable_below"]), (bundles, ["OpenLoop", "control_loo
 """What the script replaces."""
 
 
+@pytest.mark.further
 def test_no_mutation_is_accepted_with_another_statement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A proof of a wider box states the same, or another level that is proven: the box is that of the telescope."""
     for place, names in PATCHED:

@@ -71,6 +71,7 @@ def test_the_weight_of_a_band_halves_the_power_there(own: Telescope) -> None:
         assert gain == pytest.approx(whole * math.sqrt(0.5), rel=1e-9)
 
 
+@pytest.mark.further
 def test_search_worst_tone_and_members_look_in_its_bands(
     own: Telescope, system, monkeypatch: pytest.MonkeyPatch
 ) -> None:

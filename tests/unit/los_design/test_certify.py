@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from support.slow_cases import slow
 
 from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
@@ -177,7 +178,7 @@ def test_a_part_of_another_level_is_used(part: ProofPart, tmp_path: Path) -> Non
     assert check_loop_proof(LoopProof(part.model, tuple("1234567"), part.box, BAND, 0.97, found.strips)).level == 0.97
 
 
-@pytest.mark.parametrize("left", [0, 0.5, -1], ids=["empty", "half", "all but one"])
+@pytest.mark.parametrize("left", [slow(0), 0.5, slow(-1)], ids=["empty", "half", "all but one"])
 def test_a_damaged_part_is_proven_again(
     left: float, part: ProofPart, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -100,6 +100,7 @@ def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(telesc
         chosen(telescope)
 
 
+@pytest.mark.further
 def test_a_given_observer_stays_as_it_is(telescope, chosen, monkeypatch) -> None:
     monkeypatch.setattr(start_choice, "descended", lambda task, problem, x: x)
     monkeypatch.setattr(start_choice, "POINTS", 0)

@@ -98,6 +98,7 @@ def test_refined_peaks_are_on_top(three, telescope) -> None:
             assert max(gains[0], gains[2]) <= gains[1] * (1.0 + 1e-6)
 
 
+@pytest.mark.further
 def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> None:
     """Peaks that can't be the largest are not refined; those of a point alone always are."""
     points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 3)]

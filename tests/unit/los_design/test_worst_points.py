@@ -160,6 +160,7 @@ def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> N
         load_worst_points(tmp_path / "none")
 
 
+@pytest.mark.further
 def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system, telescope, pair) -> None:
     options = SearchOptions(frequencies=40, points=4, ascents=6, iterations=3, seed=3)
     loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "isolator")

@@ -39,10 +39,11 @@ def definition(width: int, depth: int) -> str:
     return ("\n" + "=" * 80 + "\n").join([*parts, f"MSG: m/A{depth}\nfloat64 x\nfloat64 y\n"])
 
 
-def test_a_definition_that_stands_for_too_many_fields_is_told() -> None:
+def test_a_definition_that_stands_for_too_many_fields_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BagError, match="at most 20000 fields"):
         vectors("m/msg/R", parse_definition("m/msg/R", definition(4, 10)))
-    with pytest.raises(BagError, match="at most 1000000 elements"):
+    monkeypatch.setattr("pointing_analysis.read.messages.ros_definitions.MESSAGE_ELEMENTS", 10_000)
+    with pytest.raises(BagError, match="at most 10000 elements"):
         locate("m/msg/R", parse_definition("m/msg/R", definition(30, 5)), "none", b"\0\1\0\0")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.slow_cases import slow
 
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.errors import performance_error
@@ -98,7 +99,7 @@ def test_frames_of_a_device_that_are_off_phase_stand_at_the_nearest_time_of_the_
         performance_error(Rig({"truth/los": camera}))
 
 
-@pytest.mark.parametrize("hertz", [3.0, 14.0, 60.0])
+@pytest.mark.parametrize("hertz", [slow(3.0), 14.0, slow(60.0)])
 def test_the_quantile_in_the_table_never_hides_a_tone(tmp_path, hertz) -> None:
     """A tone's 99.7 % quantile lies above its rms; with t at the centre of its window it would not."""
     run = Run.open(write_bag(tmp_path / "bag", {"truth/los": tone(hertz, 1e-6, 20_000)}))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from los_testbed.parts.disturbance_files import entries_of, make_sources
+from support.slow_cases import slow
 
 from lftkit.arrays import FloatArray
 from titop_plant.disturbances.signals import noise_of_density
@@ -65,7 +66,7 @@ def measured(seed: int, hann: bool, spectra: int = 20) -> Measured:
     return Measured(speeds, frequency[: n // 2], np.sqrt(power[0]), square, float(bandwidth))
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["rectangular", "Hann"])
+@pytest.fixture(scope="module", params=[slow(False), True], ids=["rectangular", "Hann"])
 def waterfall(request: pytest.FixtureRequest) -> Measured:
     return measured(1, request.param)
 

@@ -148,7 +148,7 @@ def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
     assert bounds.upper == pytest.approx(3.41740, abs=1e-5) and check_axis_proof(bounds.proof).stable
 
 
-@pytest.mark.parametrize("band", [(2.0, np.inf), (0.0, 0.5), *(slow(band) for band in ((0.5, 3.0), (300.0, 400.0)))])
+@pytest.mark.parametrize("band", [(2.0, np.inf), *(slow(band) for band in ((0.0, 0.5), (0.5, 3.0), (300.0, 400.0)))])
 def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
     bounds = axis_gain(aligned_modes(2, damping=0.05), band=band)
     assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower

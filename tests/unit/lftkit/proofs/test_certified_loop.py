@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support.slow_cases import slow
 
 from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.arrays import ComplexArray
@@ -141,7 +142,7 @@ def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None
     assert truth < proof.level
 
 
-@pytest.mark.parametrize("factor", [1.004, 0.999, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("factor", [0.999, *(slow(factor) for factor in (1.004, 2.0))])
 def test_a_proof_of_another_level_is_used_where_it_holds(proof: LoopProof, factor: float) -> None:
     level, box = factor * peak(0.8), box_of(oscillator())
     bounds = prove_level(proof.model, box, proof.band, level, known=proof.strips)
@@ -233,6 +234,7 @@ def test_near_frequency_zero_the_bound_is_as_sharp(factor: float, proven: bool) 
     assert (not bounds.uncovered and bounds.lower < factor * truth) == proven
 
 
+@pytest.mark.further
 def test_all_members_of_a_sampled_loop_are_stable_by_a_bound_of_the_whole_band() -> None:
     plant, law = held_loop()
     model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])

@@ -120,6 +120,7 @@ def test_files_of_version_0_1_are_read_as_strictly(name: str, tmp_path: Path) ->
             check_proof(tmp_path / name)
 
 
+@pytest.mark.further
 def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path) -> None:
     earlier = {now: then for then, now in EARLIER_NAMES.items()}
     for name in ("cells.json", "discrete.json", "loop.npz", "noise.npz"):

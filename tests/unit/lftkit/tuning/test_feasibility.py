@@ -80,6 +80,7 @@ def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure:
     assert result.stationarity == 0.0
 
 
+@pytest.mark.further
 def test_hard_requirements_alone_that_nothing_meets() -> None:
     """``s + 1 - k`` has its pole at k - 1: not faster than 3 and slower than 2 rad/s at once."""
     asked = [ClosedLoopPoles(3.0, max_frequency=2.0)]

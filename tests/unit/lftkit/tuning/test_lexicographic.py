@@ -67,6 +67,7 @@ def reached(result: TuningResult, name: str) -> float:
     return float(result.values[result.requirement_names.index(name)].max())
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("start", [pytest.param(-0.5, marks=pytest.mark.slow), -1.0])
 def test_each_loop_has_its_own_level(start: float) -> None:
     """At -1 both loops start at the optimum of the first, at which no minimax descent has anything to lower."""
@@ -136,6 +137,7 @@ def test_in_discrete_time() -> None:
     assert found.controller.dt == 0.1 and found.status == "converged"
 
 
+@pytest.mark.further
 def test_over_a_box_of_parameters() -> None:
     """The slowest pole, -1/2, is the worst: 1 / (1/2 - k) with -k / (1/2 - k) of at most the efforts."""
     options = RobustOptions(tuning=replace(IN_ORDER, iterations=20), search=WorstCaseOptions(samples=0, climbs=1))

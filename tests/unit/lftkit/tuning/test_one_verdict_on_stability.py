@@ -89,7 +89,7 @@ class Failing:
 NEEDS = [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)]
 
 
-@pytest.mark.parametrize(("error", "workers"), [(FloatingPointError, 1), (linalg.LinAlgError, 2)])
+@pytest.mark.parametrize(("error", "workers"), [(FloatingPointError, 1), slow(linalg.LinAlgError, 2)])
 def test_a_start_whose_arithmetic_fails_is_counted_and_the_others_go_on(error: type[Exception], workers: int) -> None:
     structure: Any = Failing(error)
     options = TuningOptions(starts=0, workers=workers)

@@ -307,6 +307,7 @@ def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) 
         assert moved.real.min() == pytest.approx(before.real.min())
 
 
+@pytest.mark.further
 def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
     """Without it the same descent ends with a slower pole."""
     gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))

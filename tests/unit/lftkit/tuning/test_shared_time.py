@@ -50,6 +50,7 @@ def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monke
     assert clock.now < 300.0 + 20.0
 
 
+@pytest.mark.further
 def test_more_starts_are_never_worse_and_the_same_ones_give_the_same_bits() -> None:
     """The worst case is at least the value on the models that were tuned on."""
     first, again, more = (design(*starts) for starts in ((-3.0,), (-3.0,), (-3.0, -0.1)))

@@ -174,6 +174,7 @@ def test_gain_matrix_of_round_trips() -> None:
     assert np.array_equal(structure.gain_matrix(structure.parameters_of(model)), gain_matrix_of(model))
 
 
+@pytest.mark.further
 def test_starts_that_agree_end_a_search() -> None:
     """Those of a convex problem end at one value: no further ones are begun."""
     result = published("AC17")

@@ -12,6 +12,7 @@ from los_testbed.bags.check import check_bag
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
 from support.forged_bags import forge, forge_with_manifest, places, scaled
+from support.slow_cases import slow
 
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, with_hash
 from pointing_analysis.read.mcap.chain import SEAL
@@ -163,7 +164,7 @@ def same_as(run: Run, before: dict[str, np.ndarray]) -> bool:
     return all(np.array_equal(run[name].values, before[name]) for name in before)
 
 
-@pytest.mark.parametrize("summary", [True, False])
+@pytest.mark.parametrize("summary", [True, slow(False)])
 @pytest.mark.parametrize("place", ["first", "manifest", "chunk", "index", "seal", "end"])
 def test_messages_outside_of_the_chunks_are_not_used(bag: Path, place: str, summary: bool) -> None:
     """99 015 of them in front of the first chunk halved the RPE of a signed bag, which verified as whole."""

@@ -40,6 +40,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, dic
     return made
 
 
+@pytest.mark.further
 @pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 def test_axe_finds_nothing_on_the_page(pages: dict[int, Any]) -> None:
     pytest.importorskip("axe_core_python")

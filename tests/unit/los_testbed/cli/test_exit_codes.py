@@ -52,7 +52,7 @@ def run_with(tmp_path, end, *options):
 @pytest.mark.parametrize(
     ("end", "how"),
     [
-        ("os._exit(0)", "exit code 0"),
+        pytest.param("os._exit(0)", "exit code 0", marks=pytest.mark.slow),
         pytest.param("os._exit(3)", "exit code 3", marks=pytest.mark.slow),
         ("os.kill(os.getpid(), signal.SIGKILL)", "signal 9"),
         pytest.param("ctypes.string_at(0)", f"signal {signal.SIGSEGV.value}", marks=pytest.mark.slow),

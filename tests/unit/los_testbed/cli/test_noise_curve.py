@@ -32,8 +32,7 @@ def noise_of(file: Path) -> float:
     return load_telescope(file).camera_noise
 
 
-@pytest.mark.parametrize("exposure", [0.02, 0.04])
-@pytest.mark.parametrize("magnitude", [9.25, 14.75])
+@pytest.mark.parametrize(("magnitude", "exposure"), [(9.25, 0.02), (14.75, 0.04)])
 def test_between_measured_stars_the_curve_is_what_is_measured_there(magnitude: float, exposure: float) -> None:
     """Other random numbers than those of the stored curve; four standard errors of both."""
     camera = StarCamera(STAR.optics, replace(STAR.camera, magnitude=magnitude, exposure=exposure))

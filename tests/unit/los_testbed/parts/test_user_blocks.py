@@ -276,6 +276,7 @@ def test_a_model_that_is_another_system_is_refused(models: str, name: str, words
     assert words in str(told.value) and "\n" not in str(told.value)
 
 
+@pytest.mark.further
 def test_without_a_model_the_telescope_shakes_already_when_the_law_is_switched_on(models: str) -> None:
     """So what is left to settle is what the law changes: after 4 s the RPE of the file, not after minutes."""
     common = {"duration": 6.0, "mode": "inprocess", "scenario": "unit_norm", "loop": "fsm", "noise": False}
