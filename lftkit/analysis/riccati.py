@@ -1,4 +1,4 @@
-"""The continuous Riccati equation."""
+"""Riccati equations, continuous and discrete, and the Stein equation."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from lftkit.arrays import FloatArray
 from lftkit.support.regular_solve import regular_solve
 
 RESIDUAL = 1e-6  # of a Riccati equation, relative to its largest term
+DOUBLINGS = 64
+UNBOUNDED = "the discrete Riccati equation has no bounded solution"
+EPS = float(np.finfo(float).eps)
 
 
 def riccati(
@@ -46,3 +49,55 @@ def _solution(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: Flo
         raise
     except ValueError:  # the reordering
         return np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S, balanced=False), dtype=float)
+
+
+def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
+    """Stabilising solution X of ``X = A' X (I + G X)^-1 A + Q`` for a stable A, by doubling.
+
+    The doubling keeps positive semidefinite what is, and needs no eigenvectors: modes of very different speed do it no
+    harm. Source: Chu, Fan, Lin and Wang, Int. J. Control 77 (2004).
+
+    Parameters
+    ----------
+    A, G, Q : ndarray, shape (n, n)
+        G and Q positive semidefinite: ``B R^-1 B'`` and ``C' C``.
+
+    Raises
+    ------
+    ArithmeticError
+        The iteration does not converge, or what it converges to is no solution.
+    """
+    eye, spread, power, X = np.eye(len(A)), G, A, Q
+    with np.errstate(over="ignore", invalid="ignore"):  # judged by what is finite
+        for _ in range(DOUBLINGS):
+            if not all(np.isfinite(M).all() for M in (spread, power, X)):
+                raise ArithmeticError(UNBOUNDED)
+            factors = linalg.lu_factor(eye + spread @ X)
+            advanced, further = linalg.lu_solve(factors, power), linalg.lu_solve(factors, spread)
+            step = power.T @ X @ advanced
+            spread, X = _symmetric(spread + power @ further @ power.T), X + _symmetric(step)
+            power = power @ advanced
+            if np.abs(step).max(initial=0.0) <= EPS * np.abs(X).max(initial=0.0):
+                break
+    if not np.isfinite(X).all():
+        raise ArithmeticError(UNBOUNDED)
+    residual = X - A.T @ X @ linalg.solve(eye + G @ X, A) - Q
+    if not np.abs(residual).max(initial=0.0) <= RESIDUAL * np.abs(X).max(initial=0.0):
+        raise ArithmeticError("the discrete Riccati equation has no solution to the precision of its terms")
+    return X
+
+
+def stein(A: FloatArray, W: FloatArray) -> FloatArray:
+    """Solution of ``P = A P A' + W`` for a stable A: ``sum_k A^k W (A^k)'`` (Smith's method, squared)."""
+    P, power = W, A
+    for _ in range(DOUBLINGS):
+        step = power @ P @ power.T
+        P = P + step
+        if not np.abs(step).max(initial=0.0) > EPS * np.abs(P).max(initial=0.0):
+            break
+        power = power @ power
+    return P
+
+
+def _symmetric(M: FloatArray) -> FloatArray:
+    return 0.5 * (M + M.T)

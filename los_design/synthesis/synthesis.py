@@ -44,6 +44,7 @@ from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import zero_controller
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports, matrices_of
 from los_design.synthesis.task import ImplementedTask, Task
+from los_design.synthesis.unreachable import unreachable_limits
 from los_estimator.kalman import sampled_observer
 from los_loop.continuous_loop import continuous_open_loop
 from los_loop.open_loop import OpenLoop
@@ -216,8 +217,10 @@ class _Synthesis:
         compared: list[dict[str, Any]] = []
         with Workers(self.options.workers) as own:
             task = self._task(workers or own)
+            effort = self._effort(task, report, begin + task.wall_limit)
+            task = replace(task, wall_limit=task.wall_limit - (time.monotonic() - begin))
             start = partial(self._start, task, report, compared)
-            outcome = design_in_rounds(task, start, _effort(self.options), report, job)
+            outcome = design_in_rounds(task, start, effort, report, job)
         common = self._provenance(outcome, compared, time.monotonic() - begin)
         found = []
         ports = task.samples.open_loop.ports
@@ -227,6 +230,17 @@ class _Synthesis:
             provenance = {**common, **_values(outcome, stage), "continuous": matrices}
             found.append(_sampled(kind, (A, B, C, D), self.telescope, self.options, provenance, ports))
         return found[0], found[1]
+
+    def _effort(self, task: Task, report: Report, deadline: float) -> Effort:
+        """Effort of the design: one round where limits are unreachable, which are reported."""
+        effort = _effort_of(self.options)
+        if not self.options.implemented:  # the largest value is minimised, whatever it is
+            return effort
+        stages = [STAGE_NAMES[stage] for stage in task.stages]
+        if not unreachable_limits(task.samples.open_loop, stages, report, deadline):
+            return effort
+        report("goes on with one round, for the best controllers that are found for these limits")
+        return replace(effort, rounds=1)
 
     def _start(self, task: Task, report: Report, compared: list[dict[str, Any]]) -> FloatArray:
         """Entries of both gain matrices; `compared` gets the starts of the paper's problem that were compared."""
@@ -287,7 +301,7 @@ class _Synthesis:
         return ImplementedTask(samples, stages, tuned, *common, sampled=pair)
 
 
-def _effort(options: DesignOptions) -> Effort:
+def _effort_of(options: DesignOptions) -> Effort:
     if options.nominal:
         return NOMINAL_EFFORT
     if not options.implemented:

@@ -8,11 +8,11 @@ from lftkit.analysis.circle.circle_norm import in_units, stability_limit
 from lftkit.analysis.circle.circle_response import ANGLE, CircleModes, circle_modes
 from lftkit.analysis.circle.exact_circle_norm import Quotient
 from lftkit.analysis.eigenvectors import EPS, modes
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.analysis.riccati import stein
+from lftkit.arrays import Matrices
 
 TRUSTED = 1e-9  # relative error of the variance by rounding, at most
 AGREEMENT = 1e-6  # relative difference of the sums with B and with C, at most
-MAX_DOUBLINGS = 64
 
 
 def discrete_h2(system: Matrices) -> float | None:
@@ -64,20 +64,8 @@ def _by_doubling(system: Matrices, limit: float) -> float:
     if np.abs(modes(A).poles).max() >= limit:
         raise ArithmeticError(hidden)
     direct = float(np.sum(D**2))
-    first = direct + float(np.sum((C @ _gramian(A, B @ B.T)) * C))
-    second = direct + float(np.sum((B.T @ _gramian(A.T, C.T @ C)) * B.T))
+    first = direct + float(np.sum((C @ stein(A, B @ B.T)) * C))
+    second = direct + float(np.sum((B.T @ stein(A.T, C.T @ C)) * B.T))
     if not abs(first - second) <= AGREEMENT * abs(first):
         raise ArithmeticError(hidden)
     return max(first, 0.0)
-
-
-def _gramian(A: FloatArray, W: FloatArray) -> FloatArray:
-    """``sum_k A^k W (A^k)'`` (Smith's method, squared)."""
-    P, power = W, A
-    for _ in range(MAX_DOUBLINGS):
-        step = power @ P @ power.T
-        P = P + step
-        if not np.abs(step).max(initial=0.0) > EPS * np.abs(P).max(initial=0.0):
-            break
-        power = power @ power
-    return P

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit.analysis.riccati import riccati
+from lftkit.analysis.riccati import discrete_riccati, riccati, stein
 from lftkit.proofs import full_block, mu
 
 
@@ -57,3 +57,21 @@ def test_bounds_of_mu_where_a_block_is_not_reached() -> None:
     M[2:, 3:] = [[3.0, 0.0], [0.0, 1.0]]
     found = mu(M, [full_block(3, 2), full_block(2)])
     assert abs(found.lower - 3.0) < 1e-6 and 3.0 <= found.upper < 3.001
+
+
+@pytest.mark.parametrize("slowest", [0.5, 1.0 - 1e-7])
+def test_the_discrete_equations_are_solved_with_slow_modes(slowest: float) -> None:
+    """By their residuals, and by scipy where its solution has the precision."""
+    rng = np.random.default_rng(5)
+    A = np.diag([slowest, 0.9, -0.3]) + np.triu(0.1 * rng.normal(size=(3, 3)), 1)
+    B, C = rng.normal(size=(3, 1)), rng.normal(size=(2, 3))
+    X, P = discrete_riccati(A, B @ B.T, C.T @ C), stein(A, B @ B.T)
+    solution = A.T @ X @ linalg.solve(np.eye(3) + B @ B.T @ X, A) + C.T @ C
+    assert np.abs(X - solution).max() < 1e-12 * np.abs(X).max()
+    assert np.abs(A @ P @ A.T + B @ B.T - P).max() < 1e-12 * np.abs(P).max()
+    assert np.allclose(X, linalg.solve_discrete_are(A, B, C.T @ C, np.eye(1)), rtol=1e-8)
+
+
+def test_a_discrete_equation_without_a_solution_is_not_solved() -> None:
+    with pytest.raises(ArithmeticError, match="no bounded solution"):
+        discrete_riccati(np.array([[2.0]]), np.zeros((1, 1)), np.ones((1, 1)))
