@@ -47,13 +47,14 @@ class Polynomial:
     def sizes(self) -> FloatArray:
         """Magnitudes of the coefficients, shape (ORDER + 1, ...)."""
         found: FloatArray = np.zeros(self.c.shape)
-        found[self.powers] = np.abs(self.c[self.powers])
+        last = max(self.powers, default=-1)
+        np.abs(self.c[: last + 1], out=found[: last + 1])
         return found
 
     @cached_property
     def powers(self) -> list[int]:
         """Those whose coefficients are not zero."""
-        return [k for k in range(ORDER + 1) if np.any(self.c[k])]
+        return [int(k) for k in np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1))]
 
     def bound(self) -> FloatArray:
         """Elementwise bound of the magnitude."""
@@ -83,11 +84,12 @@ class Polynomial:
         gamma, whole = 8.0 * (terms + ORDER + 3) * UNIT, b.sum(axis=0) + other.rad
         rad = times(self.rad, whole)
         c = np.zeros((ORDER + 1, *rad.shape), complex)
+        factors = other.c[: max(other.powers, default=-1) + 1]
+        factors = factors.reshape(len(factors), *[1] * (self.rad.ndim - other.rad.ndim), *other.rad.shape)
         for i in self.powers:
             rad = rad + times(a[i], b[ORDER + 1 - i :].sum(axis=0) + other.rad + gamma * whole)
-            for k in other.powers:
-                if i + k <= ORDER:
-                    c[i + k] += times(self.c[i], other.c[k])
+            kept = factors[: ORDER + 1 - i]
+            c[i : i + len(kept)] += times(self.c[i], kept)
         return Polynomial(c, INFLATE * rad + TINY)
 
     def adjoint(self) -> Polynomial:
