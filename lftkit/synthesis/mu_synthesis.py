@@ -145,7 +145,7 @@ def musyn(
     ...     inputs=[("w", 1), ("u", 1)],
     ...     outputs={"z": "W.z", "e": "error.e"},
     ... )
-    >>> found = musyn(P, "e", "u", iterations=3)
+    >>> found = musyn(P, "e", "u", iterations=2)
     >>> found.value <= found.bound < 1.0
     True
     """
