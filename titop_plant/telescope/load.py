@@ -60,7 +60,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     path = path or REFERENCE
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
-        return Telescope(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
+        return _reference(text)
     from titop_plant.telescope.tables.mechanisms import take_mechanisms, with_mechanisms
     from titop_plant.telescope.tables.mounted import check_modal_file, checked_layout, take_mounted  # loads scipy
 
@@ -194,6 +194,13 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
         raise InputError(f"{path} is not a TOML file: expected UTF-8 text") from None
     except InputError as error:
         raise InputError(f"{path} is not a TOML file: {error}") from None
+
+
+@lru_cache(maxsize=1)
+def _reference(text: str) -> Telescope:
+    """The telescope of the reference: nothing changes it, so that all may have the same one."""
+    tables = pickle.loads(_parsed(text))
+    return Telescope(with_limits(tables, tables, {}, ParameterFile(str(REFERENCE), text)))
 
 
 @lru_cache(maxsize=4)
