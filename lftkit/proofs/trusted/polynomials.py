@@ -46,9 +46,7 @@ class Polynomial:
     @cached_property
     def sizes(self) -> FloatArray:
         """Magnitudes of the coefficients, shape (ORDER + 1, ...)."""
-        found: FloatArray = np.zeros(self.c.shape)
-        last = max(self.powers, default=-1)
-        np.abs(self.c[: last + 1], out=found[: last + 1])
+        found: FloatArray = np.abs(self.c)
         return found
 
     @cached_property
