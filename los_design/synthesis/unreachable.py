@@ -45,10 +45,10 @@ TONES = 10
 DAMPING = 0.3
 """Relative width of a band."""
 GRID, DENSITY = 800, 1500
+NEWTON, LEAST_STEP, NEAR = 5, 0.1, 0.03
+"""Steps to the part of the sensor noise with which a bound is 1, the least factor of one, and how near it is enough."""
 LEAST_NOISE = 1e-3
-"""Part of the noise below which the noise is not the reason."""
-NEWTON = 3
-"""Steps to that part."""
+"""Part below which sensor noise is not the reason."""
 NOTED = 0.02
 """Weight of a noise or tone from which it is named."""
 
@@ -194,12 +194,17 @@ class StageBounds:
         part, heard = 1.0, plant.noises[-1].measurement
         for _ in range(NEWTON):
             share = float(bound.weights[-1] * (bound.reached[-1] / bound.value) ** 2)
-            part *= bound.value ** (-1.0 / max(share, 1e-6))
+            part *= max(bound.value ** (-1.0 / max(share, 1e-3)), LEAST_STEP)
             if part < LEAST_NOISE:
                 return None
             noises = (*plant.noises[:-1], replace(plant.noises[-1], measurement=part * heard))
-            bound = shared_bound(replace(plant, noises=noises), self._out_of_time, bound.weights)
-        return part
+            try:
+                bound = shared_bound(replace(plant, noises=noises), self._out_of_time, bound.weights)
+            except (ArithmeticError, linalg.LinAlgError):  # equations of nearly exact measurements
+                return None
+            if abs(bound.value - 1.0) <= NEAR:
+                break
+        return part if bound.value <= 1.0 + NEAR else None
 
     def _unreachable(self, factor: float, tones: FloatArray, others: Sequence[str]) -> Unreachable | None:
         if not factor > 1.0:
