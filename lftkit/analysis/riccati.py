@@ -64,7 +64,7 @@ def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
 
     Raises
     ------
-    ArithmeticError
+    ArithmeticError, LinAlgError
         The iteration does not converge, or what it converges to is no solution.
     """
     eye, spread, power, X = np.eye(len(A)), G, A, Q
@@ -81,21 +81,30 @@ def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
                 break
     if not np.isfinite(X).all():
         raise ArithmeticError(UNBOUNDED)
-    residual = X - A.T @ X @ linalg.solve(eye + G @ X, A) - Q
+    residual = X - A.T @ X @ regular_solve(eye + G @ X, A) - Q
     if not np.abs(residual).max(initial=0.0) <= RESIDUAL * np.abs(X).max(initial=0.0):
         raise ArithmeticError("the discrete Riccati equation has no solution to the precision of its terms")
     return X
 
 
 def stein(A: FloatArray, W: FloatArray) -> FloatArray:
-    """Solution of ``P = A P A' + W`` for a stable A: ``sum_k A^k W (A^k)'`` (Smith's method, squared)."""
+    """Solution of ``P = A P A' + W`` for a stable A: ``sum_k A^k W (A^k)'`` (Smith's method, squared).
+
+    Raises
+    ------
+    ArithmeticError
+        A sum that is not finite.
+    """
     P, power = W, A
-    for _ in range(DOUBLINGS):
-        step = power @ P @ power.T
-        P = P + step
-        if not np.abs(step).max(initial=0.0) > EPS * np.abs(P).max(initial=0.0):
-            break
-        power = power @ power
+    with np.errstate(over="ignore", invalid="ignore"):  # judged by what is finite
+        for _ in range(DOUBLINGS):
+            step = power @ P @ power.T
+            P = P + step
+            if not np.abs(step).max(initial=0.0) > EPS * np.abs(P).max(initial=0.0):
+                break
+            power = power @ power
+    if not np.isfinite(P).all():
+        raise ArithmeticError("the Stein equation has no bounded solution")
     return P
 
 

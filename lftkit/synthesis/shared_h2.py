@@ -21,6 +21,7 @@ from scipy import linalg
 from lftkit.analysis.riccati import discrete_riccati, stein
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.support.regular_solve import regular_solve
 
 EFFORT = 1e-8
 """Weight of the power of a command, relative to the power of the output that a white command makes."""
@@ -110,7 +111,7 @@ class LqgProblem:
 
         Raises
         ------
-        ArithmeticError
+        ArithmeticError, LinAlgError
             An equation that has no solution.
         """
         A, B, C = plant.A, plant.B, plant.C
@@ -118,7 +119,7 @@ class LqgProblem:
         effort = EFFORT * np.maximum(np.einsum("ij,ij->j", B, seen @ B), np.finfo(float).tiny)
         X = discrete_riccati(A, B / effort @ B.T, C.T @ C)
         inner = B.T @ X @ B + np.diag(effort)
-        F = linalg.solve(inner, B.T @ X @ A, assume_a="pos")
+        F = regular_solve(inner, B.T @ X @ A)
         return LqgProblem(plant, X, np.asarray(F.T @ inner @ F))
 
     def powers(self, weights: FloatArray) -> FloatArray:
@@ -128,7 +129,7 @@ class LqgProblem:
         heard = sum(w * np.square(noise.measurement) for w, noise in zip(weights, plant.noises, strict=True))
         M = plant.M / np.sqrt(heard)[:, None]
         Y = discrete_riccati(plant.A.T, M.T @ M, total @ total.T)
-        gain = linalg.solve(M @ Y @ M.T + np.eye(len(M)), M @ Y, assume_a="pos").T / np.sqrt(heard)
+        gain = regular_solve(M @ Y @ M.T + np.eye(len(M)), M @ Y).T / np.sqrt(heard)
         unknown = np.eye(len(Y)) - gain @ plant.M
         S = stein((unknown @ plant.A).T, self.estimate)
         of_process = self.regulator + unknown.T @ S @ unknown
@@ -162,7 +163,7 @@ def shared_bound(
     ------
     ValueError
         A plant that is not stable.
-    ArithmeticError
+    ArithmeticError, LinAlgError
         A Riccati equation without a solution.
 
     Examples

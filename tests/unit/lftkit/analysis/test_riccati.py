@@ -75,3 +75,5 @@ def test_the_discrete_equations_are_solved_with_slow_modes(slowest: float) -> No
 def test_a_discrete_equation_without_a_solution_is_not_solved() -> None:
     with pytest.raises(ArithmeticError, match="no bounded solution"):
         discrete_riccati(np.array([[2.0]]), np.zeros((1, 1)), np.ones((1, 1)))
+    with pytest.raises(ArithmeticError, match="no bounded solution"):
+        stein(np.array([[2.0]]), np.ones((1, 1)))
