@@ -24,7 +24,7 @@ from scipy import linalg
 from scipy.signal import find_peaks
 
 from lftkit import Port, System, transfer
-from lftkit.analysis.batched_linalg import singular_values, solve
+from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.synthesis.shared_h2 import Noise, SampledPlant, SharedBound, shared_bound
@@ -42,6 +42,10 @@ from titop_plant.telescope.weights import relative_error_weight, rpe_weight, wei
 
 TONES = 10
 """Bands of tones: those in which the line of sight without control is largest beside its limit."""
+HIGHEST_TONE = 1000.0
+"""Frequency up to which their bands are [rad/s]: what a hold adds to a tone is small."""
+MARGIN = 0.02
+"""Part by which a bound must exceed 1: the response of a tone that is held differs by less."""
 DAMPING = 0.3
 """Relative width of a band."""
 GRID, DENSITY = 800, 1500
@@ -164,23 +168,23 @@ class StageBounds:
         corrected, names = np.zeros(len(self.omega)), []
         for row in figures(self.stage):
             if row.inputs == (DISTURBANCE,) and row.output in self._commands:
-                by_command = _gains(self.responses[:, :, self._commands[row.output]])
+                by_command = largest_gains(self.responses[:, :, self._commands[row.output]])
                 corrected += by_command * row.tuned_for(self.telescope, self.stage)
                 names.append(row.name)
-        factors = _gains(self._by_disturbances) / (self.limits(self.omega) + corrected)
+        factors = largest_gains(self._by_disturbances) / (self.limits(self.omega) + corrected)
         worst = int(np.argmax(factors))
         return self._unreachable(float(factors[worst]), self.omega[worst : worst + 1], names)
 
     def conflict(self) -> Unreachable | None:
         """Tones and sensor noise that no controller keeps below their limits together."""
+        if not self._excess.max() > 1.0:  # kept without control
+            return None
         plant, tones = self.plant_with_noises()
         bound = shared_bound(plant, self._decided)
-        if bound.value <= 1.0:
-            return None
-        matter = bound.weights[:-1] > NOTED
-        names = [row.name for row in self._rows(noise=True)] if bound.weights[-1] > NOTED else []
-        found = self._unreachable(bound.value, tones[matter], names)
-        return found if found is None else replace(found, noise=self._allowed_noise(plant, bound))
+        matter = bound.weights > NOTED
+        names = [row.name for row, named in zip(self._rows(noise=True), matter[len(tones) :], strict=True) if named]
+        found = self._unreachable(bound.value, tones[matter[: len(tones)]], names)
+        return found if found is None else replace(found, noise=self._allowed_noise(plant, bound, len(tones)))
 
     def _decided(self, bound: SharedBound) -> bool:
         """Whether no bound above 1 will be found."""
@@ -189,15 +193,15 @@ class StageBounds:
     def _out_of_time(self, bound: SharedBound) -> bool:
         return time.monotonic() >= self.deadline
 
-    def _allowed_noise(self, plant: SampledPlant, bound: SharedBound) -> float | None:
+    def _allowed_noise(self, plant: SampledPlant, bound: SharedBound, tones: int) -> float | None:
         """Part of the sensor noise with which the bound is 1, by Newton's method in logarithms."""
-        part, heard = 1.0, plant.noises[-1].measurement
+        part, sensors = 1.0, plant.noises[tones:]
         for _ in range(NEWTON):
-            share = float(bound.weights[-1] * (bound.reached[-1] / bound.value) ** 2)
+            share = float(bound.weights[tones:] @ (bound.reached[tones:] / bound.value) ** 2)
             part *= max(bound.value ** (-1.0 / max(share, 1e-3)), LEAST_STEP)
             if part < LEAST_NOISE:
                 return None
-            noises = (*plant.noises[:-1], replace(plant.noises[-1], measurement=part * heard))
+            noises = (*plant.noises[:tones], *(replace(one, measurement=part * one.measurement) for one in sensors))
             try:
                 bound = shared_bound(replace(plant, noises=noises), self._out_of_time, bound.weights)
             except (ArithmeticError, linalg.LinAlgError):  # equations of nearly exact measurements
@@ -207,12 +211,17 @@ class StageBounds:
         return part if bound.value <= 1.0 + NEAR else None
 
     def _unreachable(self, factor: float, tones: FloatArray, others: Sequence[str]) -> Unreachable | None:
-        if not factor > 1.0:
+        if not factor > 1.0 + MARGIN:
             return None
         rows = [(row, *row.band_of(self.telescope)) for row in self._rows(noise=False)]
         names = [row.name for row, low, high in rows if np.any((tones >= low) & (tones < high))]
         at = tuple(tones.tolist())
         return Unreachable(self.stage, (*names, *others), factor, self.error, self.limit, at)
+
+    @property
+    def _excess(self) -> FloatArray:
+        """Line of sight without control, over the limits."""
+        return largest_gains(self._by_disturbances) / self.limits(self.omega)
 
     @property
     def _by_disturbances(self) -> ComplexArray:
@@ -235,23 +244,23 @@ class StageBounds:
         (SampledPlant, ndarray)
             With the frequencies of the tones [rad/s].
         """
-        excess = _gains(self._by_disturbances) / self.limits(self.omega)
+        excess = np.where(self.omega < HIGHEST_TONE, self._excess, 0.0)
         found = find_peaks(excess)[0]
-        peaks = sorted(found[np.argsort(-excess[found])][:TONES].tolist())
+        peaks = sorted(found[np.argsort(-excess[found])][:TONES].tolist()) or [int(np.argmax(excess))]
         A, B, disturbed, C, direct, M, seen = self._loop()
         bands = [self._band(k) for k in peaks]
         states = linalg.block_diag(*(band.A for band in bands))
         tones, into = np.hstack([band.C for band in bands]), linalg.block_diag(*(band.B for band in bands))
         n, k = len(A), len(states)
         process = np.vstack([np.zeros((n, into.shape[1])), into])
-        silent, (heard,) = np.zeros(len(M)), [self._sensor_noise()]
-        noises = [Noise(process[:, 2 * at : 2 * at + 2], silent) for at in range(len(peaks))]
+        noises = [Noise(process[:, 2 * at : 2 * at + 2], np.zeros(len(M))) for at in range(len(peaks))]
+        noises += [Noise(np.zeros((n + k, 0)), self._sensor_noise(row)) for row in self._rows(noise=True)]
         plant = SampledPlant(
             np.block([[A, disturbed @ tones], [np.zeros((k, n)), states]]),
             np.vstack([B, np.zeros((k, B.shape[1]))]),
             np.hstack([C, direct @ tones]),
             np.hstack([M, seen @ tones]),
-            (*noises, Noise(np.zeros((n + k, 0)), heard)),
+            tuple(noises),
         )
         return plant, self.omega[peaks]
 
@@ -288,9 +297,8 @@ class StageBounds:
             D[measured],
         )
 
-    def _sensor_noise(self) -> FloatArray:
+    def _sensor_noise(self, row: FigureOfMerit) -> FloatArray:
         """Standard deviation of a sample of each measured value, over the limit of the error by noise."""
-        (row,) = self._rows(noise=True)
         amplitude = self.open_loop.ports.noise_of_ticks()
         for name in set(MEASURED) - set(row.inputs):
             amplitude[COLUMNS[name]] = np.finfo(float).eps * amplitude[COLUMNS[name]]
@@ -308,10 +316,11 @@ class StageBounds:
         omega: FloatArray = np.asarray(np.geomspace(LOWEST, HIGHEST, DENSITY), dtype=float)
         resolvents = np.exp(1j * omega * DT)[:, None, None] * np.eye(2) - held.A
         response = (held.C @ solve(resolvents, np.broadcast_to(held.B, (len(omega), 2, 1)).astype(complex)))[:, 0, 0]
-        size = weight_amplitudes(self.telescope, centre) / weight_amplitudes(self.telescope, omega)
+        there, everywhere = (weight_amplitudes(self.telescope, at) for at in (centre, omega))
+        size = np.divide(there, everywhere, out=np.zeros_like(everywhere), where=everywhere > 0.0)
         normalised = np.sum((np.abs(direction) * size) ** 2, axis=1)
         power = np.trapezoid(np.abs(response * self.limits(omega)) ** 2 * normalised, omega) * DT / np.pi
-        both = np.column_stack([direction.real, direction.imag]) * weight_amplitudes(self.telescope, centre).T
+        both = np.column_stack([direction.real, direction.imag]) * there.T
         both = np.asarray(both, dtype=float)
         A, B, C = (np.asarray(np.kron(np.eye(2), M), dtype=float) for M in held.matrices[:3])
         ports = (Port("noise", 2),), (Port("disturbance", len(both)),)
@@ -353,8 +362,3 @@ def unreachable_limits(
 
 def _indices(part: slice) -> IntArray:
     return np.arange(part.start, part.stop)
-
-
-def _gains(responses: ComplexArray) -> FloatArray:
-    """Largest singular values, shape (N,)."""
-    return singular_values(responses)[:, 0]

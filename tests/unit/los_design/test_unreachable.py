@@ -102,5 +102,13 @@ def test_a_mirror_without_authority_does_not_reach(telescope) -> None:
     assert found.factor == pytest.approx(moved / kept, rel=0.02)
 
 
+def test_a_disturbance_without_amplitude_changes_nothing_else(telescope) -> None:
+    """One moment of the wheels is zero at all frequencies, where the others are not."""
+    without = telescope.changed({"weights": {"wheel_imbalance": [0.4, 0.4, 0.35, 0.3, 0.0]}})
+    plant, tones = StageBounds(open_loop_of(without), "fsm", relative=True).plant_with_noises()
+    assert len(tones) == 10 and all(np.isfinite(noise.process).all() for noise in plant.noises)
+    assert np.isfinite(plant.A).all() and np.isfinite(plant.M).all()
+
+
 def test_no_time_is_no_bound(open_loop) -> None:
     assert unreachable_limits(open_loop, ("fsm",), pytest.fail, time.monotonic() - 1.0) == []
