@@ -26,7 +26,7 @@ from lftkit.support.regular_solve import regular_solve
 EFFORT = 1e-8
 """Weight of the power of a command, relative to the power of the output that a white command makes."""
 LEAST_WEIGHT = 1e-8
-"""Weights are not lower: one that is needed again grows."""
+"""Weights are hardly lower: one that is needed again grows."""
 STEPS = 40
 GAP = 0.02
 """Relative distance of the bound from the largest power at which the weights are good enough."""
@@ -180,7 +180,7 @@ def shared_bound(
         raise InputError(f"plant must be stable without control, got a spectral radius of {radius:.6g}")
     problem = LqgProblem.of(plant.scaled)
     q = np.full(len(plant.noises), 1.0) if weights is None else np.array(weights, dtype=float)
-    q = np.maximum(q / q.sum(), LEAST_WEIGHT)
+    q = _shares(q)
     best = SharedBound(0.0, np.full(len(q), np.inf), q)
     for _ in range(STEPS):
         powers = problem.powers(q)
@@ -189,6 +189,11 @@ def shared_bound(
             best = SharedBound(float(np.sqrt(mean)), np.sqrt(powers), q)
         if enough(best) or largest <= (1.0 + GAP) * mean:
             break
-        q = q * np.sqrt(powers)
-        q = np.maximum(q / q.sum(), LEAST_WEIGHT)
+        q = _shares(q * np.sqrt(powers))
     return best
+
+
+def _shares(weights: FloatArray) -> FloatArray:
+    """Weights of sum 1, of which none is below the least."""
+    kept = np.maximum(weights / weights.sum(), LEAST_WEIGHT)
+    return np.asarray(kept / kept.sum())
