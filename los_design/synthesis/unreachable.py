@@ -35,6 +35,7 @@ from los_loop.figures_of_merit import FigureOfMerit, figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
 from los_loop.spec import DISTURBANCE, LINE_OF_SIGHT
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import COLUMNS, COMMANDED, DT, FORCE_STAGES, MEASURED, MIRROR, TRUTH
 from titop_plant.telescope.control_plant import disturbances_of
 from titop_plant.telescope.telescope import Telescope
@@ -53,6 +54,7 @@ NEWTON, LEAST_STEP, NEAR = 5, 0.1, 0.03
 """Steps to the part of the sensor noise with which a bound is 1, the least factor of one, and how near it is enough."""
 LEAST_NOISE = 1e-3
 """Part below which sensor noise is not the reason."""
+RELATIVE, ABSOLUTE = "relative error", "absolute error"
 NOTED = 0.02
 """Weight of a noise or tone from which it is named."""
 
@@ -88,10 +90,11 @@ class Unreachable:
 
     def __str__(self) -> str:
         at = ", ".join(f"{w:.3g}" for w in self.tones)
+        size, unit = (RAD_PER_MAS, "mas") if self.error == RELATIVE else (RAD_PER_ARCSEC, "arcsec")
         text = (
             f"unreachable with {self.stage}: no linear controller of any order keeps {', '.join(self.names)}; the "
             f"least is {self.factor:.3g} times what is tuned for (tones at {at} rad/s). The limit of the {self.error} "
-            f"must be at least {self.factor * self.limit:.3g} rad, got {self.limit:.3g} rad"
+            f"must be at least {self.factor * self.limit / size:.3g} {unit}, got {self.limit / size:.3g} {unit}"
         )
         return text if self.noise is None else f"{text}, or sensor noise at most {self.noise:.2g} times what it is"
 
@@ -120,7 +123,7 @@ class StageBounds:
     @property
     def error(self) -> str:
         """Name of the error."""
-        return f"{'relative' if self.relative else 'absolute'} error"
+        return RELATIVE if self.relative else ABSOLUTE
 
     @property
     def telescope(self) -> Telescope:
