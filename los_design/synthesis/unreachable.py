@@ -187,6 +187,8 @@ class StageBounds:
         matter = bound.weights > NOTED
         names = [row.name for row, named in zip(self._rows(noise=True), matter[len(tones) :], strict=True) if named]
         found = self._unreachable(bound.value, tones[matter[: len(tones)]], names)
+        if found is None and bound.reached.max() > 1.0 and self._out_of_time(bound):
+            raise TimeoutError("the time limit is over")
         return found if found is None else replace(found, noise=self._allowed_noise(plant, bound, len(tones)))
 
     def _decided(self, bound: SharedBound) -> bool:
@@ -335,8 +337,8 @@ def unreachable_limits(
 ) -> list[Unreachable]:
     """Limits of stages with fine control that no controller keeps, each reported as it is found.
 
-    Where there is no bound (a telescope that is not stable without control, equations without a solution, no time) the
-    reason is reported.
+    Where there is no bound (a telescope that is not stable without control, equations without a solution, no time), the
+    reason is reported; without time the bounds that follow are left out.
 
     Parameters
     ----------
@@ -351,10 +353,11 @@ def unreachable_limits(
         bounds = StageBounds(open_loop, stage, relative, deadline)
         for bound in (bounds.reach, bounds.conflict):
             if time.monotonic() >= deadline:
+                report(f"{stage}, {bounds.error}: no bound for all controllers within the time limit")
                 return found
             try:
                 one = bound()
-            except (ArithmeticError, InputError, linalg.LinAlgError) as error:
+            except (ArithmeticError, InputError, TimeoutError, linalg.LinAlgError) as error:
                 report(f"{stage}, {bounds.error}: no bound for all controllers, {error}")
                 continue
             if one is not None:
