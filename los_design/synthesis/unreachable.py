@@ -199,7 +199,7 @@ class StageBounds:
         return time.monotonic() >= self.deadline
 
     def _allowed_noise(self, plant: SampledPlant, bound: SharedBound, tones: int) -> float | None:
-        """Part of the sensor noise with which the bound is 1, by Newton's method in logarithms."""
+        """Part of the sensor noise with which a controller just reaches 1, by Newton's method in logarithms."""
         part, sensors = 1.0, plant.noises[tones:]
         for _ in range(NEWTON):
             share = float(bound.weights[tones:] @ (bound.reached[tones:] / bound.value) ** 2)
@@ -213,7 +213,7 @@ class StageBounds:
                 return None
             if abs(bound.value - 1.0) <= NEAR:
                 break
-        return part if bound.value <= 1.0 + NEAR else None
+        return part if bound.reached.max() <= 1.0 + 2.0 * NEAR else None
 
     def _unreachable(self, factor: float, tones: FloatArray, others: Sequence[str]) -> Unreachable | None:
         if not factor > 1.0 + MARGIN:
