@@ -17,7 +17,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -148,23 +148,16 @@ class StageBounds:
         """The limit of the error, of which the figures have shares [rad]."""
         return float(self._rows(noise=False)[0].limit(self.telescope, self.stage))
 
-    @cached_property
+    @property
     def omega(self) -> FloatArray:
         """Frequencies [rad/s] at which the open loop is seen."""
-        nominal = self.open_loop.point({})
-        modes = self.open_loop.modes(nominal, LOWEST, HIGHEST)
-        grid = np.concatenate([np.geomspace(LOWEST, HIGHEST, GRID), modes])
-        return np.asarray(np.unique(grid), dtype=float)
+        return _nominal(self.open_loop)[0]
 
     @cached_property
     def responses(self) -> ComplexArray:
         """From disturbances and commands to the line of sight (weighted) at these frequencies, shape (N, 2, m + u)."""
-        nominal = self.open_loop.point({})[None]
-        lfts = self.open_loop.at(self.omega)
-        found: ComplexArray = np.array([self.open_loop.closed_over(lft, nominal)[0] for lft in lfts])
-        if self.relative:
-            found = found * rpe_weight(self.omega, self.telescope.weights.rpe_window)[:, None, None]
-        return found[:, -TRUTH:]
+        omega, found = _nominal(self.open_loop)
+        return found * rpe_weight(omega, self.telescope.weights.rpe_window)[:, None, None] if self.relative else found
 
     def reach(self) -> Unreachable | None:
         """Tones that the commands do not lower to their limit within their authorities."""
@@ -364,6 +357,16 @@ def unreachable_limits(
                 report(str(one))
                 found.append(one)
     return found
+
+
+@lru_cache(maxsize=1)
+def _nominal(open_loop: OpenLoop) -> tuple[FloatArray, ComplexArray]:
+    """Frequencies [rad/s], the telescope's modes among them, and the nominal line of sight there: of all stages."""
+    point = open_loop.point({})
+    modes = open_loop.modes(point, LOWEST, HIGHEST)
+    omega: FloatArray = np.asarray(np.unique(np.concatenate([np.geomspace(LOWEST, HIGHEST, GRID), modes])), dtype=float)
+    found = [open_loop.closed_over(lft, point[None])[0, -TRUTH:] for lft in open_loop.at(omega)]
+    return omega, np.asarray(found)
 
 
 def _indices(part: slice) -> IntArray:
