@@ -17,8 +17,8 @@ class TuningOptions:
     ----------
     starts : int
         Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
-        more than six, batches follow until one finds nothing better. Up to six run to their ends one after another,
-        each with an equal part of the time that is left.
+        more than six, batches follow until one finds nothing better. Of up to six, those that a first descent leads to
+        different values run to their ends, each with an equal part of the time that is left.
     seed : int
         Same seed, same result bit for bit (as long as the wall limit, or a part of it, is not what ends a start).
     wall_limit : float

@@ -57,12 +57,14 @@ class StartResult:
         return (1, self.hard) if self.hard > 1.0 + FEASIBLE else (0, self.soft)
 
 
-def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) -> StartResult:
-    """Stabilise and descend for a short round of the smooth phase."""
+def screen(
+    problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, evaluations: int = SCREENING_EVALUATIONS
+) -> StartResult:
+    """Stabilise and descend for a round of the smooth phase, by default a short one."""
     stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
     if not problem.stable(stable.x):
         return unstable(stable, steps)
-    found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
+    found = smooth_phase(problem, stable.x, evaluations, limits.deadline, limits.target)
     count = stable.evaluations + found.evaluations
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
     if found.point.feasible and found.point.soft < limits.target:

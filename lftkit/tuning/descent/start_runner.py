@@ -26,7 +26,14 @@ from lftkit.tuning.descent.direct_search import (
 )
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import ARITHMETIC, StartResult, failed, screen, tune_from
+from lftkit.tuning.descent.single_start import (
+    ARITHMETIC,
+    SMOOTH_EVALUATIONS,
+    StartResult,
+    failed,
+    screen,
+    tune_from,
+)
 from lftkit.tuning.descent.smooth_phase import negligible_value
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem
@@ -41,6 +48,7 @@ PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of t
 BETTER = 1e-4  # relative decrease that counts as something better
 FIRST = 8  # starts of the first batch that are screened before the others
 PORTION, CARRIED_OF_PORTION = 4, 2  # starts of a first look that are screened together, and those carried on
+DESCENDED = 0.7  # of the time for the smooth phases of few starts
 AGREED = 0.5, 4  # part of the screened random starts, or number of those carried on, whose ends make further ones idle
 SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
 
@@ -163,11 +171,13 @@ def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Wo
 
 
 def _carried(starts: Sequence[Start], screened: Sequence[StartResult], most: int = CARRIED) -> list[Start]:
-    """The best that differ, at most so many, from where their screening ended."""
+    """The best that differ, at most so many, from where their screening ended; unstable ones where no other is."""
     carried: list[Start] = []
     ranks: list[tuple[int, float]] = []
     for k in sorted(range(len(screened)), key=lambda k: (screened[k].rank, k)):
         kind, value = screened[k].rank
+        if kind == 2 and ranks and ranks[0][0] < 2:
+            break
         if len(carried) < most and not any(
             kind == other[0] and abs(value - other[1]) <= SAME * abs(value) for other in ranks
         ):
@@ -230,35 +240,47 @@ class _Runner:
         """The best so far; of equal ones the first."""
         return min(self.results, key=lambda run: run.rank)
 
-    def run(self, work: Work, starts: Sequence[Start], *, shared: bool = False) -> list[StartResult]:
-        """Results of the starts that are begun before the deadline, in order; `shared`: each with its part of the time.
+    def run(self, work: Work, starts: Sequence[Start], share: float = 0.0) -> list[StartResult]:
+        """Results of the starts that are begun before the deadline, in order, each with its part of a share of the time.
 
-        Parts of the time left are equal: what one start does not need, those after it have.
+        Parts of the time left are equal: what one start does not need, those after it have. With the share 0 any start
+        may take all of it.
         """
         if not starts or not self.going_on:
             return []
         serial = self._workers == 1 or len(starts) == 1
-        new = self._serial(work, starts, shared) if serial else self._parallel(work, starts, shared)
+        new = self._serial(work, starts, share) if serial else self._parallel(work, starts, share)
         self.complete = time.monotonic() <= self._limits.deadline
         self.results += new
         return new
 
     def run_shared(self, starts: Sequence[Start]) -> None:
-        """Starts to their ends, each with its part of the time; where that ended the best, it goes on in the rest."""
-        self.run(_full, starts, shared=True)
+        """Starts to their ends, each with its part of the time; where that ended the best, it goes on in the rest.
+
+        Those that a smooth phase leads to the same value count as one.
+        """
+        several = len(starts) > 1
+        differing = _carried(starts, self.run(_descended, starts, DESCENDED)) if several else starts
+        self.run(_full, differing, 1.0)
         if self.results and self.going_on and self.best.status is TuningStatus.OUT_OF_TIME:
             self.run(_full, [Start(starts[0].seed, self.best.x)])
 
-    def _within(self, parts: int) -> DescentOptions:
-        """Limits with the first of so many equal parts of the time left."""
-        now, deadline = time.monotonic(), self._limits.deadline
-        return self._limits if parts <= 1 else replace(self._limits, deadline=now + (deadline - now) / parts)
+    def _within(self, deadline: float, parts: int) -> DescentOptions:
+        """Limits with the first of so many equal parts of the time left until `deadline`."""
+        now = time.monotonic()
+        return replace(self._limits, deadline=deadline if parts <= 1 else now + (deadline - now) / parts)
 
-    def _serial(self, work: Work, starts: Sequence[Start], shared: bool) -> list[StartResult]:
+    def _end(self, share: float) -> float:
+        """The deadline of a share of the time left."""
+        now, deadline = time.monotonic(), self._limits.deadline
+        return now + share * (deadline - now) if 0.0 < share < 1.0 else deadline
+
+    def _serial(self, work: Work, starts: Sequence[Start], share: float) -> list[StartResult]:
         results: list[StartResult] = []
+        end = self._end(share)
         for k, start in enumerate(starts):
             try:
-                limits = self._within(len(starts) - k if shared else 1)
+                limits = self._within(end, len(starts) - k if share else 1)
                 results.append(_attempted(work, self._problem, start, limits, self._band))
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
@@ -267,11 +289,11 @@ class _Runner:
                 break
         return results
 
-    def _parallel(self, work: Work, starts: Sequence[Start], shared: bool) -> list[StartResult]:
+    def _parallel(self, work: Work, starts: Sequence[Start], share: float) -> list[StartResult]:
         results: list[StartResult] = []
         count = min(self._workers, len(starts))
-        rounds = -(-len(starts) // count) if shared else 1  # of the processes, one after another
-        first = self._within(rounds).deadline
+        rounds = -(-len(starts) // count) if share else 1  # of the processes, one after another
+        first = self._within(self._end(share), rounds).deadline
         part = first - time.monotonic() if rounds > 1 else 0.0
         deadlines = [first + (k // count) * part if k >= count else first for k in range(len(starts))]
         limits = [replace(self._limits, deadline=deadline) for deadline in deadlines]
@@ -308,6 +330,10 @@ def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -
 
 def _screened(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
     return screen(problem, start.parameters(problem), start.seed, limits)
+
+
+def _descended(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    return screen(problem, start.parameters(problem), start.seed, limits, SMOOTH_EVALUATIONS)
 
 
 def _remote(work: Work, problem: Problem, band: float, item: tuple[int, Start, DescentOptions]) -> StartResult | None:

@@ -181,6 +181,13 @@ def test_starts_that_agree_end_a_search() -> None:
     assert 1 < len(result.starts) < 24 and max(result.starts) <= min(result.starts) * (1.0 + 1e-3)
 
 
+def test_few_starts_that_agree_run_to_their_end_once() -> None:
+    """A convex problem: two more starts cost two smooth phases."""
+    one, three = published("AC17", starts=1), published("AC17", starts=3)
+    assert one.status == three.status == "converged" and three.soft == pytest.approx(one.soft, rel=1e-9)
+    assert three.evaluations < 1.3 * one.evaluations
+
+
 def test_search_ends_where_the_value_vanishes() -> None:
     """AC1: the disturbance can be rejected completely."""
     result = published("AC1")
