@@ -241,7 +241,7 @@ class _Runner:
         return min(self.results, key=lambda run: run.rank)
 
     def run(self, work: Work, starts: Sequence[Start], share: float = 0.0) -> list[StartResult]:
-        """Results of the starts that are begun before the deadline, in order, each with its part of a share of the time.
+        """Results of the starts begun before the deadline, in order, each with its part of a share of the time.
 
         Parts of the time left are equal: what one start does not need, those after it have. With the share 0 any start
         may take all of it.
