@@ -8,11 +8,9 @@ matrices on the unit circle; a map to continuous time tests the level of few sta
 from __future__ import annotations
 
 from cmath import exp
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache
-from math import isfinite, pi
-from types import ModuleType
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
 from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
-from lftkit.analysis.hinf.small_norm import COMPILED_STATES, MAX_STATES, Origin, SmallModel
+from lftkit.analysis.hinf.small_norm import MAX_STATES, Origin, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import is_number
@@ -132,8 +130,6 @@ def hinf_norm(
         raise InputError(f"rtol must be positive, got {rtol}")
     (A, B, C, D), dt = given_system(A, B, C, D, dt)
     dt = dt if _is_discrete(dt) else None
-    if certificate == "auto" and (found := _by_compiled_code((A, B, C, D), dt, rtol)):
-        return found
     system = checked_matrices(A, B, C, D)
     if dt is None:
         return _continuous(system, rtol, certificate)
@@ -362,48 +358,6 @@ def is_stable(A: ArrayLike, dt: float = 0.0) -> bool:
     if not dt:
         return spectral_abscissa(a) < 0.0
     return not a.size or bool(np.abs(linalg.eigvals(a)).max() < 1.0)
-
-
-@cache
-def compiled() -> ModuleType | None:
-    """The compiled steps, :mod:`lftkit.analysis.hinf.compiled_norm`; None without numba (extra ``fast``)."""
-    try:
-        from lftkit.analysis.hinf import compiled_norm
-    except ImportError:
-        return None
-    return compiled_norm
-
-
-def _by_compiled_code(given: Sequence[ArrayLike], dt: float | None, rtol: float) -> HInfNorm | None:
-    """Norm of few states; None without numba, and for everything that is not sound or not plainly well formed."""
-    system = _plain(given)
-    if system is None or not (dt is None or dt > 0.0) or (kernel := compiled()) is None:
-        return None
-    try:
-        if dt is None:
-            value, upper, omega = kernel.norm(system, float(rtol), system, 0.0, 0.0)
-        else:
-            value, upper, angle = kernel.circle_norm(system, float(rtol))
-            omega = angle / dt
-    except (ValueError, linalg.LinAlgError):  # eigenvalues that do not converge, a matrix without an inverse
-        return None
-    return HInfNorm(value, upper, omega, "hamiltonian") if value >= 0.0 else None
-
-
-def _plain(given: Sequence[ArrayLike]) -> Matrices | None:
-    """Four arrays of finite floats that fit, with 1 to `COMPILED_STATES` states, balanced; B and C are not zero."""
-    arrays = [X for X in given if isinstance(X, np.ndarray) and X.ndim == 2 and X.dtype == float and isfinite(X.sum())]
-    if len(arrays) < 4:
-        return None
-    A, B, C, D = arrays
-    n, (p, m) = len(A), D.shape
-    if A.shape != (n, n) or B.shape != (n, m) or C.shape != (p, n) or not 0 < n <= COMPILED_STATES:
-        return None
-    if not (B.any() and C.any()):
-        return None
-    A, B, C = balanced(A, B, C)
-    # for read-only arrays and other layouts everything would be compiled again, 20 to 30 s
-    return np.array(A, order="C"), np.array(B, order="C"), np.array(C, order="C"), np.array(D, order="C")
 
 
 def _discrete(system: Matrices, dt: float, rtol: float, certificate: str) -> HInfNorm:

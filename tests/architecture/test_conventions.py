@@ -155,7 +155,6 @@ def test_the_library_imports_its_dependencies_only() -> None:
     """Every import of lftkit, also inside functions: standard library, dependencies, optional ones in one module."""
     allowed = {"lftkit", "numpy", "scipy", "control", "threadpoolctl", *sys.stdlib_module_names}
     optional = {
-        "lftkit/support/compiled.py": {"numba"},
         "lftkit/analysis/plots.py": {"matplotlib"},
         "lftkit/tuning/pictures/plots.py": {"matplotlib"},
         "lftkit/support/progress.py": {"rich"},

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
-from lftkit.support.compiled import compiled
+from titop_plant.simulation.compiled import compiled
 from titop_plant.simulation.kernel_arrays import (
     ControllerArrays,
     Course,

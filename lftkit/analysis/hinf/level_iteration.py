@@ -10,8 +10,6 @@ level. The iteration raises the level until the model shows that there is none. 
 :class:`lftkit.analysis.circle.circle_norm.CircleModel`             discrete time, intervals that cover the unit circle
 :class:`lftkit.analysis.circle.exact_circle_norm.ExactCircleModel`  discrete time, integer arithmetic
 =================================================================== ====================================================
-
-:mod:`lftkit.analysis.hinf.compiled_norm` has the iteration of a `SmallModel` as compiled code.
 """
 
 from __future__ import annotations

@@ -24,13 +24,12 @@ from lftkit.analysis.hinf.peak_search import climb, peak_frequencies
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 MAX_STATES = 40
-COMPILED_STATES = 12  # up to which compiled code is used where numba is installed
 SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
 CANCELLED = 100.0  # roundings in the square of a level, relative to the square of the sum of the modal terms
 SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
 AT_CIRCLE = 16.0 * EPS  # 1 - |z|^2 of a pole over the number of states, below which another way says what is stable
 LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
-CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
+CLIMB = 0.1  # part of `rtol` to which a peak is climbed
 DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
 DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
 

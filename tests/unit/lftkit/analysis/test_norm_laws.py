@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-import lftkit.analysis.norms
 from lftkit.analysis.norms import HInfNorm, band_gain, hinf_norm
 from lftkit.systems.sampled.bilinear import to_discrete
 
@@ -20,24 +19,20 @@ Norm = Callable[[Matrices], HInfNorm]
 
 CONTINUOUS: dict[str, Callable[..., HInfNorm]] = {
     "auto": hinf_norm,
-    "without numba": hinf_norm,
     "interval": lambda *system: hinf_norm(*system, certificate="interval"),
     "hamiltonian": lambda *system: hinf_norm(*system, certificate="hamiltonian"),
     "band": lambda *system: band_gain(*system, (0.0, np.inf), rtol=RTOL),
 }
 DISCRETE: dict[str, Callable[..., HInfNorm]] = {
     "discrete": lambda *system: hinf_norm(*system, dt=DT),
-    "discrete without numba": lambda *system: hinf_norm(*system, dt=DT),
     "circle": lambda *system: hinf_norm(*system, dt=DT, certificate="interval"),
 }
 SYSTEMS = [(1, 1, 1), (3, 2, 3), (12, 1, 4), (17, 2, 2)]  # states, inputs, outputs
 
 
 @pytest.fixture(params=[*CONTINUOUS, *DISCRETE])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[Norm, bool]:
+def way(request: pytest.FixtureRequest) -> tuple[Norm, bool]:
     """A way to the norm, and whether its systems are in discrete time."""
-    if "without numba" in request.param:
-        monkeypatch.setattr(lftkit.analysis.norms, "compiled", lambda: None)
     discrete = request.param in DISCRETE
     function = (DISCRETE if discrete else CONTINUOUS)[request.param]
     return lambda system: function(*system), discrete
@@ -125,15 +120,11 @@ def test_inverse_has_the_reciprocal_of_the_smallest_gain(way: tuple[Norm, bool],
 
 
 @pytest.mark.parametrize("shape", SYSTEMS)
-def test_all_ways_agree_in_continuous_and_in_discrete_time(
-    shape: tuple[int, int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_ways_agree_in_continuous_and_in_discrete_time(shape: tuple[int, int, int]) -> None:
     """The bilinear map keeps the norm."""
     system = random_system(shape, False)
     sampled = to_discrete(*system, DT)
     found = [CONTINUOUS[name](*system) for name in CONTINUOUS] + [DISCRETE[name](*sampled) for name in DISCRETE]
-    monkeypatch.setattr(lftkit.analysis.norms, "compiled", lambda: None)
-    found += [hinf_norm(*system), hinf_norm(*sampled, dt=DT)]
     assert all(same(one, found[0]) for one in found)
 
 

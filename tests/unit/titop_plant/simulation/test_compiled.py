@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("numba", reason="compiled code needs numba")
 
-MODULE = """from lftkit.support.compiled import compiled
+MODULE = """from titop_plant.simulation.compiled import compiled
 
 
 @compiled
