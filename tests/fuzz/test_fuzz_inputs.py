@@ -150,6 +150,7 @@ TEXTS = st.one_of(
 )
 
 
+@pytest.mark.further
 @given(data=st.data())
 @examples(40, times=QUICK)
 def test_any_command_line(folder: Path, data: st.DataObject) -> None:

@@ -65,6 +65,7 @@ def computed(folder: ResultFolder, campaign: Campaign, skip: frozenset[int], cou
         folder.write(number, evaluate_chunk(portable(BASE, identity(BASE)), members, "time"))
 
 
+@pytest.mark.further
 def test_rows_of_a_campaign_that_is_resumed_are_those_of_one_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -349,6 +350,7 @@ def test_worker_that_joins_later_is_compared_too(one_worker: Any, tmp_path: Path
     assert folder.parts() == []
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("module", "name"),
     [("distributed", r"dask\.distributed"), ("pyarrow", "pyarrow"), slow("cryptography", "cryptography")],

@@ -63,6 +63,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return made
 
 
+@pytest.mark.further
 def test_the_verdicts_are_those_of_runs_under_the_sources(folder: Path, tmp_path: Path) -> None:
     found = verify_mission(folder)
     assert found.sources == ("cryocooler",)
@@ -91,6 +92,7 @@ def test_the_worst_member_is_judged_as_well(folder: Path) -> None:
     assert {verdict.member for verdict in found.verdicts} == {"nominal", "worst for the RPE"}
 
 
+@pytest.mark.further
 def test_verify_is_not_met_where_the_sources_break_a_limit(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

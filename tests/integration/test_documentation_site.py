@@ -86,6 +86,7 @@ def public_objects() -> set[str]:
     return found
 
 
+@pytest.mark.further
 def test_every_public_name_has_a_page_of_the_api(hooks: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     pages = hooks.modules()
     monkeypatch.setattr(hooks, "modules", lambda: pages)  # they are read once

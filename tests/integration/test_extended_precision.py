@@ -98,6 +98,7 @@ def commands_for(plant: Plant, ticks: int) -> FloatArray:
     return np.random.default_rng(2).uniform(-0.01, 0.01, (ticks, COMMANDS)) * plant.limits
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     "name", ["reference", *(pytest.param(name, marks=pytest.mark.slow) for name in ("turned", "hard"))]
 )

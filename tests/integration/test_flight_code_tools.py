@@ -36,6 +36,7 @@ def test_clang_tidy_finds_nothing(flight: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.further
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck")
 def test_cppcheck_finds_the_listed_deviations_of_misra_alone(flight: Path) -> None:
     line = ["cppcheck", "--std=c99", "--enable=style,warning,performance,portability", "--addon=misra", *FLOAT]
@@ -46,6 +47,7 @@ def test_cppcheck_finds_the_listed_deviations_of_misra_alone(flight: Path) -> No
     assert rules and set(rules) <= DEVIATIONS
 
 
+@pytest.mark.further
 @pytest.mark.skipif(not (shutil.which("valgrind") and shutil.which("gcc")), reason="no valgrind or gcc")
 def test_a_step_takes_the_same_instructions_for_all_values(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All loops have fixed bounds: what a step costs depends on absent samples and limits by a few instructions."""

@@ -18,6 +18,7 @@ from titop_plant.telescope.load import load_telescope
 EXAMPLE = Path(__file__).parents[2] / "examples" / "nastran_payload_to_run.py"
 
 
+@pytest.mark.further
 def test_the_reference_payload_through_nastran_files(tmp_path: Path) -> None:
     pytest.importorskip("pyNastran", reason="extra nastran")
     example = runpy.run_path(str(EXAMPLE))

@@ -38,6 +38,7 @@ def run_of(bag: Path, **settings: object) -> tuple[Run, Summary]:
     return run, summarise(run)
 
 
+@pytest.mark.further
 @pytest.mark.usefixtures("without_pictures")
 def test_harmonics_of_a_cooler_are_tones_and_what_is_left_is_the_noise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -115,6 +115,7 @@ def check_sum(run: Run, simulated: list[np.ndarray], *names: str) -> None:
     assert list(conditions_of(run).names) == acting and summarise(run).scenario == ", ".join(acting)
 
 
+@pytest.mark.further
 def test_a_telescope_with_sources_runs_with_them_alone(folder: Path, simulated: list[np.ndarray]) -> None:
     run = recorded(parameters=telescope(folder, *SOURCES))
     assert run.parameters["scenario"] == "none"
@@ -138,6 +139,7 @@ def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
     assert [row.name for row in source_shares(run)] == ["my pulses", NOISE, TOGETHER]
 
 
+@pytest.mark.further
 @pytest.mark.usefixtures("folder")
 def test_wheels_and_drives_of_the_telescope_have_a_row_each(simulated: list[np.ndarray]) -> None:
     check_sum(recorded(parameters=str(MOVING_ROTORS)), simulated, "wheel broadband", "array drive", NOISE)
@@ -170,6 +172,7 @@ def test_which_scenario_acts(folder: Path, settings: dict[str, object], scenario
     assert with_scenario(RunConfig()).scenario == RunParts(RunConfig()).config.scenario == "worst_case"
 
 
+@pytest.mark.further
 def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

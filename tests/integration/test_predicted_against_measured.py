@@ -144,6 +144,7 @@ def as_rig(bag, target, delays, name=None):
     return rewritten(run, target, statistics=statistics, device="rig", plant_parameters_hash=None)
 
 
+@pytest.mark.further
 def test_a_rig_is_predicted_with_its_delays(late, tmp_path) -> None:
     """The response is the mean over the delays; without them it would be 10 % less."""
     ratios = {}

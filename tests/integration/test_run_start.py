@@ -70,6 +70,7 @@ def test_a_loop_that_is_not_stable_starts_at_rest_and_says_so(tmp_path) -> None:
     assert "must be stable" in start.note and "rest" in start.note
 
 
+@pytest.mark.further
 def test_a_command_starts_with_the_bits_of_one_thread_whatever_the_environment(tmp_path: Path) -> None:
     """Numpy reads its number of threads when it is imported, and nobody who types a command has set it."""
     environment = {name: value for name, value in os.environ.items() if name != THREADS}

@@ -84,6 +84,7 @@ def test_free_poles_are_those_of_the_coupled_equations(spacecraft: dict[str, Any
         assert np.abs(ours - pole).min() < 1e-9 * abs(pole)
 
 
+@pytest.mark.further
 def test_own_controller_and_own_plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The observer reduces the slow motion to less than 35 %; without it the error is the motion itself."""
     monkeypatch.chdir(tmp_path)

@@ -79,6 +79,7 @@ def test_bounds_of_a_thousand_random_systems(first: int) -> None:
         check_system(seed, 200)
 
 
+@pytest.mark.further
 def test_a_narrow_interval_with_the_largest_loss_is_not_bisected_for_ever() -> None:
     """Three parameters keep the cells of this system open; the loss of one of them stays the largest."""
     bounds = worst_case_gain(random_system(1232), options=replace(LONG, max_tests=200))

@@ -1,7 +1,8 @@
-"""Tests of ordinary length that `make test` leaves to `make test-further`: it ends within ten minutes on fast machines.
+"""Files of tests that `make test` leaves to `make test-further`, so that it ends within some eight minutes.
 
-Each file looks at a part that quicker tests look at, too: whole programs, pages that are followed, strangers and damage
-in many forms. `.ci/run` has them all.
+Each looks at a part that quicker tests look at, too: whole programs, pages that are followed, strangers and damage in
+many forms. In other files single tests of two seconds of a processor or more have the mark `further`, but for those
+that are the first to look at a part. `.ci/run` has them all.
 """
 
 from __future__ import annotations
@@ -26,17 +27,30 @@ FURTHER = {
     "integration/test_three_paths.py": "three tutorials",
     "integration/test_two_mass_benchmark.py": "a published benchmark: unit/lftkit/tuning/test_tuner.py",
     "published/test_static_output_feedback.py": "published gains: unit/lftkit/tuning/test_tuner.py",
-    "ros/test_attacks.py": "strangers: ros/test_second_publishers.py",
-    "ros/test_bad_link.py": "lost packets: ros/test_two_hosts.py",
-    "ros/test_clock_step.py": "the clock: ros/test_fixed_grid.py",
-    "ros/test_closed_to_strangers.py": "packets that leave: ros/test_isolated_runs.py",
+    "ros/test_acquisition_stamps.py": "stamps of commands: unit/los_testbed/nodes",
+    "ros/test_attacks.py": "strangers: ros/test_senders.py, unit/los_testbed/nodes",
+    "ros/test_bad_link.py": "lost packets: unit/los_testbed/nodes",
+    "ros/test_clock_step.py": "the clock: unit/los_testbed/nodes",
+    "ros/test_closed_to_strangers.py": "packets that leave: unit/los_testbed/nodes/test_middleware.py",
+    "ros/test_control.py": "requests: ros/test_requests.py",
+    "ros/test_controller_basis.py": "basis of controllers: unit/los_testbed/run/test_design_basis.py",
     "ros/test_device_runs.py": "rigs: unit/los_testbed/rig/test_device_faults.py",
-    "ros/test_enclave_graph.py": "names of a run: ros/test_isolated_runs.py",
+    "ros/test_enclave_graph.py": "names of a run: ros/test_remaps.py",
     "ros/test_ends_by_signals.py": "signals: ros/test_runs_with_processes.py",
+    "ros/test_faults.py": "nodes that end: ros/test_runs_with_processes.py, ros/test_hung_nodes.py",
+    "ros/test_fixed_grid.py": "the clock: unit/los_testbed/nodes",
+    "ros/test_image_camera_in_processes.py": "the camera: unit/pointing_analysis/test_star_camera.py",
+    "ros/test_isolated_runs.py": "names of a run: ros/test_remaps.py",
     "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_server.py",
+    "ros/test_missed_ticks.py": "missed ticks: ros/test_recorder_counts.py",
+    "ros/test_namespaces.py": "names of topics: ros/test_remaps.py",
+    "ros/test_node_interfaces.py": "nodes as users see them: ros/test_uncertain_plant_node.py",
     "ros/test_replay_to_nodes.py": "replay: unit/los_testbed",
     "ros/test_report_watch.py": "reports of nodes: ros/test_reports.py",
-    "ros/test_rough_requests.py": "requests: ros/test_control.py",
+    "ros/test_rough_requests.py": "requests: ros/test_requests.py",
+    "ros/test_run_services.py": "services of a run: ros/test_requests.py",
+    "ros/test_second_publishers.py": "strangers: ros/test_senders.py",
+    "ros/test_two_hosts.py": "the network: unit/los_testbed/nodes/test_middleware.py",
     "unit/lftkit/proofs/test_axis_disks.py": "disks over the axis: unit/lftkit/proofs/test_disk_elements.py",
     "unit/lftkit/proofs/test_margin_proofs.py": "margins of a loop: unit/lftkit/proofs/test_certified_loop.py",
     "unit/lftkit/proofs/test_proof_premises.py": "forged files: unit/lftkit/proofs/test_checking.py",
@@ -61,7 +75,7 @@ def is_further(nodeid: str) -> bool:
 
     Examples
     --------
-    >>> is_further("tests/ros/test_attacks.py::test_a[1]"), is_further("tests/ros/test_faults.py::test_a")
+    >>> is_further("tests/ros/test_attacks.py::test_a[1]"), is_further("tests/ros/test_remaps.py::test_a")
     (True, False)
     """
     return nodeid.split("::", 1)[0].removeprefix("tests/") in FURTHER

@@ -384,6 +384,7 @@ def test_the_matrices_of_the_file_are_not_used(loop: ImplementedLoop, proof: Loo
         proof_of_loop(replace(proof, band=(5e-324, proof.band[1])), loop, FIGURE)
 
 
+@pytest.mark.further
 def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedLoop, tmp_path: Path) -> None:
     """And not all of them for 20 % stronger disturbances, at the frequency of the worst case."""
     from lftkit.proofs.trusted.strips import check_strip
@@ -396,6 +397,7 @@ def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedL
     assert any(isinstance(check_strip((stronger, strip, rebuilt.level)), str) for strip in strips)
 
 
+@pytest.mark.further
 def test_a_proof_of_weaker_disturbances_is_refused_by_the_model_made_anew_alone(
     loop: ImplementedLoop, tmp_path: Path
 ) -> None:

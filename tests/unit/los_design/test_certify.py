@@ -123,6 +123,7 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: Im
         check_loop_proof(dataclasses.replace(proof, band=(199.0, 205.0)))
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("name", ["sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror"])
 def test_a_part_of_a_margin_is_proven_over_the_box(name: str, loop: ImplementedLoop, tmp_path: Path) -> None:
     """Where the mirror's loop acts, below its limit; not far below what members have."""

@@ -69,6 +69,7 @@ def test_every_gain_is_that_of_the_implemented_loop(telescope, open_loop, pair, 
             np.testing.assert_allclose(found[named(metric.name, stage)], expected, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.further
 def test_noise_is_that_of_the_sampled_loop(telescope, open_loop, pair, x) -> None:
     """The integral over frequency against the periodic Lyapunov equation: within 0.1 %.
 

@@ -81,6 +81,7 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, teles
     assert all(set(values) == set(adversarial[0]) for values in adversarial)
 
 
+@pytest.mark.further
 def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, telescope, tmp_path) -> None:
     design_all(telescope, tmp_path, SHORT)
     stand_ins.clear()

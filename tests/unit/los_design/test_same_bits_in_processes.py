@@ -44,6 +44,7 @@ def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
         np.testing.assert_array_equal(values, other.envelope[name])
 
 
+@pytest.mark.further
 def test_values_and_gradients_in_two_threads() -> None:
     telescope = load_telescope()
     with one_thread():

@@ -56,6 +56,7 @@ def another(telescope) -> Telescope:
     return telescope.changed({"isolator": {"stiffness": [0.25 * k for k in telescope.isolator.stiffness]}})
 
 
+@pytest.mark.further
 def test_the_reference_telescope_has_the_stored_start(telescope, chosen) -> None:
     found, lines = chosen(telescope)
     assert lines == []
@@ -79,6 +80,7 @@ def test_another_telescope_has_the_best_of_several_after_a_short_descent(telesco
     assert all(np.abs(M - S).max() > 0.0 for M, S in zip(found, stored))
 
 
+@pytest.mark.further
 def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(telescope, kalman, chosen, monkeypatch):
     """With the random law of the largest gain that it bears; the lowest value of the three seeds is chosen."""
 

@@ -33,6 +33,7 @@ def noisy(telescope, factor: float):
     )
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("relative", [True, False])
 def test_noises_through_a_loop_have_the_power_that_frequency_responses_give(open_loop, relative: bool) -> None:
     """Static feedback of the camera to the mirror, in the state space and on the samples that are tuned."""
@@ -74,6 +75,7 @@ def test_the_reference_has_no_unreachable_limit(open_loop) -> None:
     assert not unreachable_limits(open_loop, ("fsm", "fsm+pma"), lines.append) and not lines
 
 
+@pytest.mark.further
 def test_noise_that_hides_the_tones_is_named_with_what_would_do(telescope) -> None:
     lines: list[str] = []
     (found,) = unreachable_limits(open_loop_of(noisy(telescope, 200.0)), ("fsm+pma",), lines.append)

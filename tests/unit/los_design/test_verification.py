@@ -68,6 +68,7 @@ def three(telescope) -> tuple[ImplementedCheck, int]:
     return checked(iter(POINTS), telescope, tick=lambda: ticks.append(1)), len(ticks)
 
 
+@pytest.mark.further
 def test_the_worst_metrics_over_the_points_are_kept(three, telescope) -> None:
     """Against the grid of each point's own modes: refined peaks are not below it, and not far above."""
     found, ticks = three
@@ -113,6 +114,7 @@ def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> Non
             assert worst.parameters == largest.parameters
 
 
+@pytest.mark.further
 def test_a_peak_that_is_below_another_one_on_the_grid_is_found() -> None:
     """The worst slow tone: a mode with a damping ratio of 1 % between two frequencies of the grid, beside a value of
     0.457 at 6 rad/s that is larger than those on the grid beside it."""
@@ -151,6 +153,7 @@ def test_noise_is_that_of_the_nominal_point(three, telescope) -> None:
     assert all(0.5 <= part <= 1.0 for parts in found.on_axis.values() for part in parts)
 
 
+@pytest.mark.further
 def test_an_unstable_point_fails_and_makes_the_gammas_infinite(telescope) -> None:
     points = [{}, {"stiffness": -1.0}, POINTS[0], {"stiffness": -2.0}]
     found = checked(points, telescope, changes=False)
@@ -164,6 +167,7 @@ def test_an_unstable_point_fails_and_makes_the_gammas_infinite(telescope) -> Non
     assert "fsm: APE inf of its limit, must be at most 1" in broken_requirements(found)
 
 
+@pytest.mark.further
 def test_a_point_counts_as_stable_if_both_stages_are(telescope) -> None:
     """The force law drives the plant unstable, the mirror's loop does not."""
     k_fsm, k_pma = quiet_pair()
@@ -198,6 +202,7 @@ def drifting_pair() -> tuple[SampledSystem, SampledSystem]:
     return k_fsm, quiet_pair()[1]
 
 
+@pytest.mark.further
 def test_a_change_that_lets_a_slow_pole_drift_is_found_at_every_point(telescope) -> None:
     """Far below the frequencies of the figures; only the first point is looked at by eigenvalues in any case."""
     found = check_implemented(small_family(), telescope, *drifting_pair(), POINTS)
@@ -253,6 +258,7 @@ def hand_closed_gains(plant: System, telescope, pair: tuple[SampledSystem, Sampl
     return np.array(columns).T
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("ending", ["", pytest.param("_nominal", marks=pytest.mark.slow)])
 def test_paper_gammas_are_those_of_the_loop_closed_by_hand(ending: str) -> None:
     """Worst of two points; peaks on a grid reach the certified norms and do not exceed them."""

@@ -37,6 +37,7 @@ def test_a_run_and_its_analysis_are_those_of_the_commands(tmp_path: Path, capsys
     assert f"{result.summary.rows[0].limit_text}" in result._repr_html_()
 
 
+@pytest.mark.further
 @pytest.mark.usefixtures("without_pictures")
 def test_values_of_a_result_are_tables_and_arrays(tmp_path: Path) -> None:
     pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")

@@ -106,6 +106,7 @@ def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
         assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))
 
 
+@pytest.mark.further
 @pytest.mark.pictures
 def test_arrays_give_the_same_objects_and_the_same_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "PICTURES", report.PICTURES[::2])  # each takes a while

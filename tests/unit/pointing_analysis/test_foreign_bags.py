@@ -285,6 +285,7 @@ def check_as_after_repair(bag: Path) -> Summary | None:
     return direct
 
 
+@pytest.mark.further
 @given(
     kind=st.sampled_from(["zstd", "plain", "numbered", "packed", "big"]),
     changes=st.lists(MUTATIONS, min_size=1, max_size=3),

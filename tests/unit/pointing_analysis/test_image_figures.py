@@ -156,6 +156,7 @@ def test_widths() -> None:
     assert moved[0] == pytest.approx(small, rel=0.02) and moved[1] > 1.1 * small
 
 
+@pytest.mark.further
 def test_an_aberrated_pupil_has_its_peak_off_the_axis() -> None:
     """A wave front of pure tilt moves the image and changes nothing else."""
     fits = pytest.importorskip("astropy.io.fits")
@@ -175,6 +176,7 @@ def test_an_aberrated_pupil_has_its_peak_off_the_axis() -> None:
     assert np.abs(strehl(paths, plain) - strehl(paths, tilted)).max() < 1e-3
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("sigma_mas", [15.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_against_poppy(sigma_mas: float) -> None:
     """Gaussian jitter of poppy, a picture convolved with a Gaussian: loss of the peak and profile to 1e-3."""

@@ -157,6 +157,7 @@ def test_verdicts_in_the_table() -> None:
     assert "below limit" in worse.statement or worse.status == "not compliant"
 
 
+@pytest.mark.further
 def test_missing_samples_count_against_the_verdict() -> None:
     los = noise(25_001)
     whole = judged(f"prob(EE80(20 ms) < 140 mas) {TAIL}", run_of(los))

@@ -140,6 +140,7 @@ def score_of_pairs(seeds: range) -> Score:
     return score
 
 
+@pytest.mark.further
 def test_lines_of_forty_records() -> None:
     judge(range(40))
 
@@ -264,6 +265,7 @@ def test_a_weak_line_beside_a_strong_one_is_a_line_of_its_own(offset: float, tur
     assert not first.is_sideband and not second.is_sideband
 
 
+@pytest.mark.further
 def test_close_lines_have_their_own_names() -> None:
     """Pairs 1 to 4 / T apart, of any levels from 10 dB: 95 % are found under their own name."""
     score = score_of_pairs(range(40))

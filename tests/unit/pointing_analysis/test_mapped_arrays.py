@@ -117,6 +117,7 @@ def damaged(folder: Path) -> Path:
     )
 
 
+@pytest.mark.further
 @pytest.mark.usefixtures("without_pictures")
 def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
     tmp_path: Path, request: pytest.FixtureRequest

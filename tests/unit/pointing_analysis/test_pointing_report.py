@@ -329,6 +329,7 @@ def test_keyboard_reaches_links_tables_and_details(chromium, page) -> None:
     assert chromium.value("document.querySelector('details').open") is not before
 
 
+@pytest.mark.further
 @needs_browser
 def test_prints_with_everything_unfolded(chromium, page) -> None:
     chromium.open(page, 1280)

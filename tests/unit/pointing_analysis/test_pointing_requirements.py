@@ -108,6 +108,7 @@ def test_summary_takes_the_requirements_of_the_stage(noise_run) -> None:
     assert set(figures["rpe_mas"]) == {"rms", "p997", "windows_p997"}
 
 
+@pytest.mark.further
 def test_a_recording_without_requirements_has_metrics_and_no_verdict(noise_run) -> None:
     """Nobody's limits are taken for those of another; damaged ones are named."""
     found = summarise(noise_run(2.0, 25.0, loop="fsm"))

@@ -84,6 +84,7 @@ def test_a_run_can_be_hidden_and_shown_again(chromium, page: Path) -> None:
     assert [chromium.value(shown.format(run)) for run in (0, 1)] == all_of_both
 
 
+@pytest.mark.further
 def test_a_picture_can_be_enlarged(chromium, page: Path) -> None:
     """Where there are two columns; in one column it has the whole width already, and no control."""
     chromium.open(page, 900)

@@ -69,6 +69,7 @@ def plain(text: str) -> str:
 # -- PDF ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.further
 def test_verdict_and_tables_are_text(made: content.ReportContent, tmp_path: Path) -> None:
     """The verdict with each requirement on the first page; the cells of all tables somewhere; the size asked for."""
     pytest.importorskip("typst")
@@ -142,6 +143,7 @@ def test_a_pdf_that_fails_leaves_the_old_one(made: content.ReportContent, tmp_pa
 # -- figures and tables ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.further
 def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, tmp_path: Path) -> None:
     paths = write_parts(made, tmp_path / "parts")
     assert sorted(paths) == sorted((tmp_path / "parts").iterdir()) and len(made.pictures) == 2

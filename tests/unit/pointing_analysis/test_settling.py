@@ -106,6 +106,7 @@ def bag(folder: Path, values: FloatArray, **parameters: object) -> Run:
     return Run.open(write_bag(folder, {"truth/los": MAS * values}, parameters=parameters))
 
 
+@pytest.mark.further
 def test_the_verdict_leaves_it_out_and_says_so(tmp_path: Path) -> None:
     """Of the absolute error, which drifts in; the relative error has none."""
     t = DT * np.arange(60_000)
@@ -119,6 +120,7 @@ def test_the_verdict_leaves_it_out_and_says_so(tmp_path: Path) -> None:
     assert usual.verdict.status == asked.verdict.status == "not enough data" and not usual.remark + asked.remark
 
 
+@pytest.mark.further
 def test_a_run_that_is_not_settled_is_not_judged(tmp_path: Path) -> None:
     t = DT * np.arange(40_000)
     values = tone(40.0, 0.756, 60.0 * (1.0 - np.exp(-t / 200.0)))

@@ -145,6 +145,7 @@ def test_the_bias_over_the_phase_of_the_pixel() -> None:
     assert 0.01 < worst["moments"] < 0.15
 
 
+@pytest.mark.further
 def test_moments_are_those_of_photutils() -> None:
     centroids = pytest.importorskip("photutils.centroids")
     made, rng = camera(12.0, centroid="moments"), np.random.default_rng(3)

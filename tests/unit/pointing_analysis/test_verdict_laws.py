@@ -255,6 +255,7 @@ def test_runs_that_are_unlike_do_not_make_each_other_certain() -> None:
     assert judge(requirement, good, 0.0).effective > 2000.0
 
 
+@pytest.mark.further
 def test_many_runs_are_refuted_by_chance_no_more_often_than_one() -> None:
     """Forty runs at exactly the allowed share: each alone is refuted in 5 %, which must not become one of them."""
     requirement = parse("prob(|APE| < 0.5 rad) >= 0.75 at 95 % confidence")

@@ -172,6 +172,7 @@ def test_the_line_of_a_cooler_has_the_width_that_was_asked_for() -> None:
     assert np.var(ends) == pytest.approx(2 * np.pi * 0.2 * 1.6, rel=0.1)
 
 
+@pytest.mark.further
 def test_the_force_of_a_moving_mass_is_the_second_derivative_of_its_displacement() -> None:
     """By central differences of the displacement, and no more momentum after any time than the mass can have."""
     omega, order = 2 * np.pi * 47.0, np.array([1.0, 2.0, 3.0])

@@ -36,6 +36,7 @@ def test_order_and_occurrences() -> None:
     assert system.occurrences() == {**{f"wheel_{i}.speed": 2 for i in range(1, 5)}, **OCCURRENCES}
 
 
+@pytest.mark.further
 def test_wheels_are_up_to_three_decades_above_the_drives_below_100_rad_s() -> None:
     """In each band, not at one frequency; above 100 rad/s the two come closer. The reference has other drives."""
     found = decades(FILE)

@@ -87,6 +87,7 @@ def gyroscope(speed: float, stiffness: float) -> System:
     )
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("stretch", [slow(0.0), 2e4])
 def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float) -> None:
     """Gyroscopic forces do no work while the speed varies; a stiffness k(t) gives the power 1/2 k' y^2."""

@@ -190,6 +190,7 @@ def with_mechanisms(**stepper: Any) -> Telescope:
     )
 
 
+@pytest.mark.further
 def test_sources_of_the_telescope_have_a_row_each_and_their_density() -> None:
     """One-sided density of 20 s of each wheel's noise; wheels and axes are independent; the seed gives the bits."""
     still = MotionProfile(np.zeros(1), np.zeros(1), np.full((1, 4), 200.0))

@@ -71,6 +71,7 @@ def waterfall(request: pytest.FixtureRequest) -> Measured:
     return measured(1, request.param)
 
 
+@pytest.mark.further
 def test_coefficients_noise_and_mode_are_those_of_the_wheel(waterfall: Measured) -> None:
     model = identify(waterfall.speeds, waterfall.frequency, waterfall.amplitude, waterfall.bandwidth)
     assert model.orders == pytest.approx(ORDERS, abs=2e-3)
@@ -86,6 +87,7 @@ def test_coefficients_noise_and_mode_are_those_of_the_wheel(waterfall: Measured)
     assert (peak > 20 * level**2).all()
 
 
+@pytest.mark.further
 def test_a_run_has_the_rms_of_the_record(waterfall: Measured, tmp_path) -> None:
     speed, file = waterfall.speeds[12], tmp_path / "a.npz"
     grid = np.meshgrid(waterfall.speeds * 60, waterfall.frequency, indexing="ij")

@@ -148,6 +148,7 @@ def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
     assert bounds.upper == pytest.approx(3.41740, abs=1e-5) and check_axis_proof(bounds.proof).stable
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("band", [(2.0, np.inf), *(slow(band) for band in ((0.0, 0.5), (0.5, 3.0), (300.0, 400.0)))])
 def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
     bounds = axis_gain(aligned_modes(2, damping=0.05), band=band)
@@ -156,6 +157,7 @@ def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
     assert checked.band == band and not checked.stable
 
 
+@pytest.mark.further
 def test_levels_and_boxes() -> None:
     system = aligned_modes(2, damping=0.05)
     assert axis_gain(system, level=19.0).status == "violated"  # 20 is reached
@@ -168,6 +170,7 @@ def test_levels_and_boxes() -> None:
         axis_gain(system, {"k0": (1.5, 2.0)})
 
 
+@pytest.mark.further
 def test_a_margin_where_the_interconnection_becomes_singular() -> None:
     """``z = w + x``: at p = 1 the loop of the LFT is singular; with x driven by w it is unstable from p = 1/2."""
     p = RealParameter("p", 0.0, -1.0, 1.0)

@@ -148,6 +148,7 @@ def test_other_objects_are_refused(what: object) -> None:
         check_proof(what)
 
 
+@pytest.mark.further
 def test_stability_by_size() -> None:
     few, many = robust_stability(aligned_modes(1, 0.05)), robust_stability(chain_of_masses(4, 0.3, damping=0.2))
     assert isinstance(few.proof, Proof) and isinstance(many.proof, AxisProof)
@@ -156,12 +157,14 @@ def test_stability_by_size() -> None:
         assert check_proof(bounds.proof).stable
 
 
+@pytest.mark.further
 def test_without_inputs_performance_is_stability() -> None:
     bare = chain_of_masses(4, 0.3, damping=0.2).select(inputs=())
     bounds = robust_performance(bare, level=1.0)
     assert bounds.upper == pytest.approx(1.0 / 0.3, rel=1e-4) and check_proof(bounds.proof).kind == "stability"
 
 
+@pytest.mark.further
 def test_robust_performance_of_a_spring_by_hand() -> None:
     """Velocity over force at the resonance is 1 / (2 damping) whatever the stiffness; position has 1 / (2 zeta w^2)."""
     system = chain_of_masses(1, 0.2, damping=0.1)  # peak 1 / (c sqrt(k - c^2 / 4))

@@ -47,6 +47,7 @@ def test_a_lag_by_hand(sign: float) -> None:
     assert check_proof(margin.proof).stable
 
 
+@pytest.mark.further
 def test_a_band_in_rad_per_second() -> None:
     system, band = lag(), (10.0, 20.0)
     found = worst_case_gain(system, band=band)
@@ -70,6 +71,7 @@ def random_system(rng: np.random.Generator) -> System:
     return System(A, B, C, D, *PORTS, channels=("a", "a", "b"), elements=elements, dt=0.01)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 30))])
 def test_no_member_is_above_what_is_proven(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -261,6 +261,7 @@ def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, 
     assert abs(member.response([near])[0, 0, 0] - value) < 0.4 * 1.1e-5
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("seed", [11, 51, slow(4), slow(56)])
 def test_the_smallest_unstable_factor_is_that_of_a_grid(seed: int) -> None:
     """Two equal resonances of damping ratio 0.015; a pole is on the axis where the complex element closes the loop."""

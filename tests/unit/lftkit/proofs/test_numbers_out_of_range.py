@@ -224,6 +224,7 @@ def test_any_number_of_cells_out_of_range_proves_no_lower_level(cells: dict[str,
             check_proof(changed(low, {path: value}))
 
 
+@pytest.mark.further
 def test_an_axis_proof_of_scaled_scalings_proves_no_lower_level() -> None:
     bounds = worst_case_gain(aligned_modes(1, damping=0.1), options=BoundOptions(method="axis"))
     proof = bounds.proof

@@ -177,6 +177,7 @@ def cells(proof: LoopProof, count: int) -> list[tuple[Strip, int]]:
     return [every[k] for k in np.unique(np.linspace(0, len(every) - 1, count).astype(int))]
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("count", [2, pytest.param(9, marks=pytest.mark.slow)])
 def test_cells_that_the_checker_accepts_hold_in_interval_arithmetic(proof: LoopProof, count: int) -> None:
     assert check_loop_proof(proof).level == proof.level

@@ -55,6 +55,7 @@ def found() -> MuDesign:
     return musyn(UNMODELLED, "e", "u", omega=OMEGA, options=BoundOptions(gap=0.05, wall_limit=3600.0))
 
 
+@pytest.mark.further
 def test_the_bound_holds_between_the_frequencies_of_the_design(found: MuDesign) -> None:
     assert found.status == "converged"
     assert found.value <= found.bound <= 1.02 * min(found.peaks)
@@ -78,6 +79,7 @@ def test_it_is_better_than_the_controller_of_the_least_norm(found: MuDesign) -> 
     assert nominal.value < found.bound, "without uncertainty less can be reached"
 
 
+@pytest.mark.further
 def test_the_bound_is_proven_by_separate_code(found: MuDesign) -> None:
     assert found.proof is not None
     assert found.proof.lower >= 0.75 / found.bound
@@ -91,6 +93,7 @@ def test_the_best_controller_is_kept(found: MuDesign) -> None:
     assert found.bound <= first.bound * (1.0 + 1e-6)
 
 
+@pytest.mark.further
 def test_real_and_complex_elements_are_scaled_to_their_ranges() -> None:
     k, c = real("k", 1.0, 0.7, 1.3), complex_gain("c", 1.0, radius=0.1)
     found = musyn(plant(c * LAG * k), "e", "u", iterations=2, omega=OMEGA[::2])
@@ -134,6 +137,7 @@ def test_matrices_of_dynamics_need_not_be_square() -> None:
         assert hinf_norm(*member.matrices).value < found.bound
 
 
+@pytest.mark.further
 def test_a_sampled_image_has_the_same_bound() -> None:
     dt = 0.05
     image = UNMODELLED.with_lft(to_discrete(*UNMODELLED.lft, dt), dt=dt)

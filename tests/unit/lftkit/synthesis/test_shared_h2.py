@@ -40,6 +40,7 @@ def largest(plant: SampledPlant, gain: np.ndarray, order: int) -> float:
     return float(np.sqrt(max(found)))
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("seed", range(6))
 def test_no_controller_that_is_tuned_is_below_and_one_comes_near(seed: int) -> None:
     """Direct search over controllers of order 2; of full order the bound is the optimum."""

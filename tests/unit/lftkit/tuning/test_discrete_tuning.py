@@ -278,6 +278,7 @@ def test_no_pi_of_a_scan_is_better() -> None:
     assert result.controller.poles() == pytest.approx([1.0]) and law.values(result.x)["Ki"] == result.x[1]
 
 
+@pytest.mark.further
 def test_fixed_entries_of_a_discrete_controller_stay() -> None:
     """A filter of one sample, u+ = k y: the same loop as a gain on a plant that is one sample later."""
     plant = first_order(0.9, 0.1)

@@ -36,6 +36,7 @@ def test_feasible_gain_is_found_from_far_infeasible_starts(gain_before: float) -
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
 
 
+@pytest.mark.further
 def test_infeasible_has_the_least_violation() -> None:
     """Effort k / (k + 1/2) at most 0.5 contradicts 1 / (k + 1/2) at most 0.5: equal violations at k = 1, of 4 / 3."""
     result = tune([lag(-0.5)], limits(0.5, 0.5), STATIC, initial=[[-1e3]], options=GIVEN)
@@ -44,6 +45,7 @@ def test_infeasible_has_the_least_violation() -> None:
     assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("start", [0.5, pytest.param(-1e3, marks=pytest.mark.slow)])
 def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float) -> None:
     """The sum of the poles is -0.2 whatever the gain is: no decay of 10 rad/s."""

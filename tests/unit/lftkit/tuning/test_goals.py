@@ -146,6 +146,7 @@ def test_overshoot_is_that_of_a_second_order_system() -> None:
     assert value(Overshoot("r", "z", percent=percent), model, feedback(1.0)) == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.further
 def test_goals_are_tuned_beside_requirements() -> None:
     """Fastest tracking with |T| <= 1 and a sensitivity of at most 1.2 in spite of a lag of 0.1 s in the loop."""
     model = plant([10.0], [1.0, 10.0, 0.0])

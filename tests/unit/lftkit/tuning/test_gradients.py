@@ -67,6 +67,7 @@ STRUCTURES = {
 }
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("name", "delay"),
     [

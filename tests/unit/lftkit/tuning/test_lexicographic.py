@@ -80,12 +80,14 @@ def test_each_loop_has_its_own_level(start: float) -> None:
     assert found.soft == pytest.approx(LEVELS[0], rel=3e-3)
 
 
+@pytest.mark.further
 def test_equal_levels_are_one() -> None:
     found = tuned(errors_and_efforts((0.5, 0.5)))
     assert [set(level.requirements) for level in found.levels] == [{"z0", "z1"}]
     assert found.levels[0].value == pytest.approx(0.5, rel=2e-3)
 
 
+@pytest.mark.further
 def test_what_competes_with_a_held_requirement_stays() -> None:
     """One loop: its error is least where its effort is largest. The third requirement falls with the effort."""
     needs = [
@@ -98,6 +100,7 @@ def test_what_competes_with_a_held_requirement_stays() -> None:
     assert reached(found, "half the effort") == pytest.approx(0.5, rel=3e-3)
 
 
+@pytest.mark.further
 def test_values_up_to_those_that_count_as_met_are_left() -> None:
     found = tuned(errors_and_efforts(), replace(IN_ORDER, met=0.3, iterations=30))
     assert [level.requirements for level in found.levels] == [("z0",)]
@@ -109,6 +112,7 @@ def test_a_target_ends_it() -> None:
     assert found.status == "target" and found.levels == ()
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     "second",
     [
@@ -127,6 +131,7 @@ def test_requirements_of_all_kinds_are_held(second: TuningRequirement) -> None:
     assert reached(found, "first") == pytest.approx(0.05, rel=5e-3)
 
 
+@pytest.mark.further
 def test_in_discrete_time() -> None:
     """x+ = x / 2 + w + u: the gain 1 / (1 - |1/2 + k|) is least, 1, at k = -1/2, with the gain 1/2 to the command."""
     plant = lags(pole=0.5, dt=0.1)

@@ -46,6 +46,7 @@ def problem_of(plant: System, kind: type[HinfGain] | type[H2Gain], order: int) -
     return Problem([plant], [kind("w", "z")], structure)
 
 
+@pytest.mark.further
 def test_the_hinf_bound_is_that_of_another_route_and_is_reached() -> None:
     """By the existence conditions of a textbook on a Schur form, and by a controller of full order; most have one."""
     found = 0
@@ -101,6 +102,7 @@ def test_a_run_ends_near_the_bound_and_says_so() -> None:
     assert optimum <= result.soft < 1.01 * optimum and result.gap == pytest.approx(result.soft / optimum - 1, abs=1e-5)
 
 
+@pytest.mark.further
 def test_a_hard_limit_below_the_bound_is_infeasible_and_said_so() -> None:
     plant, optimum = coprime_problem()
     asked = [HinfGain("w", "z", bound=0.9 * optimum, hard=True), HinfGain("w", "y")]

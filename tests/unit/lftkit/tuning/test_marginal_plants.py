@@ -36,6 +36,7 @@ def check_certified(result) -> None:
         assert result.certificate.upper.max() == pytest.approx(result.soft, rel=1e-3)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("ground", "order"),
     [

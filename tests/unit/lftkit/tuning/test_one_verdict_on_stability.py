@@ -56,6 +56,7 @@ def test_every_way_to_the_poles_has_the_same_abscissa(seed: int) -> None:
         assert all(margin < 0.0 for margin, _ in slopes.barriers)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_start_at_the_limit_has_a_result(seed: int) -> None:
     """Where rounding decides, a start is stabilised or it is not; both are results."""

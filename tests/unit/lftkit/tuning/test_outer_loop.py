@@ -79,6 +79,7 @@ def test_points_are_compared_by_violation_before_value() -> None:
     assert not lower((0.0, np.nan), (0.0, 1.0)) and not lower((np.inf, np.inf), (0.0, 1.0))
 
 
+@pytest.mark.further
 def test_a_worst_case_below_the_target_is_not_worse() -> None:
     """The first tuning ends below the target; parameters that are worse than it, but below the target, end nothing."""
     common: Any = {
@@ -96,6 +97,7 @@ def test_a_worst_case_below_the_target_is_not_worse() -> None:
     assert len(exact.active) > 1 and exact.soft == pytest.approx(0.2, rel=1e-3)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(("met", "models"), [(0.65, 1), (-float("inf"), 2)])
 def test_worst_cases_up_to_the_value_given_end_the_rounds(met: float, models: int) -> None:
     """With k >= -1 the nominal model reaches 1/2 and the worst parameter 0.6, which is above what was tuned.

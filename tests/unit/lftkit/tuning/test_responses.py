@@ -220,6 +220,7 @@ def descended(
     return descend(ResponseSource(one, stable), x, DescentOptions(iterations, tolerance, confirm=confirm))
 
 
+@pytest.mark.further
 def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     """From several starts: lower at every look, the hard gain at most 1, and no plane left that lowers it much."""
     omega = np.geomspace(0.02, 50.0, 60)

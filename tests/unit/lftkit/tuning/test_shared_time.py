@@ -31,6 +31,7 @@ def design(*starts: float) -> TuningResult:
     return tune_robust(lambda p: first_order(-p["a"]), box, [HinfGain("w", "z")], LAW, initial=given, options=options)
 
 
+@pytest.mark.further
 def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time is counted in evaluations: the worst parameters are looked for, and enter, with any number of starts."""
     plants = [structure_with_all_states_seen(4), structure_with_all_states_seen(4, stiffer=1.5)]
@@ -76,6 +77,7 @@ def test_no_more_than_a_few_evaluations_after_the_limit(
     assert np.isfinite(result.soft) and result.certificate is not None and result.certificate.stable
 
 
+@pytest.mark.further
 def test_no_start_is_begun_after_the_limit_in_other_processes() -> None:
     """But the first: each of the others had the whole time that was left when the first was begun."""
     plant, structure = structure_with_all_states_seen(2), state_space([("y", 3)], [("u", 3)], 0)

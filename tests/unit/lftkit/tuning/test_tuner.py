@@ -119,6 +119,7 @@ def test_same_seed_same_bits_and_workers_change_nothing() -> None:
     assert first[1] != run(1, 8)[1], "other random starts"
 
 
+@pytest.mark.further
 def test_given_start_is_used_and_never_made_worse() -> None:
     first = published("AC4", starts=1)
     assert first.status is TuningStatus.CONVERGED and first.certificate is not None

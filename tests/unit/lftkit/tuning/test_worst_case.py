@@ -90,6 +90,7 @@ def test_128_random_corners_are_taken_beyond_seven_parameters(n: int) -> None:
     assert ((points[129:] > 2.0) & (points[129:] < 5.0)).all()
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("n", [3, 8])
 def test_points_depend_on_the_seed_only(n: int) -> None:
     first, again, other = (asked_points(n, seed, 8) for seed in (4, 4, 5))

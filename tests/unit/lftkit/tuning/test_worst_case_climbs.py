@@ -127,6 +127,7 @@ def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
     assert all(w.value <= max(1.0, result.soft) * 1.01 for w in result.worst)
 
 
+@pytest.mark.further
 def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
     """Pole in [-1, 1]: the effort k / (k - 1) falls to its infimum 1 as k grows, and never reaches it."""
     needs = [HinfGain("w", "z", bound=0.25, hard=True), HinfGain("w", "effort", name="effort")]

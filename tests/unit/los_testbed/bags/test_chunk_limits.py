@@ -57,6 +57,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bag" / "bag_0.mcap"
 
 
+@pytest.mark.further
 def test_a_chunk_of_66_kb_that_unpacks_to_2_gb_is_left_out(made: Path, tmp_path: Path) -> None:
     """Whatever size it declares: the true one, a small one, one that no memory has."""
     packed = zeros(TWO_GB)

@@ -98,6 +98,7 @@ def test_responses_are_those_of_the_lft(depth: MemberMetrics) -> None:
         assert np.abs(T - expected).max() < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.further
 def test_stability_is_that_of_the_eigenvalues(
     evaluator: MemberEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

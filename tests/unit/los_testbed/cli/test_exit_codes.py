@@ -49,6 +49,7 @@ def run_with(tmp_path, end, *options):
     return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=variables, timeout=600)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("end", "how"),
     [
@@ -67,6 +68,7 @@ def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(
         assert f"los-testbed bag repair {tmp_path / 'bag'}" in done.stderr
 
 
+@pytest.mark.further
 def test_an_interrupt_of_the_program_reaches_the_run(tmp_path):
     done = run_with(tmp_path, "os.kill(os.getppid(), signal.SIGTERM)", "--duration=600")
     assert done.returncode == 130

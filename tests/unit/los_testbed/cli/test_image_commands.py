@@ -44,6 +44,7 @@ def source(folder: Path) -> list[str]:
     return [str(folder / "los.csv"), "--los", "x,y", "--unit", "mas", "--transient", "0"]
 
 
+@pytest.mark.further
 def test_from_samples_and_optics_to_a_verdict(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = folder / "page.html"
     options = ["--optics", str(folder / "optics.toml"), "--requirements", str(folder / "mission.toml")]
@@ -90,6 +91,7 @@ def test_a_kernel_has_the_transfer_of_the_motion() -> None:
         assert abs(np.sum(found * wave) - expected) < 2e-3
 
 
+@pytest.mark.further
 def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fits: Any = pytest.importorskip("astropy.io.fits")
     options = source(folder)

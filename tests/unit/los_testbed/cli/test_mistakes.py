@@ -65,6 +65,7 @@ def test_statistics_of_another_type_are_left_out(call: Call, tmp_path: Path, val
     assert json.loads(out.splitlines()[-1])["ticks"] == 3000
 
 
+@pytest.mark.further
 def test_every_command_prints_names_with_brackets_as_they_are(call: Call, bag: Path, tmp_path: Path) -> None:
     """Topics of a bag, sources of a budget, folders of outputs."""
     from mcap.writer import Writer

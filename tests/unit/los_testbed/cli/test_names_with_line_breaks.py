@@ -24,6 +24,7 @@ def named(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     "command",
     [

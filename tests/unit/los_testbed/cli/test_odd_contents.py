@@ -47,6 +47,7 @@ def test_a_shape_that_the_file_does_not_have(call: Call, tmp_path: Path, shape: 
     assert code == 2 and out == "" and one_line(err, file.name), err
 
 
+@pytest.mark.further
 def test_tables_of_kilobytes_that_stand_for_gigabytes(call: Call, tmp_path: Path) -> None:
     with (
         zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive,

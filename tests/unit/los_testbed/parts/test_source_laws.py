@@ -165,6 +165,7 @@ def test_the_force_does_not_depend_on_the_tick(tmp_path: Path, kind: str) -> Non
         assert found == pytest.approx(whole.tick(k, INSTANTS[:1]), rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("kind", [kind for kind in LAWS if kind != "pulses"])
 def test_a_unit_with_a_prefix_is_the_same_force(tmp_path: Path, kind: str) -> None:
     law = LAWS[kind]
@@ -184,6 +185,7 @@ def mechanism(name: str) -> Signal:
     return next(one.signal for one in found if one.name == name)
 
 
+@pytest.mark.further
 def test_the_broadband_of_wheels_has_its_power_and_no_momentum() -> None:
     """Radial force 1e-8 N2/Hz at 1 Hz, 1e-6 from 100 Hz on, straight on logarithmic axes: proportional to f."""
     values = record(mechanism("wheel broadband"), round(SECONDS / DT))
@@ -196,6 +198,7 @@ def test_the_broadband_of_wheels_has_its_power_and_no_momentum() -> None:
         assert np.ptp(np.cumsum(DT * force @ SHARES)) < 2 * 6 * rms
 
 
+@pytest.mark.further
 def test_the_torques_of_a_drive_have_their_power_and_no_momentum() -> None:
     signal = mechanism("array drive")
     assert isinstance(signal, JointSignal)

@@ -96,6 +96,7 @@ def checked(model, bench):
     return rows
 
 
+@pytest.mark.further
 def test_a_rig_as_the_model_has_no_fault_also_with_lost_samples(model):
     bench = Bench(loss=0.02)
     rows = checked(model, bench)
@@ -181,6 +182,7 @@ def bench(monkeypatch, model):
     return made
 
 
+@pytest.mark.further
 def test_the_command_ends_with_a_table_json_and_code(bench, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["device", "check", "my:Rig", "--json"])

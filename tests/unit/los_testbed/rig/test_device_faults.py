@@ -194,6 +194,7 @@ os._exit(1)
 """
 
 
+@pytest.mark.further
 def test_a_rig_is_free_again_when_its_host_died_before_its_first_command(rig):
     subprocess.run([sys.executable, "-c", OPENED_AND_KILLED, rig.config.device_address], check=False, timeout=600)
     assert rig.next()["event"] == "opened"

@@ -41,6 +41,7 @@ def rig(monkeypatch):
     return module.Rig(), clock
 
 
+@pytest.mark.further
 def test_the_driver_has_the_one_fault_that_the_page_names(rig):
     device, clock = rig
     parts = RunParts(RunConfig(start="rest"))

@@ -70,6 +70,7 @@ def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") ->
     return path
 
 
+@pytest.mark.further
 def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
     """A controller made for the reference is refused or warned about, whatever number the user's file changes."""
     known, pair = REFERENCE.design_basis.parameters_hash, load_designs("implemented")

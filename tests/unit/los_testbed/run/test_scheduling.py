@@ -58,6 +58,7 @@ def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     assert runaway.returncode == -signal.SIGXCPU
 
 
+@pytest.mark.further
 def test_memory_that_takes_long_to_lock_is_locked_before_the_limit_holds():
     """As the first time on a virtual machine: the kernel must not take it for a process that never pauses."""
     script = (

@@ -44,6 +44,7 @@ def base(tmp_path: Path) -> RunConfig:
     return RunConfig(mode="inprocess", duration=1.2, loop="fsm", scenario="design", parameters=parameters)
 
 
+@pytest.mark.further
 def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig, tmp_path: Path) -> None:
     values = dict(zip(REFERENCE.columns, map(float, members("uniform", 1, 4)[0])))
     member = {**values, "seed": int(member_seeds(1, 4)[0])}
@@ -62,6 +63,7 @@ def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig,
     assert not any(name.startswith("source_") for name in quiet)
 
 
+@pytest.mark.further
 def test_a_budget_has_a_source_for_each(base: RunConfig, tmp_path: Path) -> None:
     table = {"loop": "fsm", "part": "sources", "settings": {"parameters": base.parameters, "duration": base.duration}}
     found = sources_of_table(("loop",), table, np.pi / 648e6)

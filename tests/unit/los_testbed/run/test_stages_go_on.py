@@ -50,6 +50,7 @@ def test_finished_runs_are_not_made_again(tmp_path: Path, monkeypatch: pytest.Mo
     assert not (whole.folder / PLAN).exists()
 
 
+@pytest.mark.further
 def test_another_plan_does_not_go_on_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stages, "record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     plan = replace(PLANNED, folder=tmp_path / "s")

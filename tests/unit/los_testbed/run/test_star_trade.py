@@ -63,6 +63,7 @@ class Designs:
         )
 
 
+@pytest.mark.further
 def test_a_trade_designs_for_each_star_and_goes_on_where_it_ended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
