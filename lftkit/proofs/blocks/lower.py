@@ -41,6 +41,7 @@ def lower_bound(
     seed: int,
     iterations: int = LOCAL_ITERATIONS,
     sides: FloatArray | None = None,
+    enough: float = np.inf,
 ) -> tuple[float, ComplexArray | None]:
     """One over the norm of the smallest perturbation found, and the perturbation; 0 and None if none was found.
 
@@ -56,6 +57,8 @@ def lower_bound(
         Most steps of a local search, where there are real scalars.
     sides : ndarray, shape (real scalars, 2), optional
         Of the local search, see :class:`SmallestPerturbation`.
+    enough : float
+        Bound that ends the search.
     """
     search = _Search(M, structure, iterations, sides)
     rng = np.random.default_rng(seed)
@@ -68,6 +71,8 @@ def lower_bound(
         else:
             candidates = [search.scaled(candidate)]
         found += [c for c in candidates if c is not None]
+        if any(enough * c.size <= 1.0 for c in found):
+            break
     best = min(found, key=lambda p: p.size, default=None)
     return (0.0, None) if best is None else (1.0 / best.size, best.matrix)
 

@@ -53,7 +53,7 @@ def mu(
     rtol : float
         Relative precision of the upper bound.
     starts : int
-        Vectors from which perturbations are searched.
+        Vectors from which perturbations are searched, as long as the bounds differ by more than `rtol`.
     seed : int
         Of these.
 
@@ -85,6 +85,10 @@ def mu(
         raise InputError(f"rtol and starts must be positive, got {rtol} and {starts}")
     matrix = checked_matrix(M, structure)  # type: ignore[arg-type]
     with one_thread():
-        lower, perturbation = lower_bound(balanced_matrix(matrix, structure)[0], structure, starts=starts, seed=seed)
+        balanced = balanced_matrix(matrix, structure)[0]
+        lower, perturbation = lower_bound(balanced, structure, starts=1, seed=seed)
         upper, certificate = upper_bound(matrix, structure, lower, rtol)
+        enough = upper / (1.0 + rtol)
+        if starts > 1 and lower < enough:
+            lower, perturbation = lower_bound(balanced, structure, starts=starts, seed=seed, enough=enough)
     return MuBounds(lower, upper, perturbation, certificate)
