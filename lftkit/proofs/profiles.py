@@ -6,7 +6,6 @@ Proofs over all frequencies are those of :func:`lftkit.proofs.robust_stability` 
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,14 +17,17 @@ from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.proofs.blocks.structure import real_block
-from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock
+from lftkit.proofs.state_space.barrier import FULL, BarrierBlock
 from lftkit.proofs.state_space.bounds import intervals_of
+from lftkit.proofs.state_space.disk_search import DiskSearch
+from lftkit.proofs.state_space.disks import real_first, structure_of
 from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.proofs.state_space.search import response_slopes
 from lftkit.proofs.structured.bounds import mu
+from lftkit.proofs.trusted.structured import parts
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
+from lftkit.uncertainty.parameters import RealParameter
 
 sl_optimize: Any = optimize
 RAISED = 2.0
@@ -42,9 +44,9 @@ class Profile:
     omega : ndarray, shape (N,)
         Frequencies [rad/s].
     lower, upper : ndarray, shape (N,)
-        Reached at `points`; never exceeded.
+        Reached at `points` (with values of complex and dynamic elements that are not kept); never exceeded.
     points : tuple of mapping of str to float
-        Parameters of the worst member found at each frequency.
+        Real elements of the worst member found at each frequency.
     """
 
     omega: FloatArray
@@ -62,7 +64,7 @@ def stability_profile(
     starts: int = 6,
     seed: int = 0,
 ) -> Profile:
-    """Structured singular value of the parameters' channels over frequency (robstab's bounds by frequency).
+    """Structured singular value of the elements' channels over frequency (robstab's bounds by frequency).
 
     Where `upper` is below 1 no member of the box has a pole at this point of the axis; where `lower` is above 1 one
     has. Its inverse is the factor by which the box may be scaled there, for intervals that are symmetric about the
@@ -71,11 +73,11 @@ def stability_profile(
     Parameters
     ----------
     system : System
-        In continuous or discrete time.
+        In continuous or discrete time, with real, complex and dynamic elements.
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
-        Intervals with the nominal values inside.
+        Intervals of real elements with the nominal values inside.
     rtol, starts, seed
         As for :func:`lftkit.proofs.mu`.
 
@@ -95,19 +97,20 @@ def stability_profile(
     >>> profile.lower.round(3).tolist(), profile.upper.round(3).tolist()
     ([0.5, 0.0], [0.5, 0.0])
     """
-    bare = _boxed(system.select(inputs=(), outputs=()).sorted_channels(), box)
+    bare = _boxed(system.select(inputs=(), outputs=()), box)
     unit = bare.normalised()
-    structure = [real_block(count) for count in unit.occurrences().values()]
+    rows, columns, structure = structure_of(unit)
+    blocks = list(parts(structure))[: len(bare.parameters)]
     frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
     lower, upper, points = [], [], []
     for w in frequencies:
-        M = _response(unit, float(w))
+        M = _response(unit, float(w))[np.ix_(rows, columns)]
         found = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
         lower.append(found.lower)
         upper.append(found.upper)
-        diagonal = np.zeros(len(M)) if found.perturbation is None else np.diag(found.perturbation).real
-        values = dict(zip(unit.channels, diagonal))
-        points.append({p.name: float(p.from_normalised(values[p.name])) for p in bare.parameters})
+        delta = np.zeros(M.T.shape) if found.perturbation is None else found.perturbation
+        at = [float(delta[w_part.start, z_part.start].real) for _, z_part, w_part in blocks]
+        points.append({p.name: float(p.from_normalised(value)) for p, value in zip(bare.parameters, at)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
 
@@ -127,11 +130,11 @@ def gain_profile(
     Parameters
     ----------
     system : System
-        In continuous or discrete time.
+        In continuous or discrete time, with real, complex and dynamic elements.
     omega : array_like, shape (N,)
         Frequencies [rad/s].
     box : mapping of str to (lowest, highest), optional
-        Intervals with the nominal values inside.
+        Intervals of real elements with the nominal values inside.
     inputs, outputs : sequence of str, optional
         Ports; all by default.
     rtol : float
@@ -161,27 +164,38 @@ def gain_profile(
     >>> profile.lower.round(3).tolist(), (profile.upper < 1.002 * profile.lower).tolist()
     ([3.0, 2.121], [True, True])
     """
-    chosen = _boxed(system.select(inputs=inputs, outputs=outputs).sorted_channels(), box)
+    chosen = _boxed(system.select(inputs=inputs, outputs=outputs), box)
     unit = chosen.normalised()
+    sizes = [unit.occurrences()[p.name] for p in unit.parameters]
+    ends = [(p.lower, p.upper) for p in chosen.parameters]
+    search = DiskSearch(chosen, ends, (0.0, np.inf), seed)
     frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
     lower, upper, points = [], [], []
     rng = np.random.default_rng(seed)
     with one_thread():
         for w in frequencies:
             M = _response(unit, float(w))
-            gain, point = _worst_at(M, list(unit.occurrences().values()), rng, samples)
+            if search.disks:
+                gain, (values, _) = search.gain_of(_response(chosen, float(w)), samples)
+            else:
+                gain, point = _worst_at(M, sizes, rng, samples)
+                values = [p.from_normalised(v) for p, v in zip(chosen.parameters, point)]
             lower.append(gain)
-            upper.append(_upper_at(M, list(unit.occurrences().values()), gain, rtol))
-            points.append({p.name: float(p.from_normalised(v)) for p, v in zip(chosen.parameters, point)})
+            upper.append(_upper_at(M, unit, gain, rtol))
+            points.append({p.name: float(value) for p, value in zip(chosen.parameters, values)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
 
 def _boxed(system: System, box: Mapping[str, tuple[float, float]] | None) -> System:
-    """The system with the ranges of its parameters replaced by the box."""
-    system.require_real()
-    ends = intervals_of(system, box)
-    parameters = tuple(replace(p, lower=low, upper=high) for p, (low, high) in zip(system.parameters, ends))
-    return replace(system, elements=parameters)
+    """The system with real elements first, whose ranges are replaced by the box."""
+    sorted_system = real_first(system)
+    names = [p.name for p in sorted_system.parameters]
+    ends = dict(zip(names, intervals_of(sorted_system, box)))
+    elements = tuple(
+        replace(e, lower=ends[e.name][0], upper=ends[e.name][1]) if isinstance(e, RealParameter) else e
+        for e in sorted_system.elements
+    )
+    return replace(sorted_system, elements=elements)
 
 
 def _response(system: System, omega: float) -> ComplexArray:
@@ -226,15 +240,17 @@ def _worst_at(
     return best, where
 
 
-def _upper_at(M: ComplexArray, sizes: Sequence[int], lower: float, rtol: float) -> float:
-    """Least level that scalings prove at one frequency."""
-    q = sum(sizes)
-    unit = np.eye(M.shape[1], dtype=complex)
-    ends = np.cumsum([0, *sizes])
+def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float) -> float:
+    """Least level that scalings prove at one frequency, for the response `M` of a normalised system."""
+    q = len(system.channels)
+    rows, columns, structure = structure_of(system)
+    through = [*columns, *range(q, M.shape[1])]
+    inner, outer = M[np.ix_(rows, through)], M[np.ix_(range(q, M.shape[0]), through)]
+    unit = np.eye(len(through), dtype=complex)
 
     def proves(level: float) -> bool:
-        blocks = [BarrierBlock(REAL, M[a:b], unit[a:b]) for a, b in itertools.pairwise(ends)]
-        blocks.append(BarrierBlock(FULL, M[q:] / level, unit[q:]))
+        blocks = [BarrierBlock(block.kind, inner[z], unit[w]) for block, z, w in parts(structure)]
+        blocks.append(BarrierBlock(FULL, outer / level, unit[len(columns) :]))
         return find_scalings(blocks, precision=1e-9).margin > 0.0
 
     if not np.any(M[q:, q:]) and lower <= 0.0 and not np.any(M[q:, :q]):

@@ -19,10 +19,9 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
-from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
-from lftkit.proofs.state_space.disks import DiskChannels, disks_of
+from lftkit.proofs.state_space.disks import DiskChannels, disks_of, structure_of
 from lftkit.proofs.state_space.search import Member, member_gain
-from lftkit.proofs.trusted.structured import UncertaintyBlock
+from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
 from lftkit.uncertainty.parameters import RealParameter
@@ -187,20 +186,10 @@ class DiskSearch:
 
     def _scaled(self, M: ComplexArray) -> tuple[ComplexArray, list[UncertaintyBlock]]:
         """Balanced response of the elements' channels, scaled by the wider sides and radii, and their structure."""
-        into: list[int] = []
-        out: list[int] = []
-        scale, structure = [], []
-        for group, side in zip(self.groups, self._widest):
-            into, out = into + group, out + group
-            scale += [side] * len(group)
-            structure.append(real_block(len(group)))
-        for disk in self.disks:
-            into += disk.channels[: disk.inputs if disk.full else None]
-            own = disk.channels[: disk.outputs if disk.full else None]
-            out += own
-            scale += [disk.radius] * len(own)
-            structure.append(full_block(disk.outputs, disk.inputs) if disk.full else complex_block(len(disk.channels)))
-        return balanced_matrix(M[np.ix_(into, out)] * np.array(scale), structure)[0], structure
+        rows, columns, structure = structure_of(self.system)
+        sizes = [*self._widest, *(disk.radius for disk in self.disks)]
+        scale = [size for size, (_, _, w) in zip(sizes, parts(structure)) for _ in range(w.stop - w.start)]
+        return balanced_matrix(M[np.ix_(rows, columns)] * np.array(scale), structure)[0], structure
 
     def _values(self, found: ComplexArray) -> tuple[FloatArray, dict[str, ComplexArray]]:
         """Deviations of the real elements and values of the others in a perturbation of the scaled response."""
@@ -220,9 +209,13 @@ class DiskSearch:
 
     def largest_gain(self) -> DiskMember:
         """Member of the box with the largest gain found."""
-        first = partial(self._gain_at, starts=GAIN_STARTS[0])
+
+        def first(omega: float) -> tuple[float, Any]:
+            return self.gain_of(self.response(omega), GAIN_STARTS[0])
+
         value, omega, found = self.worst(first, lambda w, member: self._climbed_to(w, *member))
-        value, found = max((value, found), self._gain_at(omega, GAIN_STARTS[1]), key=lambda pair: pair[0])
+        closely = self.gain_of(self.response(omega), GAIN_STARTS[1])
+        value, found = max((value, found), closely, key=lambda pair: pair[0])
         return DiskMember(value, found[0], omega, found[1])
 
     def worst_member(self) -> Member:
@@ -258,8 +251,8 @@ class DiskSearch:
         value, found = self._climbed_to(omega, np.asarray(point), self._random_disks())
         return DiskMember(value, found[0], omega, found[1])
 
-    def _gain_at(self, omega: float, starts: int) -> tuple[float, Any]:
-        M = self.response(omega)
+    def gain_of(self, M: ComplexArray, starts: int) -> tuple[float, Any]:
+        """Largest gain found from the response `M` of all channels, and the member: parameters (p,) and disks."""
         rng = np.random.default_rng(self.seed)
         points = [self.deviations.mean(axis=1)]
         points += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(starts - 1)]

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, Matrices
+from lftkit.arrays import ComplexArray, IntArray, Matrices
 from lftkit.errors import InputError
+from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
+from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
 from lftkit.systems.sampling import discretise
@@ -72,6 +74,22 @@ def disks_of(system: System, radii: Mapping[str, float] | None = None) -> list[D
             )
         found.append(DiskChannels(e.name, (radii or {}).get(e.name, radius), outputs, inputs, channels))
     return found
+
+
+def structure_of(system: System) -> tuple[IntArray, IntArray, list[UncertaintyBlock]]:
+    """Rows z and columns w of the elements in the response of all channels, real elements first, and their blocks."""
+    rows: list[int] = []
+    columns: list[int] = []
+    structure = []
+    for p in system.parameters:
+        group = [i for i, name in enumerate(system.channels) if name == p.name]
+        rows, columns = rows + group, columns + group
+        structure.append(real_block(len(group)))
+    for disk in disks_of(system):
+        rows += disk.channels[: disk.inputs if disk.full else None]
+        columns += disk.channels[: disk.outputs if disk.full else None]
+        structure.append(full_block(disk.outputs, disk.inputs) if disk.full else complex_block(len(disk.channels)))
+    return np.array(rows, dtype=int), np.array(columns, dtype=int), structure
 
 
 def real_first(system: System) -> System:

@@ -203,14 +203,15 @@ def test_a_smaller_radius_follows(content: dict[str, Any]) -> None:
 
 def test_what_is_not_available_is_a_line() -> None:
     loop = mixed()
+    once = "a matrix of dynamics must occur once in a bound, got element 'f' 2"
     twice = matrix([[s + 1, 0], [0, s + 2]]).inverse() @ dynamic("f", 2, 2, bound=0.1)
     repeated = (twice @ twice).system([("u", 2)], [("y", 2)])
     for call, message in (
         (lambda: robust_performance(unstable()), "the nominal member must be stable, got an unstable one"),
-        (lambda: gain_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
-        (lambda: stability_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
+        (lambda: gain_profile(repeated, [1.0]), once),
+        (lambda: stability_profile(repeated, [1.0]), once),
         (lambda: worst_case_gain(loop, {"f": (0.0, 0.1)}), "element 'f' must be real"),
-        (lambda: robust_stability(repeated), "a matrix of dynamics must occur once in a bound, got element 'f' 2"),
+        (lambda: robust_stability(repeated), once),
     ):
         with pytest.raises(ValueError, match=message) as caught:
             call()

@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
-from lftkit import RealParameter, System, real, z
+from lftkit import RealParameter, System, dynamic, feedback, real, s, z
 from lftkit.analysis.disk_margin import disk_gains, disk_phase
 from lftkit.proofs import (
     check_proof,
@@ -66,6 +66,26 @@ def test_a_discrete_system_is_taken_on_the_circle() -> None:
     np.testing.assert_allclose(profile.upper, exact, rtol=2e-3)
     stable = stability_profile(system, omega[:1])  # z = 1 is reached at p = 1: 0.7 / 0.3 times the box
     assert stable.upper[0] == pytest.approx(0.3 / 0.7, rel=2e-3)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_dynamics_beside_a_parameter(dt: float) -> None:
+    """k (1 + delta) / (s + 1) or k (1 + delta) / (z - 0.5), k in [1, 3] and a gain of delta of at most a half."""
+    k, delta = real("k", 2.0, 1.0, 3.0), dynamic("delta", bound=0.5)
+    lag = z(dt) - 0.5 if dt else s + 1
+    system = (k / lag * (1 + delta)).system("u", "y")
+    omega = np.array([0.0, 1.0, 20.0])
+    response = np.abs(np.exp(1j * omega * dt) - 0.5 if dt else 1j * omega + 1.0)
+    profile = gain_profile(system, omega)
+    np.testing.assert_allclose(profile.lower, 3.0 * 1.5 / response, rtol=1e-6)
+    np.testing.assert_allclose(profile.upper, 3.0 * 1.5 / response, rtol=2e-3)
+    nominal = (lag / (lag + 2)) if not dt else (lag / (lag + 0.2))
+    loop = feedback(((2.0 if not dt else 0.2) / lag * (1 + delta)).system("e", "y"))
+    at = stability_profile(loop, omega)  # the gain of the complementary sensitivity, by the bound of delta
+    T = (1 - nominal).system("r", "y")
+    exact = 0.5 * np.abs(T.response(omega)[:, 0, 0])
+    np.testing.assert_allclose(at.lower, exact, rtol=1e-6)
+    np.testing.assert_allclose(at.upper, exact, rtol=2e-3)
 
 
 def test_a_pole_at_a_frequency_is_an_error() -> None:
