@@ -341,6 +341,7 @@ def test_worker_with_other_parameters_is_refused(one_worker: Any) -> None:
         check_workers(other, one_worker)
 
 
+@pytest.mark.further
 def test_worker_that_joins_later_is_compared_too(one_worker: Any, tmp_path: Path) -> None:
     other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "version": "9"})
     folder = ResultFolder(tmp_path / "c")

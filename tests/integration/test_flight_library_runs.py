@@ -30,6 +30,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(write(laws_of(), tmp_path_factory.mktemp("flight") / "shipped", LIBRARY), "gcc", "-O2")
 
 
+@pytest.mark.further
 def test_a_run_with_the_library_is_that_of_the_designs(library: Path, tmp_path: Path) -> None:
     config = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", scenario="worst_case", seed=3)
     run_in_process(config, tmp_path / "files")

@@ -230,6 +230,7 @@ def twin_pair(telescope: Telescope) -> tuple[SampledSystem, SampledSystem]:
     return replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin)), twin  # the noise is that of one sensor
 
 
+@pytest.mark.further
 def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
     """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
     (tmp_path / "twins.toml").write_text(TWINS)

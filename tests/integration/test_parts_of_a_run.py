@@ -122,6 +122,7 @@ def test_a_telescope_with_sources_runs_with_them_alone(folder: Path, simulated: 
     check_sum(run, simulated, *(f"my {kind}" for kind in SOURCES), NOISE)
 
 
+@pytest.mark.further
 def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, simulated: list[np.ndarray]) -> None:
     run = recorded(parameters=telescope(folder, "cooler"), scenario="worst_case")
     check_sum(run, simulated, "worst_case", "my cooler", NOISE)

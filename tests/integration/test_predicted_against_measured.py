@@ -156,6 +156,7 @@ def test_a_rig_is_predicted_with_its_delays(late, tmp_path) -> None:
     assert ratios["half"] == pytest.approx(1.05, abs=0.02)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("delays", "name", "words"),
     [

@@ -93,6 +93,7 @@ def test_with_the_advised_noise_nothing_is_unreachable(telescope) -> None:
     assert StageBounds(open_loop_of(advised), "fsm+pma", relative=True).conflict() is None
 
 
+@pytest.mark.further
 def test_a_mirror_without_authority_does_not_reach(telescope) -> None:
     """At low frequency the mirror moves the line of sight by its sensitivity, and tones move it by more than both."""
     weak = StageBounds(open_loop_of(telescope.changed({"fsm": {"authority": 1e-5}})), "fsm", relative=False)

@@ -85,6 +85,7 @@ def test_the_worst_metrics_over_the_points_are_kept(three, telescope) -> None:
     assert stiffness == pytest.approx(POINTS[int(np.argmax([m.ape for m in one]))].get("stiffness", 1.0))
 
 
+@pytest.mark.further
 def test_refined_peaks_are_on_top(three, telescope) -> None:
     """Frequencies 1e-4 to both sides of every worst point have no larger gain: the periodic solution says so."""
     for check in (three[0].alone, three[0].both):
@@ -126,6 +127,7 @@ def test_a_peak_that_is_below_another_one_on_the_grid_is_found() -> None:
     assert found.worst["slow"].omega == pytest.approx(stored.omega, rel=1e-3)
 
 
+@pytest.mark.further
 def test_noise_is_that_of_the_nominal_point(three, telescope) -> None:
     found = three[0]
     for stage in ("fsm", "fsm+pma"):

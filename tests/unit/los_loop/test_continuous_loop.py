@@ -111,6 +111,7 @@ def task_of(open_loop: OpenLoop, stage: tuple[int, ...]) -> PaperTask:
     return PaperTask(PaperSamples(open_loop), (stage,), tuned, fine=True)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("stage", [ALONE, BOTH])
 def test_the_tuner_has_the_gains_of_the_loop(stage: tuple[int, ...], open_loop: OpenLoop, matrices) -> None:
     task = task_of(open_loop, stage)

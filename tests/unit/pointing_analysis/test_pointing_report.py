@@ -310,6 +310,7 @@ def test_the_requirements_of_several_runs_show_all_columns(chromium, page) -> No
     assert chromium.value(f"{table}.scrollWidth - {table}.clientWidth") <= 0
 
 
+@pytest.mark.further
 @needs_browser
 def test_keyboard_reaches_links_tables_and_details(chromium, page) -> None:
     chromium.open(page, 1280)

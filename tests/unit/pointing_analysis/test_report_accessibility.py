@@ -71,6 +71,7 @@ def test_the_dark_scheme_is_dark(chromium, page: Path, scheme: str) -> None:
     assert (sum(colour) < 150) == (scheme == "dark")
 
 
+@pytest.mark.further
 def test_a_run_can_be_hidden_and_shown_again(chromium, page: Path) -> None:
     """Its card, its rows and its curves; the other run stays."""
     chromium.open(page, 1280)

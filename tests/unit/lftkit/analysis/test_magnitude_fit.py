@@ -33,6 +33,7 @@ def test_a_gain_of_that_order_is_found(response: Any, order: int) -> None:
     assert gain(found) == pytest.approx(np.abs(response), rel=1e-6)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize(
     ("order", "seed", "dt"), [(0, 0, 0.02), (1, 1, 0.0), (2, 0, 0.02), pytest.param(3, 1, 0.0, marks=pytest.mark.slow)]
 )

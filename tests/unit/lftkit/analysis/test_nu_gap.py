@@ -47,6 +47,7 @@ def test_published_values() -> None:
     assert nu_gap(two, three).value == pytest.approx(0.8941, abs=5e-5)
 
 
+@pytest.mark.further
 def test_the_winding_number_is_that_along_the_axis() -> None:
     """wno det(1 + G2~ G1) + the unstable poles of G1 - those of G2, from the change of phase."""
     omega = np.tan(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 601)[1:-1])
@@ -92,6 +93,7 @@ def test_constants_have_the_chordal_distance() -> None:
     assert nu_gap(one, two).value == pytest.approx(min(1.0, 3.0 / math.sqrt(5.0 * 2.0)))
 
 
+@pytest.mark.further
 def test_a_margin_is_lost_by_at_most_the_gap() -> None:
     """asin(margin of G2) >= asin(margin of G1) - asin(gap), with the same controller, and a stable loop."""
     tried = 0

@@ -123,6 +123,7 @@ def test_what_is_altered_is_refused(proof: AxisProof, change: Callable[[AxisProo
         check_axis_proof(replace(proof, **change(proof)))
 
 
+@pytest.mark.further
 def test_a_proof_of_a_smaller_box_or_a_higher_level_passes_too(proof: AxisProof) -> None:
     """What follows from a claim is no forgery."""
     assert proof.level is not None
@@ -142,6 +143,7 @@ def test_bounds_are_those_of_the_other_prover(seed: int) -> None:
     assert check_axis_proof(here.proof).stable
 
 
+@pytest.mark.further
 def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
     bounds = axis_stability(de_gaston_safonov())
     assert bounds.status == "closed" and bounds.lower < 3.41740 <= 1.05 * bounds.lower

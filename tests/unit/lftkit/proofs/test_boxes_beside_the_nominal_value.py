@@ -82,6 +82,7 @@ def test_a_margin_asks_for_the_nominal_values_in_the_box(method: str | None) -> 
     assert at_its_end.status == "closed" and check_proof(at_its_end.proof).stable
 
 
+@pytest.mark.further
 def test_bounds_take_expressions() -> None:
     lag = 1 / (s + real("k", 2.0, 1.0, 3.0))
     system = lag.system()

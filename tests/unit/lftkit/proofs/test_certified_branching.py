@@ -94,6 +94,7 @@ def test_no_corner_is_unstable_much_earlier_than_the_one_found(seed: int) -> Non
     assert every <= found * (1.0 + 1e-6) and found <= 1.001 * every
 
 
+@pytest.mark.further
 def test_the_unstable_corner_of_the_aircraft() -> None:
     """One of 16 384 corners is unstable from 5.4281 times the box."""
     system = transport_aircraft().sorted_channels()

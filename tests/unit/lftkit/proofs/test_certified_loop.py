@@ -194,6 +194,7 @@ def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
     assert (windows > 0) == (radius < 1.0)
 
 
+@pytest.mark.further
 def test_the_limit_of_stability_is_found_from_both_sides() -> None:
     """Between the two gains the largest eigenvalue passes 1."""
     from scipy.optimize import brentq

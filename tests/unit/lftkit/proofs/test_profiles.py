@@ -21,6 +21,7 @@ from lftkit.proofs import (
 )
 
 
+@pytest.mark.further
 def test_the_profile_of_a_margin_has_its_peak_at_the_margin() -> None:
     """km = 3.41740 of de Gaston and Safonov."""
     system = de_gaston_safonov()

@@ -185,6 +185,7 @@ def test_cells_that_the_checker_accepts_hold_in_interval_arithmetic(proof: LoopP
         assert verified(proof.model, strip, number, proof.level)
 
 
+@pytest.mark.further
 def test_a_level_that_is_exceeded_does_not_hold_in_it(proof: LoopProof) -> None:
     """At the frequency of the worst case, for the gain of a member there."""
     from lftkit.proofs.sampled_loop.bounds import member_gains

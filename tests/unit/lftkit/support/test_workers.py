@@ -49,6 +49,7 @@ def test_the_results_are_those_of_one_process_in_order() -> None:
     assert not interrupts_wait(0)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("variables", [{}, {"MALLOC_TRIM_THRESHOLD_": "65536"}])
 def test_arrays_reuse_the_memory_of_those_before(variables: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """20 arrays have 5120 pages of 4 kB; a new process takes them anew every time. Dask leaves its bound behind."""

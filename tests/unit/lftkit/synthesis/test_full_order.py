@@ -161,6 +161,7 @@ def test_weights_of_one_channel_are_those_of_each() -> None:
     assert both.value == pytest.approx(alone.value, rel=1e-3)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("name", ["AC2", "NN17", slow("HE1"), slow("PSM")])
 def test_no_static_controller_is_better_than_full_order(name: str) -> None:
     """COMPleib plants whose measurements have no noise; a mode of AC2 at zero is not in the error."""
@@ -168,6 +169,7 @@ def test_no_static_controller_is_better_than_full_order(name: str) -> None:
     assert found.lower <= found.value <= 1.0005 * BEST_KNOWN[name] and found.gap < 1e-3 and stable(found.closed)
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("seed", [1, 8, slow(35)])
 def test_without_noise_or_weights_no_other_controller_is_below_the_bound(seed: int) -> None:
     given = random_plant(seed, 3)
@@ -179,6 +181,7 @@ def test_without_noise_or_weights_no_other_controller_is_below_the_bound(seed: i
     assert all(found.lower <= hinfsyn(plant, "y", "u", level).value for level in others)
 
 
+@pytest.mark.further
 def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_bound() -> None:
     """Cheap control: the infimum is approached and not reached; what is said is the loop's own norm."""
     found = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)))

@@ -92,6 +92,7 @@ def test_a_certified_design_has_its_proof(level: float | None) -> None:
     assert hinfsyn(plant, "y", "u", level).proof is None
 
 
+@pytest.mark.further
 def test_without_a_weight_on_commands_a_certified_design_says_what_is_proven() -> None:
     """Where the equations need a small weight there is no numerical bound; a proof needs no weight."""
     plant = random_plant(4, 3)

@@ -66,6 +66,7 @@ def test_the_bound_holds_between_the_frequencies_of_the_design(found: MuDesign) 
         assert np.all(one.poles().real < 0.0) and np.all(one.inverse().poles().real < 0.0)
 
 
+@pytest.mark.further
 def test_members_within_one_over_the_bound_are_stable_with_a_gain_below_it(found: MuDesign) -> None:
     inside = scaled_elements(found.closed, 1.0 / found.bound)
     gains = [hinf_norm(*member.matrices).value for member in inside.sample(np.random.default_rng(0), 40)]

@@ -28,6 +28,7 @@ def limits(attenuation: float, effort: float) -> list[HinfGain]:
     ]
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("gain_before", [8e4, 1e-3])
 def test_feasible_gain_is_found_from_far_infeasible_starts(gain_before: float) -> None:
     """All feasible gains are between 4 (soft made hard) and 4.5."""

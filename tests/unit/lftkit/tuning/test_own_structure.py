@@ -63,6 +63,7 @@ def value(k: float, d: float) -> float:
     return max(compliance, EFFORT * felt)
 
 
+@pytest.mark.further
 def test_a_spring_and_a_law_are_tuned_together() -> None:
     """A stiff spring holds the load, a soft one passes less of the base's motion: the best of a scan of both."""
     parts = gain([("stretch", 1)], [("spring", 1)]), gain([("velocity", 1)], [("actuator", 1)])

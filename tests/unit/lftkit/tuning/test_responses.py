@@ -242,6 +242,7 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     np.testing.assert_array_equal(again.x, found.x)
 
 
+@pytest.mark.further
 def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     """Random directions of another seed than the descent's own find nothing 0.1 % lower; a start is not converged."""
     omega = np.geomspace(0.02, 50.0, 40)

@@ -182,6 +182,7 @@ def test_starts_that_agree_end_a_search() -> None:
     assert 1 < len(result.starts) < 24 and max(result.starts) <= min(result.starts) * (1.0 + 1e-3)
 
 
+@pytest.mark.further
 def test_few_starts_that_agree_run_to_their_end_once() -> None:
     """A convex problem: two more starts cost two smooth phases."""
     one, three = published("AC17", starts=1), published("AC17", starts=3)

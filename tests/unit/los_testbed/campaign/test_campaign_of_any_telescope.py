@@ -60,6 +60,7 @@ def member(parameters: str) -> dict[str, Any]:
     return {**dict(zip(own.columns, point)), "seed": int(member_seeds(1, 4)[0])}
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("name", list(COLUMNS))
 def test_the_command_of_a_member_gives_its_row(
     name: str, files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -97,6 +97,7 @@ def test_what_is_stated_goes_before_the_random_member_before_the_case_before_the
     assert list(drawn.wheel_speed) == random_member(4)["wheel_speed"]
 
 
+@pytest.mark.further
 def test_the_worst_case_is_worse_than_the_other_ones() -> None:
     """Line of sight against the template of the relative error, isolator alone: named cases and random members."""
     telescope = load_telescope()

@@ -138,6 +138,7 @@ def with_tick(signal: Signal, dt: float) -> Signal:
     return replace(signal, dt=dt, **own)  # type: ignore[type-var]
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("kind", LAWS)
 def test_momentum_and_power(tmp_path: Path, kind: str) -> None:
     """What shakes leaves no momentum behind, after any time; pulses leave theirs."""

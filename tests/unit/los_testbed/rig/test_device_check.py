@@ -139,6 +139,7 @@ def test_motions_that_the_noise_hides_are_not_judged(model):
     assert any("not judged: without motion" in line for line in said)
 
 
+@pytest.mark.further
 def test_of_a_camera_that_fits_no_motion_no_gain_is_printed(model):
     """Times of acquisition that jump from frame to frame: what it sees is no motion of any actuator."""
     bench = Bench()

@@ -105,6 +105,7 @@ def test_a_design_of_its_own_for_a_star(tmp_path: Path, capsys: pytest.CaptureFi
     assert RunParts(config).check() == ()
 
 
+@pytest.mark.further
 def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "trade"
     arguments = [*SHORT, "--magnitudes", "10,25", "--keep-controllers", "--json"]
