@@ -11,9 +11,9 @@ Requirements on the run:
 * forces of single-point constraint of the interface (``SPCFORCES(PLOT)=ALL``): they give the participation. Without
   them it is the momentum of the deck's lumped masses, if the modes have all of them and are orthonormal with them
   (1 %), which shows that they are the masses of the run;
-* ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM2 exactly, elements
-  as points at their grid points, bars with ``PARAM,COUPMASS,1`` as slender rods with their polar inertia. A straight
-  boom has no inertia about itself in lumped masses: the polar inertia of its bars is added;
+* ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM1 and CONM2 exactly,
+  elements as points at their grid points, bars with ``PARAM,COUPMASS,1`` as slender rods with their polar inertia. A
+  straight boom has no inertia about itself in lumped masses: the polar inertia of its bars is added;
 * ``PARAM,POST,-1`` so that these results are in the OP2 file.
 
 **Participation: L_k = -q_k / w_k^2**, with ``q_k`` the constraint force at the parent in mode k: the

@@ -42,7 +42,8 @@ def read_deck(path: Path) -> Deck:
     OSError
         A file that cannot be read.
     ValueError
-        INCLUDE of a file outside the folder of the deck, in a circle, or of too many files; a deck without lines.
+        A binary file; INCLUDE of a file outside the folder of the deck, in a circle, or of too many files; a deck
+        without lines.
     """
     lines = _lines(path, path.resolve().parent, (), [0])
     text = "\n".join(line for line in lines if not re.match(r"^\s*\$\s*pynastran", line, re.IGNORECASE)) + "\n"
@@ -56,6 +57,11 @@ def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) 
     if count[0] > INCLUDES:
         raise InputError(f"{path}: deck must include at most {INCLUDES} files, got more")
     data = read_bytes(path, SYSTEM)
+    if b"\0" in data:
+        raise InputError(
+            f"{path}: bulk data and punch files must be text, got a binary file; reduced matrices of an OP2 are text "
+            "with EXTSEOUT(STIFFNESS,MASS,DMIGPCH)"
+        )
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError:

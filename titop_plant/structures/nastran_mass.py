@@ -29,7 +29,7 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
     coupled : bool
         ``PARAM,COUPMASS``: bars have the consistent mass of cubic deflections and the polar inertia
         ``rho (I1 + I2) L`` about their axis. False, NASTRAN's default: half their mass is at each end. Other elements
-        have equal masses at their grid points, CONM2 their inertia.
+        have equal masses at their grid points, CONM1 and CONM2 their inertia.
 
     Returns
     -------
@@ -37,17 +37,22 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
         **momentum (linear, angular about the point) = sum of maps[grid] @ velocity of the grid point.** With
         the velocities of rigid motions the sum is the rigid mass matrix.
     unknown : str
-        The first mass element that is not understood, "" if all are.
+        The first mass that is not understood, "" if all are.
     """
     maps: dict[int, FloatArray] = {}
+    for number in model.nsms:  # pyNastran has them in no element
+        return maps, f"NSM set {number}"
 
     def add(grid: int, momentum: FloatArray) -> None:
         maps[grid] = maps.get(grid, np.zeros((6, 6))) + momentum
 
     for lump in model.masses.values():
-        if lump.type != "CONM2":
+        if lump.type not in ("CONM1", "CONM2"):
             return maps, f"{lump.type} {lump.eid}"
         position = _position(model.nodes[lump.Nid()])
+        if lump.type == "CONM1":
+            add(lump.Nid(), tau(position, point).T @ _general(lump))
+            continue
         center, body = _concentrated(lump, position)
         add(lump.Nid(), tau(center, point).T @ body @ tau(center, position))
     for element in model.elements.values():
@@ -61,6 +66,17 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
         for grid in grids:
             add(grid, tau(_position(model.nodes[grid]), point).T @ np.diag([mass / len(grids)] * 3 + [0.0] * 3))
     return maps, ""
+
+
+def _general(lump: Any) -> FloatArray:
+    """Mass matrix of a CONM1 at its grid point in the basic coordinates, shape (6, 6)."""
+    lower = np.tril(np.asarray(lump.mass_matrix, dtype=float))
+    full = lower + np.tril(lower, -1).T
+    if lump.Cid() > 0:
+        axes = np.asarray(lump.cid_ref.beta(), dtype=float)
+        turn = linalg.block_diag(axes, axes)
+        full = turn.T @ full @ turn
+    return np.asarray(full, dtype=float)
 
 
 def _concentrated(lump: Any, position: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,7 +123,9 @@ def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) ->
     """
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
-        raise InputError(f"{path}: mass elements must be CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}")
+        raise InputError(
+            f"{path}: mass elements must be CONM1 or CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}"
+        )
     total = np.zeros((6, 6))
     for grid, momentum in maps.items():
         total += momentum @ tau(_position(model.nodes[grid]), point)

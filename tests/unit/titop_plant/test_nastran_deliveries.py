@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from support.nastran_deliveries import (
     CYLINDRICAL,
     RECTANGULAR,
@@ -163,6 +164,42 @@ def test_a_mass_in_coordinates_of_its_own_is_the_same(tmp_path: Path, cid: int) 
     (tmp_path / "x.bdf").write_text(f"{before}{model.masses[1001].write_card_16(is_double=True)}${'$'.join(cards)}")
     found = nastran_mass(tmp_path / "x.bdf", parent=("P", 1))
     np.testing.assert_allclose(found, whole, atol=1e-9 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("cid", [0, RECTANGULAR])
+def test_a_mass_matrix_at_a_grid_point_is_that_of_its_block(tmp_path: Path, cid: int) -> None:
+    """CONM1 in the place of CONM2, in the basic axes or in those of CID."""
+    from pyNastran.bdf.bdf import BDF
+
+    delivery = Delivery(tower(), {"P": "123456"}, {"P": RING}, lumped=True, weight=None, cd={"top": RECTANGULAR})
+    body = load(tmp_path, delivery)
+    model, turn = BDF(debug=None), block_diag(TURNED, TURNED) if cid else np.eye(6)
+    for number, lump in enumerate(delivery.frame.masses, start=1001):
+        model.add_conm1(number, delivery.grid(lump.node), turn @ lump.matrix() @ turn.T, cid=cid)
+    before, after = (tmp_path / "x.bdf").read_text().split("$MASSES")
+    cards = "".join(model.masses[number].write_card_16(is_double=True) for number in model.masses)
+    (tmp_path / "x.bdf").write_text(f"{before}{cards}${'$'.join(after.split('$')[1:])}")
+    same_body(again(tmp_path, delivery), body, 1e-9)
+
+
+def test_non_structural_mass_is_that_of_the_run(tmp_path: Path) -> None:
+    """The block at the top is in an NSM1 of the deck: its mass is known by the grid point weight alone."""
+    delivery = Delivery(tower(), {"P": "123456"}, {"P": RING})
+    body = load(tmp_path, delivery)
+    text = (tmp_path / "x.bdf").read_text()
+    first, last = text.index("CONM2*              1002"), text.index("$RIGID")
+    (tmp_path / "x.bdf").write_text(f"{text[:first]}{text[last:].rstrip()}\nNSM1,7,PBAR,3.0,1\n")
+    same_body(again(tmp_path, delivery), body, 1e-9)
+    write_results(replace(delivery, weight=None), tmp_path / "x.op2")
+    with pytest.raises(ValueError, match=r"must be CONM1 or CONM2 .*, got NSM set 7$"):
+        again(tmp_path, delivery)
+
+
+def test_a_binary_file_in_the_place_of_a_deck_is_named(tmp_path: Path) -> None:
+    delivery = Delivery(boom(), {"P": "123456"})
+    load(tmp_path, delivery)
+    with pytest.raises(ValueError, match=r"x\.op2: bulk data and punch files must be text, got a binary file"):
+        read_nastran(tmp_path / "x.op2", tmp_path / "x.bdf", name="x", parent=("P", 1), ports={"tip": 11})
 
 
 @pytest.mark.parametrize("kind", ["RBE2", "RBE3", "bolts pinned"])
