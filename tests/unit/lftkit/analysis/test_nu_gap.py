@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit import System, ncfmr, nu_gap, s, transfer
+from lftkit import System, hinf_norm, ncfmr, nu_gap, s, transfer
 from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.synthesis import ncfsyn
 from lftkit.systems.connection.feedback import close_loop
@@ -141,3 +141,18 @@ def test_systems_of_other_sizes_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match=r"systems must have the same size, got \(1, 1\) and \(2, 1\)"):
         nu_gap(random(rng, 1, (1, 1)), random(rng, 1, (2, 1)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_units_of_states_inputs_and_time_do_not_matter(seed: int) -> None:
+    """Far below a gain of one the gap is the norm of the difference, in whatever units the states and the time are."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((6, 6))
+    A = A - (linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
+    B, C, none = rng.standard_normal((6, 2)), rng.standard_normal((2, 6)), np.zeros((2, 2))
+    ports = [("u", 2)], [("y", 2)]
+    pair = [System(1e4 * factor * A, 1e6 * B, 1e-7 * C, none, *ports) for factor in (1.0, 1.02)]
+    found = nu_gap(*pair)
+    assert found.value == pytest.approx(hinf_norm(pair[0] - pair[1]).value, rel=1e-3)
+    slow = [System(1e-4 * system.A, 1e-2 * system.B, 1e-2 * system.C, none, *ports) for system in pair]
+    assert nu_gap(*slow).value == pytest.approx(found.value, rel=1e-5)
