@@ -92,6 +92,7 @@ def gramian_factor(A: FloatArray, B: FloatArray, dt: float = 0.0) -> FloatArray:
     n = len(A)
     if n == 0:
         return np.zeros((0, 0))
+    A, B, units = _in_balanced_units(A, B)
     T, Z = linalg.schur(A.astype(complex), output="complex")
     rest: ComplexArray = Z.conj().T @ B
     U = np.zeros((n, n), complex)
@@ -112,5 +113,11 @@ def gramian_factor(A: FloatArray, B: FloatArray, dt: float = 0.0) -> FloatArray:
             change = -root * column
         U[:j, j] = column
         rest = rest[:j] + np.outer(change, turn)
-    complete = Z @ U
+    complete = units[:, None] * (Z @ U)
     return np.asarray(linalg.qr(np.hstack([complete.real, complete.imag]).T, mode="r")[0][:n].T)
+
+
+def _in_balanced_units(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A and B in units of the states in which slow poles keep their digits beside large entries, and these units."""
+    balanced_A, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    return np.asarray(balanced_A, dtype=float), np.asarray(B / units[:, None]), np.asarray(units, dtype=float)

@@ -245,3 +245,21 @@ def test_what_is_asked_for_must_make_sense() -> None:
     blind = System([[1.0]], [[1.0]], [[0.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)], "blind")
     with pytest.raises(ValueError, match="blind: the system must be stabilisable and detectable"):
         ncfmr(blind, 0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_weights_of_slow_systems_in_large_units(seed: int) -> None:
+    """Poles of 1e-6 rad/s beside inputs of 1e6: the chain with a weight has entries of 1e6 beside its poles."""
+    rng = np.random.default_rng(seed)
+
+    def slow(n: int, inputs: int, outputs: int, unit: float, names: tuple[str, str]) -> System:
+        A = rng.standard_normal((n, n))
+        A = 1e-6 * (A - (linalg.eigvals(A).real.max() + 0.3) * np.eye(n))
+        B, C = unit * rng.standard_normal((n, inputs)), rng.standard_normal((outputs, n)) / unit
+        return System(A, B, C, np.zeros((outputs, inputs)), [(names[0], inputs)], [(names[1], outputs)])
+
+    given, before = slow(3, 2, 2, 1e6, ("u", "y")), slow(2, 2, 2, 1.0, ("v", "u"))
+    found = balred(given, 2, weight_in=before)
+    omega = np.geomspace(1e-9, 1e-3, 200)
+    error = (given.response(omega) - found.system.response(omega)) @ before.response(omega)
+    assert np.linalg.norm(error, 2, axis=(1, 2)).max() <= found.error_bound * (1.0 + 1e-6)
