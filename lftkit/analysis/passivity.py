@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.frequency_grid import pole_range
-from lftkit.analysis.norms import band_gain, hinf_norm
+from lftkit.analysis.norms import band_gain, hinf_norm, linf_norm
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
@@ -25,6 +25,8 @@ PRECISION, ALLOWED = 1e-6, 1e-7
 """Part of the gain (of its inverse) to which an index is found; excess of a gain over 1 that is rounding."""
 STEPS = 60
 POINTS = 200
+RANK = 1e-10
+"""Part of its factors from which on a product is regular, and of its entries by which a matrix is not symmetric."""
 FAR = 1e6
 """Shortage of output passivity, over the inverse of the gain, from which on it has no bound."""
 
@@ -86,8 +88,17 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
         end = 0.0 if side == "input" else math.inf
         return PassivityIndex(end, end, 0.0)
     scale = gain.value if side == "input" else 1.0 / gain.value
-    search = _Index(G, side, scale)
-    value, omega = search.first(gain.omega)
+    if side == "output" and not G.dt and not G.D.any():
+        inverse = inverse_without_derivative(G)
+        if inverse is not None:
+            return _index(_Index(inverse, "input", linf_norm(inverse).value or scale), gain.omega)
+    return _index(_Index(G, side, scale), gain.omega)
+
+
+def _index(search: _Index, peak: float) -> PassivityIndex:
+    """The least index over frequency; `peak` is one of the frequencies with which the search begins."""
+    scale = search.scale
+    value, omega = search.first(peak)
     if value < -FAR * scale:
         return PassivityIndex(-math.inf, -math.inf, omega)
     allowance = PRECISION * scale
@@ -104,6 +115,32 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
         else:
             allowance *= 2.0
     return PassivityIndex(value, -math.inf, omega)
+
+
+def inverse_without_derivative(G: System) -> System | None:
+    """``G^-1 - s E`` of a continuous system without feedthrough, if ``E = (C B)^-1`` is symmetric.
+
+    None where it is not, and for a system with zeros on the axis.
+
+    The derivative has no part in the output index of G, which is the input index of the rest. A test of the gain does
+    not tell indices apart where the response of G falls to zero. From ``rate of y = C A x + C B u``; the states
+    are those with ``C x = 0``.
+    """
+    A, B, C, _ = G.matrices
+    product = C @ B
+    sizes = linalg.svdvals(product)
+    if not sizes[-1] > RANK * linalg.norm(C, 2) * linalg.norm(B, 2):
+        return None
+    E = linalg.inv(product)
+    if not np.abs(E - E.T).max() <= RANK * np.abs(E).max():
+        return None
+    kernel = linalg.null_space(C, rcond=RANK)
+    inner, through = A - B @ E @ C @ A, B @ E
+    states = kernel.T @ inner @ kernel, kernel.T @ inner @ through
+    zeros = np.asarray(linalg.eigvals(states[0]) if len(states[0]) else [], dtype=complex)
+    if np.any(np.abs(zeros.real) <= RANK * np.abs(zeros).max(initial=0.0)):
+        return None
+    return System(*states, -E @ C @ A @ kernel, -E @ C @ A @ through, G.outputs, G.inputs, G.name)
 
 
 def linear_fraction(matrices: Matrices, fraction: Fraction) -> Matrices | None:

@@ -26,10 +26,13 @@ def channel(expression: Any) -> System:
         (1 / (s + 1) ** 2, -1.0 / 8.0, -math.inf),  # (1 - w^2) / (1 + w^2)^2 at w^2 = 3
         (1 / (s**2 + s + 1), -1.0 / 3.0, -math.inf),
         ((s - 1) / (s + 1), -1.0, -1.0),
+        ((s + 4) / (s + 1) ** 2, None, -2.0),  # 1 / G = s - 2 + 9 / (s + 4): at infinity
     ],
 )
-def test_closed_forms(expression: Any, nu: float, rho: float) -> None:
+def test_closed_forms(expression: Any, nu: float | None, rho: float) -> None:
     for side, index in (("input", nu), ("output", rho)):
+        if index is None:
+            continue
         found = passivity_index(channel(expression), side)
         assert found.lower <= found.value
         assert found.value == pytest.approx(index, abs=2e-6)
@@ -82,3 +85,23 @@ def test_what_has_no_index_is_refused() -> None:
         passivity_index(System([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]], [("f", 2)], [("v", 1)]))
     with pytest.raises(ValueError, match="side must be input or output, got 'both'"):
         passivity_index(channel(1 / (s + 1)), "both")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_inverse_of_a_lag_behind_an_index_has_that_index_at_infinity(seed: int) -> None:
+    """``G^-1 = s E + X + H`` with E symmetric: the least index is that of ``X + H``, and at infinity that of X."""
+    rng = np.random.default_rng(seed)
+    m, n = 1 + seed % 2, 2
+    X, root = rng.standard_normal((m, m)), rng.standard_normal((m, m)) + 3.0 * np.eye(m)
+    A, B, C = -np.diag([1.0, 30.0]), rng.standard_normal((n, m)), rng.standard_normal((m, n))
+    E, gain = root @ root.T, 40.0 * np.eye(m)  # the gain makes G stable
+    # E y' = u - (X + gain) y - H y
+    inner = linalg.inv(E)
+    whole = np.block([[-inner @ (X + gain), -inner @ C], [B, A]])
+    into, seen = np.vstack([inner, np.zeros((n, m))]), np.hstack([np.eye(m), np.zeros((m, n))])
+    G = System(whole, into, seen, np.zeros((m, m)), [("f", m)], [("v", m)])
+    rest = System(A, B, C, X + gain, [("v", m)], [("f", m)])
+    expected, found = passivity_index(rest), passivity_index(G, "output")
+    assert found.value == pytest.approx(expected.value, rel=1e-6)
+    assert found.lower <= expected.value
+    assert found.lower == pytest.approx(expected.value, rel=1e-4)
