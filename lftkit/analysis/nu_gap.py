@@ -6,12 +6,14 @@ Source: Vinnicombe, Uncertainty and Feedback (2001), and IEEE TAC 38 (1993).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.coprime_factors import right_coprime_factors
+from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
@@ -78,12 +80,16 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     right, other = (right_coprime_factors(_continuous(system, dt), system.name) for system in (one, two))
     flipped = right_coprime_factors(_transposed(_continuous(two, dt)), two.name)
     p, m = one.D.shape
-    norm = hinf_norm(*_difference(_transposed(flipped), right, p, m))
+    left = _transposed(flipped)
+    norm = hinf_norm(*_difference(left, right, p, m))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
-    if not norm.upper < 1.0:
-        return NuGap(min(norm.value, 1.0), 1.0, omega, _same_winding(right, other))
+    value = min(_chordal_distance(left, right, norm.omega), 1.0)
+    remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
+    upper = max(norm.upper / sqrt(remains), value) if remains > 0.0 else 1.0
     same = _same_winding(right, other)
-    return NuGap(norm.value, norm.upper, omega, True) if same else NuGap(1.0, 1.0, omega, False)
+    if not upper < 1.0:
+        return NuGap(value, 1.0, omega, same)
+    return NuGap(value, upper, omega, True) if same else NuGap(1.0, 1.0, omega, False)
 
 
 def _continuous(system: System, dt: float) -> Matrices:
@@ -103,6 +109,29 @@ def _difference(left: Matrices, right: Matrices, p: int, m: int) -> Matrices:
     into, through = b @ swap, d @ swap
     whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
     return whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D
+
+
+def _chordal_distance(left: Matrices, right: Matrices, omega: float) -> float:
+    """Of left factors ``[N2, M2]`` and right ones ``[N1; M1]`` at a frequency, normalised there."""
+    graph, other = refined_response(*right, omega), refined_response(*left, omega)
+    p = len(other)
+    swapped = np.hstack([-other[:, -p:], other[:, :-p]])
+    inner, outer = linalg.qr(graph, mode="r")[0], linalg.qr(other.conj().T, mode="r")[0]
+    half = linalg.solve(inner[: graph.shape[1]].T, (swapped @ graph).T).T
+    return float(linalg.norm(linalg.solve(outer[:p].conj().T, half), 2))
+
+
+def _defect(factors: Matrices) -> float:
+    """How far ``N~N + M~M`` is from 1 at most, by twice what it is at the poles and between them.
+
+    A plant of large gain has slow poles of the factors beside fast ones, of which rounding leaves few digits.
+    """
+    sizes = np.unique(np.abs(linalg.eigvals(factors[0]))) if len(factors[0]) else np.ones(1)
+    between = np.sqrt(sizes[1:] * sizes[:-1])
+    omega = [0.0, 0.1 * sizes[0], *sizes, *between, 10.0 * sizes[-1], np.inf]
+    responses = [refined_response(*factors, w) for w in omega]
+    unit = np.eye(responses[0].shape[1])
+    return 2.0 * max(float(linalg.norm(U.conj().T @ U - unit, 2)) for U in responses)
 
 
 def _same_winding(first: Matrices, second: Matrices) -> bool:

@@ -8,6 +8,7 @@ on which: a peak cannot escape.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -18,10 +19,13 @@ from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.hinf.direct_gain import CANCELLATION, cancellation, direct_gain
 from lftkit.analysis.hinf.level_iteration import Peak
 from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 IMAGINARY = 1e-7  # real part of an imaginary eigenvalue over its magnitude, at most: one too many costs only a gain
 ROUNDING = 1e-13  # the same over the largest magnitude
+UNPAIRED = 3.0  # twice a real part over the distance from being a mirror image, at most, of an imaginary eigenvalue
+SQUARES = float(np.sqrt(10.0 * EPS))  # least gain over the sum of its terms' magnitudes that squares of gains show
+SAMPLES = 40  # frequencies at which these terms are looked at, at most
 WORKSPACE = 66  # numbers per row that LAPACK's routine for eigenvalues asks for, at most
 
 
@@ -46,19 +50,36 @@ class HamiltonianModel:
     rtol: float
     band: tuple[float, float] = (0.0, np.inf)
 
+    @cached_property
+    def _terms(self) -> float:
+        """Largest sum of the magnitudes of a gain's terms at the resonances and poles in the band."""
+        low, high = self.band
+        omega = peak_frequencies(self.response.poles.tolist())
+        omega = np.clip(omega[:: -(-len(omega) // SAMPLES)], low, high)
+        return max(_terms_at(self.system, float(w)) for w in omega)
+
     def first_peak(self) -> Peak:
         """The highest peak near the resonances and the ends of the band."""
         return self._highest(np.append(peak_frequencies(self.response.poles.tolist()), self.band))[0]
 
     def bracket(self, peak: Peak) -> tuple[float, float]:
-        """Gain at `peak` and the level above it, which is above zero."""
+        """Gain at `peak` and the level above it, which is above zero.
+
+        The matrix has squares of gains: where the terms of a gain cancel, their rounding is that of the terms' square.
+        """
         value, rtol = peak.gain, self.rtol
         noise = cancellation(self.response)
         if value == noise == 0.0:
             _, B, C, _ = self.system
             slowest = np.abs(self.response.poles.real).min()
             noise = CANCELLATION * float(linalg.norm(B) * linalg.norm(C) / slowest) + np.finfo(float).tiny
-        return value, max(value, peak.possible) * (1.0 + rtol) if value > noise else value + noise
+        if not value > noise:
+            return value, value + noise
+        terms, level = max(self._terms, _terms_at(self.system, peak.omega)), max(value, peak.possible) * (1.0 + rtol)
+        seen = float(np.hypot(level, SQUARES * terms))
+        if not self.response.modal:
+            return value, seen
+        return value, min(seen, max(level, noise / CANCELLATION + CANCELLATION * terms))  # no gain exceeds their sum
 
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The highest peak near the crossings of the level and the middles between them."""
@@ -66,7 +87,13 @@ class HamiltonianModel:
         inside = crossings[(crossings > self.band[0]) & (crossings < self.band[1])]
         if not inside.size:
             return None
-        found, modal = self._highest(np.concatenate([inside, 0.5 * (inside[:-1] + inside[1:])]))
+        edges = np.unique([self.band[0], *inside, min(self.band[1], 2.0 * float(inside[-1]))])
+        candidates = np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])])
+        found, modal = self._highest(candidates)
+        if not found.gain > level:  # the response may be less precise than a direct solution
+            gains = [direct_gain(self.system, float(omega)) for omega in candidates]
+            best = int(np.argmax(gains))
+            found = Peak(float(candidates[best]), gains[best])
         if found.gain > level:
             return found
         return found._replace(possible=modal) if modal > level else None
@@ -77,6 +104,15 @@ class HamiltonianModel:
         inside = np.unique(frequencies[(frequencies >= low) & (frequencies <= high)])
         omega, gain, _ = highest_peak_of(self.response, inside, self.rtol, self.band)
         return Peak(omega, direct_gain(self.system, omega)), gain
+
+
+def _terms_at(system: Matrices, omega: float) -> float:
+    """Norm of the sums of the magnitudes of the terms ``C (j omega - A)^-1 B`` at a frequency."""
+    A, B, C, _ = system
+    if not omega < np.inf:
+        return 0.0
+    states = np.abs(lapack.zgesv(1j * omega * np.eye(len(A)) - A, B.astype(complex))[2])
+    return float(linalg.norm(np.abs(C) @ states))
 
 
 def level_crossings(system: Matrices, level: float) -> FloatArray:
@@ -90,7 +126,19 @@ def level_crossings(system: Matrices, level: float) -> FloatArray:
     gap = float(np.abs(1.0 - (linalg.svdvals(system[3]) / level) ** 2).min(initial=1.0))
     solved = EPS * size * max(1.0 / max(gap, EPS) - 1.0, 0.0)  # rounding where the level is near a gain of D
     near = np.abs(real) <= IMAGINARY * sizes + ROUNDING * size + 2.0 * np.sqrt(solved * sizes)
+    near |= 2.0 * np.abs(real) <= UNPAIRED * _without_partner(real + 1j * imaginary)
     return np.asarray(np.unique(np.abs(imaginary[near])))
+
+
+def _without_partner(values: ComplexArray) -> FloatArray:
+    """How far each eigenvalue (k,) is from being the mirror image of another one.
+
+    Eigenvalues of a Hamiltonian matrix that are not imaginary come in pairs, mirrored at the axis, as far as rounding
+    lets them: one without a partner is imaginary.
+    """
+    distance = np.abs(values[:, None] + values.conj())
+    np.fill_diagonal(distance, np.inf)
+    return np.asarray(distance.min(axis=1, initial=np.inf))
 
 
 def hamiltonian_eigenvalues(system: Matrices, level: float) -> tuple[FloatArray, FloatArray]:

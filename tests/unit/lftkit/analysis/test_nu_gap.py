@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.accurate_response import extended_response
 from scipy import linalg
 
 from lftkit import System, hinf_norm, ncfmr, nu_gap, s, transfer
@@ -156,3 +157,22 @@ def test_units_of_states_inputs_and_time_do_not_matter(seed: int) -> None:
     assert found.value == pytest.approx(hinf_norm(pair[0] - pair[1]).value, rel=1e-3)
     slow = [System(1e-4 * system.A, 1e-2 * system.B, 1e-2 * system.C, none, *ports) for system in pair]
     assert nu_gap(*slow).value == pytest.approx(found.value, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [3, 5, 8, 12, 33, 46])
+def test_plants_of_large_gain_have_the_gap_of_their_responses(seed: int) -> None:
+    """Gains of 1e4 to 1e7, whose factors have slow poles beside fast ones; in both orders, the same gap."""
+    rng = np.random.default_rng(seed)
+    n, m, p = int(rng.integers(1, 5)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    A, B = rng.standard_normal((n, n)), rng.standard_normal((n, m))
+    C = rng.standard_normal((p, n)) * 10.0 ** rng.uniform(3.0, 7.5)
+    ports = [("u", m)], [("y", p)]
+    one, two = (System(X, B, C, np.zeros((p, m)), *ports) for X in (A, A + 0.05 * rng.standard_normal((n, n))))
+    gaps = nu_gap(one, two), nu_gap(two, one)
+    for omega in (gaps[0].omega, gaps[1].omega):
+        G1, G2 = (extended_response(*plant.matrices, [omega])[0] for plant in (one, two))
+        graph, normal = linalg.orth(np.vstack([G1, np.eye(m)])), linalg.orth(np.vstack([np.eye(p), -G2.conj().T]))
+        distance = float(np.linalg.norm(normal.conj().T @ graph, 2))
+        assert all(distance <= gap.upper * (1.0 + 1e-9) for gap in gaps)
+    assert max(gap.value for gap in gaps) <= min(gap.upper for gap in gaps) * (1.0 + 1e-9)
+    assert all(gap.upper <= 1.5 * gap.value for gap in gaps)
