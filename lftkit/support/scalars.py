@@ -23,6 +23,13 @@ def as_number(value: Any, what: str) -> float:
     return value if isinstance(value, int | float) else float(value)
 
 
+def as_positive(value: Any, what: str) -> float:
+    """A finite number above zero; a ValueError that begins with `what` for anything else."""
+    if not (is_number(value) and 0.0 < value < np.inf):
+        raise InputError(f"{what} must be positive, got {value!r}")
+    return float(value)
+
+
 def as_integer(value: Any, what: str) -> int:
     """An integer, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
     try:

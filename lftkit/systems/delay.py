@@ -9,6 +9,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.scalars import is_number
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space, static_gain
 
@@ -38,8 +39,8 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     >>> round(float(abs(response.item() - np.exp(-0.2j))), 9)
     0.0
     """
-    if not (np.isfinite(delay) and delay >= 0):
-        raise InputError(f"delay must be zero or positive, got {delay} s")
+    if not (is_number(delay) and 0 <= delay < np.inf):
+        raise InputError(f"delay must be zero or positive, got {delay!r} s")
     each: FloatArray = np.eye(size)
     if order < 1 or delay == 0.0:
         return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), each

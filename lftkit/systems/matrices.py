@@ -50,6 +50,17 @@ def checked_matrices(
     return given["A"], given["B"], given["C"], given["D"]
 
 
+def frequencies(omega: ArrayLike) -> FloatArray:
+    """Frequencies (N,) [rad/s] from one or several real numbers; a ValueError where one is not finite."""
+    try:
+        found = np.atleast_1d(np.asarray(omega, dtype=float))
+    except (TypeError, ValueError):
+        found = np.array([np.nan])
+    if found.ndim != 1 or not np.all(np.isfinite(found)):
+        raise InputError(f"omega must be a vector of finite numbers, got {omega!r}")
+    return found
+
+
 def real_array(key: str, value: ArrayLike) -> FloatArray:
     """`value` as an array of floats; a ValueError names the matrix `key` where it holds anything but real numbers."""
     try:

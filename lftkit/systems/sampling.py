@@ -10,6 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_positive
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -81,8 +82,7 @@ def _continuous(system: Any, dt: float, method: str) -> System:
     """The system to be sampled, with a period and a method that there are."""
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt must be positive, got {dt}")
+    as_positive(dt, "dt")
     found = as_system(system)
     found.require_continuous()
     return found

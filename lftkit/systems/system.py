@@ -18,7 +18,7 @@ from lftkit.systems import lft
 from lftkit.systems.arithmetic import Arithmetic
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.delta import Value, chosen_values, delta_response, delta_system, random_values
-from lftkit.systems.matrices import checked_matrices
+from lftkit.systems.matrices import checked_matrices, frequencies
 from lftkit.systems.ports import Port, as_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
@@ -223,7 +223,7 @@ class System(Arithmetic):
         """
         chosen = chosen_values(self.elements, values or {}, beyond_range=beyond_range)
         q, found = len(self.channels), []
-        for w in np.atleast_1d(np.asarray(omega, dtype=float)):
+        for w in frequencies(omega):
             point = np.exp(1j * w * self.dt) if self.dt else 1j * w
             M = lft.response(self.lft, point)
             delta = delta_response(self.channels, self.elements, chosen, point)
@@ -249,6 +249,8 @@ class System(Arithmetic):
         ValueError
             Unknown element, value outside its range, or an LFT that is not well posed at these values.
         """
+        if values is not None and not isinstance(values, Mapping):
+            raise InputError(f"values must be a mapping from names to values, got {values!r}")
         given = {**(values or {}), **named}
         chosen = chosen_values(self.elements, given, beyond_range=beyond_range)
         requirement = f"the LFT must be well posed at {given}"

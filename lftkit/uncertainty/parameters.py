@@ -115,6 +115,6 @@ def checked_values(
         raise InputError(f"parameter must be one of {', '.join(parameters) or '(none)'}, got {unknown[0]!r}")
     result = {}
     for name, parameter in parameters.items():
-        value = float(values.get(name, parameter.nominal))
+        value = as_number(values.get(name, parameter.nominal), f"parameter {name!r}")
         result[name] = value if beyond_range and math.isfinite(value) else parameter.check(value)
     return result

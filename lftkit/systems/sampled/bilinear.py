@@ -20,6 +20,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import lu_factors
+from lftkit.support.scalars import as_positive
 
 RCOND = 1e-13
 """Reciprocal condition number below which a system counts as one with a pole that has no image."""
@@ -86,8 +87,7 @@ def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: 
     >>> [float(m.item()) for m in to_discrete(*(np.array([[v]]) for v in (-2.0, 2.0, 1.0, 0.0)), 1.0)]
     [0.0, 1.0, 0.5, 0.5]
     """
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt must be positive, got {dt}")
+    as_positive(dt, "dt")
     n = len(A)
     if n == 0:
         return A, B, C, D

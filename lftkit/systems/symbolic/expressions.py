@@ -316,6 +316,8 @@ def as_expression(value: Any) -> Expression | None:
 def constant(gain: FloatArray, dt: float = 0.0) -> Expression:
     """A matrix of numbers."""
     given = np.asarray(gain, dtype=float)
+    if not np.all(np.isfinite(given)):
+        raise InputError(f"numbers of an expression must be finite, got {gain}")
     return Expression(given, dt=dt, fraction=Fraction.of(given.item()) if given.shape == (1, 1) else None)
 
 
@@ -470,7 +472,10 @@ def matrix(rows: Any) -> Expression:
     >>> matrix([[k, -k], [-k, k]]).system().occurrences()
     {'k': 1}
     """
-    entries = [[as_expression(e) for e in row] for row in rows]
+    try:
+        entries = [[as_expression(e) for e in row] for row in rows]
+    except TypeError:
+        entries = []
     if not entries or not entries[0] or any(e is None for row in entries for e in row):
         raise InputError(f"matrix must have rows of expressions and numbers, got {rows!r}")
     known = [[e for e in row if e is not None] for row in entries]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lftkit.errors import InputError
-from lftkit.support.scalars import is_number
+from lftkit.support.scalars import as_number, as_positive, is_number
 from lftkit.systems.symbolic.expressions import Expression, scalar, variable
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
@@ -48,12 +50,14 @@ def real(
     if sum(given) != 1 or (lower is None) != (upper is None):
         raise InputError(f"range of {name!r} must be given once: lower and upper, percent, or plus_minus")
     if lower is None or upper is None:
-        size = percent if percent is not None else plus_minus
-        ends = (-float(size), float(size)) if is_number(size) else tuple(float(x) for x in size)  # type: ignore
-        scale = abs(nominal) / 100.0 if percent is not None else 1.0
-        lower, upper = nominal + ends[0] * scale, nominal + ends[1] * scale
-    element = RealParameter(name, float(nominal), float(lower), float(upper), unit, description)
-    return scalar(element)
+        size: Any = percent if percent is not None else plus_minus
+        ends = (-size, size) if is_number(size) else size
+        if not (isinstance(ends, tuple | list) and len(ends) == 2 and all(map(is_number, ends))):
+            raise InputError(f"range of {name!r} must be one number or those of both ends, got {size!r}")
+        middle = as_number(nominal, f"parameter {name!r}: nominal")
+        scale = abs(middle) / 100.0 if percent is not None else 1.0
+        lower, upper = middle + float(ends[0]) * scale, middle + float(ends[1]) * scale
+    return scalar(RealParameter(name, nominal, lower, upper, unit, description))
 
 
 def complex_gain(name: str, nominal: float, radius: float, *, unit: str = "1", description: str = "") -> Expression:
@@ -82,6 +86,4 @@ def z(dt: float) -> Expression:
     >>> (1 / (z(0.1) - 0.5)).system().poles().real.tolist()
     [0.5]
     """
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"dt must be positive, got {dt}")
-    return variable(float(dt))
+    return variable(as_positive(dt, "dt"))

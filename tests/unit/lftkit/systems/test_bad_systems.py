@@ -17,11 +17,15 @@ from lftkit import (
     connect,
     from_control,
     invert,
+    matrix,
     parallel,
+    real,
+    s,
     star,
     state_space,
     static_gain,
     transform,
+    z,
 )
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.connection.feedback import close_loop
@@ -75,6 +79,16 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "must be a rectangular array of real": lambda: state_space([[-1 + 1j]], ONE, ONE, [[0]], U, Y),
     "must be a rectangular array": lambda: SampledSystem([[0.5j]], ONE, ONE, [[0]], tuple(U), tuple(Y), 0.1),
     "a rectangular array of real numbers": lambda: static_gain(np.array([[1j]]), U, Y),
+    "values must be a mapping from names to values, got 3": lambda: FAMILY.at(3),  # type: ignore[arg-type]
+    "parameter 'k' must be a finite real number, got 'x'": lambda: FAMILY.at({"k": "x"}),  # type: ignore[dict-item]
+    r"omega must be a vector of finite numbers, got \[nan\]": lambda: FAMILY.response([np.nan]),
+    "omega must be a vector of finite numbers, got 'a'": lambda: FAMILY.response("a"),  # type: ignore[arg-type]
+    # expressions
+    "lower must be a finite real number, got 'a'": lambda: real("k", 1, "a", 2),  # type: ignore[arg-type]
+    "must be one number or those of both ends, got 'x'": lambda: real("k", 1, percent="x"),  # type: ignore[arg-type]
+    "dt must be positive, got 'a'": lambda: z("a"),  # type: ignore[arg-type]
+    "must have rows of expressions and numbers, got None": lambda: matrix(None),
+    "numbers of an expression must be finite, got": lambda: np.inf / (s + 1),
     # conversions
     "system must be in continuous time, got sampling period 0.1 s": lambda: frequency_response(
         from_control(discrete(0.1)), [1.0]
