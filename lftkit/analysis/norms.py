@@ -97,8 +97,9 @@ def hinf_norm(
     Returns
     -------
     HInfNorm
-        ``value <= norm <= upper``, and ``upper <= value (1 + rtol)``. In discrete time the sides are farther apart
-        where rounding of a system of more than 24 states hides the difference. Poles on the unit circle to rounding,
+        ``value <= norm <= upper``, and ``upper <= value (1 + rtol)``. The sides are farther apart where the terms of a
+        response without a precise modal form cancel to less than 1e-4 of themselves, and in discrete time where
+        rounding of a system of more than 24 states hides the difference. Poles on the unit circle to rounding,
         four roundings per state, count as unstable.
 
     Raises
