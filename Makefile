@@ -25,7 +25,7 @@ help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, tests of some 10 minutes; at the end what was skipped and how to get it"
 	@echo "make test PACKAGE=los_loop  the unit tests of one package alone"
-	@echo "make test-further  more whole programs, foreign nodes and damage; CI has them, some minutes"
+	@echo "make test-further  more whole programs, foreign nodes and damage; CI has them, a quarter of an hour"
 	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
