@@ -6,13 +6,15 @@ constraint forces their multipliers. The readers under test compute neither.
 
 from __future__ import annotations
 
+import io
+import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag, eigh, inv, lstsq, null_space
+from scipy.linalg import block_diag, eigh, inv, lstsq, null_space, solve
 from scipy.spatial.transform import Rotation
 
 from titop_plant.structures import BeamFrame
@@ -187,20 +189,54 @@ def solved(delivery: Delivery) -> Solution:
     return Solution(M, K, squares, shapes, forces)
 
 
-def write_results(delivery: Delivery, path: Path, *, modes: bool = True, forces: bool = True) -> Solution:
-    """OP2 of the modes, constraint forces and grid point weight."""
+def with_residual_vectors(delivery: Delivery, keep: int, node: str) -> Solution:
+    """Modes and the static shapes of three forces at a node, orthonormalised: Ritz vectors, as those of RESVEC.
+
+    Only of a delivery without RBE. The constraint forces are the rows of ``K u - w^2 M u`` at the held grid points, as
+    NASTRAN recovers them, whatever forces are left at the others.
+    """
+    names, M, K = matrices(delivery)
+    G, _ = equations(delivery, {name: 6 * k for k, name in enumerate(names)}, M.shape[0])
+    free, loads = null_space(G), np.eye(M.shape[0])[:, 6 * names.index(node) :][:, :3]
+    static = free @ solve(free.T @ K @ free, free.T @ loads)
+    basis = np.hstack([solved(delivery).shapes[:, :keep], static])
+    squares, factors = eigh(basis.T @ K @ basis, basis.T @ M @ basis)
+    shapes = basis @ factors
+    held = np.any(G != 0.0, axis=0)
+    return Solution(M, K, squares, shapes, held[:, None] * (K @ shapes - (M @ shapes) * squares))
+
+
+def write_results(
+    delivery: Delivery,
+    path: Path,
+    *,
+    modes: bool = True,
+    forces: bool = True,
+    solution: Solution | None = None,
+    largest: bool = False,
+    eigenvalues: bool = False,
+) -> Solution:
+    """OP2 of the modes, constraint forces and grid point weight.
+
+    `largest` normalises every mode to a largest component of 1 (NORM MAX); `eigenvalues` writes the generalised masses,
+    in a table with one mode more than the eigenvectors.
+    """
     from pyNastran.op2.op2 import OP2
     from pyNastran.op2.result_objects.grid_point_weight import GridPointWeight
     from pyNastran.op2.tables.oqg_constraintForces.oqg_spc_forces import RealSPCForcesArray
     from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
 
-    source, found, keep = delivery.frame.divided(), solved(delivery), delivery.keep
+    source, found = delivery.frame.divided(), solution or solved(delivery)
+    keep = found.squares.size
     names = list(source.nodes)
     grids = np.column_stack([np.arange(1, len(names) + 1), np.ones(len(names))]).astype("int32")
     model = OP2(debug=None)
     model.set_as_msc()
     model.is_nx, model.is_msc, model.is_optistruct = False, True, False
     numbers, cycles = np.arange(1, keep + 1), np.sqrt(np.abs(found.squares)) / (2 * np.pi)
+
+    factor = 1.0 / np.abs(found.shapes).max(axis=0) if largest else np.ones(keep)
+    found = replace(found, shapes=factor * found.shapes, forces=factor * found.forces)
 
     def table(kind: Any, name: str, columns: np.ndarray) -> Any:
         columns = block_diag(*(delivery.axes(node) for node in names)) @ columns
@@ -221,7 +257,26 @@ def write_results(delivery: Delivery, path: Path, *, modes: bool = True, forces:
             delivery.weight, mass, eye, np.ones(3), 0 * eye, eye, np.ones(3), eye
         )
     model.write_op2(str(path), nastran_format="msc")
+    if eigenvalues:
+        _append_eigenvalues(path, found.squares, factor**2)
     return found
+
+
+def _append_eigenvalues(path: Path, squares: np.ndarray, masses: np.ndarray) -> None:
+    """Table of eigenvalues of one mode more, which pyNastran leaves out of its OP2, before the end of file."""
+    from pyNastran.op2.tables.lama_eigenvalues.lama_objects import RealEigenvalues
+
+    stated = RealEigenvalues("modes", "LAMA", squares.size + 1)
+    for k, (square, mass) in enumerate(zip([*squares, 2.0 * squares[-1]], [*masses, 1.0])):
+        root = np.sqrt(square)
+        stated.add_f06_line((k + 1, k + 1, square, root, root / (2 * np.pi), mass, mass * square), k)
+    stated.format_code = 1
+    text, end = path.read_bytes(), struct.pack("<3i", 4, 0, 4)
+    assert text.endswith(end)
+    with path.open("wb") as file:
+        file.write(text[: -len(end)])
+        number = stated.write_op2(file, io.StringIO(), -1, True, (1, 1, 2020), endian=b"<")
+        file.write(struct.pack("<9i", 4, number, 4, 4, 1, 4, 4, 0, 4) + end + end)
 
 
 def write_superelement(

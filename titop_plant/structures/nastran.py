@@ -7,20 +7,22 @@ Requirements on the run:
 * ``SOL 103`` clamped at the parent by ``SPC1``: one grid point in all six components, as that at the centre of a ring
   of bolts (RBE2, RBE3), or the grid points of an :class:`~titop_plant.structures.nastran_interface.Interface`;
   constraints elsewhere only of what has no stiffness;
-* mass-normalised real eigenvectors of at least the ports (``DISPLACEMENT(PLOT)=ALL``);
+* real eigenvectors of at least the ports (``DISPLACEMENT(PLOT)=ALL``), mass-normalised or with the table of
+  eigenvalues that has their generalised masses;
 * forces of single-point constraint of the interface (``SPCFORCES(PLOT)=ALL``): they give the participation. Without
   them it is the momentum of the deck's lumped masses, if the modes have all of them and are orthonormal with them
-  (1 %), which shows that they are the masses of the run;
-* ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM1 and CONM2 exactly,
-  elements as points at their grid points, bars with ``PARAM,COUPMASS,1`` as slender rods with their polar inertia. A
-  straight boom has no inertia about itself in lumped masses: the polar inertia of its bars is added;
+  (1 %), which shows that they are the masses of the run. So it is for modes that are no eigenvectors of the whole
+  model, residual vectors (RESVEC) and those of an analysis set (ASET): other forces than those of the parent are left;
+* ``PARAM,GRDPNT,0`` for the rigid mass matrix. Without it the masses of the BDF are summed: CONM and CMASS
+  exactly, elements as points at their grid points, bars with ``PARAM,COUPMASS,1`` as slender rods with their polar
+  inertia. A straight boom has no inertia about itself in lumped masses: the polar inertia of its bars is added;
 * ``PARAM,POST,-1`` so that these results are in the OP2 file.
 
 **Participation: L_k = -q_k / w_k^2**, with ``q_k`` the constraint force at the parent in mode k: the
 sum of all inertia forces of the mode, whatever mass formulation the elements have.
 
 Deck and OP2 must be of the same model: grid points, positions and mass are compared as far as the OP2 has them, and the
-constraint forces with the momentum of the deck's masses in each mode.
+constraint forces with the momentum of the deck's masses in each mode, within 1 % for lumped masses of bars and points.
 
 Free-free modes are refused: cut off above, they lack the flexibility of the interface, and no number of the files tells
 how much. Reduced matrices have it: :func:`~titop_plant.structures.nastran_matrices.read_nastran_matrices`.
@@ -40,7 +42,7 @@ from lftkit.errors import InputError
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData
 from titop_plant.structures.nastran_axes import to_basic
-from titop_plant.structures.nastran_deck import is_coupled, parameters_of
+from titop_plant.structures.nastran_deck import is_coupled, parameters_of, reduced_by
 from titop_plant.structures.nastran_files import (
     grid_positions,
     mass_normalisation,
@@ -50,12 +52,16 @@ from titop_plant.structures.nastran_files import (
     rows_of,
 )
 from titop_plant.structures.nastran_interface import Interface, check_clamped, held_wrench
-from titop_plant.structures.nastran_mass import mass_of_elements, momentum_maps, rigid_mass
+from titop_plant.structures.nastran_mass import is_exact, mass_of_elements, momentum_maps, rigid_mass
 from titop_plant.structures.nastran_match import (
+    EXACT_MOMENTUM,
     MASS,
+    MOMENTUM,
+    ORTHONORMAL,
     check_grids,
     check_mass,
     check_momentum,
+    check_normalised,
     modal_masses,
     momentum_of,
 )
@@ -67,8 +73,8 @@ if TYPE_CHECKING:
 
 #: The OP2 file is in single precision: a residual negative by less than this fraction is a rounding error.
 SINGLE_PRECISION = 1e-5
-ORTHONORMAL = 0.01
-"""Largest error of the products of the modes with the masses of the deck, that are those of the run."""
+NO_FORCES = "file must contain forces of single-point constraint (SPCFORCES(PLOT)=ALL), got none"
+NO_EIGENVECTORS = "modes must be eigenvectors of the whole model (RESVEC = NO, no ASET) for constraint forces, got {}"
 FREE_BODY = 1e-9
 """Squares of frequencies, relative to the largest, that are those of rigid-body modes."""
 
@@ -145,19 +151,22 @@ def read_nastran(
     coupled, point = is_coupled(deck, model, Path(bdf)), interface.place(model, str(bdf))
     positions = grid_positions(model, ports, str(bdf))
     results = read_results(Path(op2))
-    table = of_subcase(results.eigenvectors, "real eigenvectors", str(op2), subcase)
+    reduced = sorted(results.matrices)[:6]
+    also = f", and matrices {reduced}: read_nastran_matrices takes them as text (DMIGPCH)" if reduced else ""
+    table = of_subcase(results.eigenvectors, "real eigenvectors", str(op2), subcase, also)
     forces = None
     if results.spc_forces or coupled:
         forces = of_subcase(results.spc_forces, "forces of single-point constraint", str(op2), subcase)
         to_basic(model, forces, str(bdf))
     if parameters_of(deck, model, Path(bdf)).get("OUGCORD", "GLOBAL").upper() != "BASIC":
         to_basic(model, table, str(bdf))
-    check_clamped(model, interface, table, forces, str(bdf))
+    check_clamped(model, interface, table, forces, str(bdf), int(table.isubcase))
     squares = _squares(table, str(op2))
-    scale = mass_normalisation(results, squares.size)[:, None]
+    scale = mass_normalisation(model, results, table, str(op2))[:, None]
     check_grids(model, results, table, str(op2))
-    if forces is None:
-        participation = _by_momentum(model, table, (scale, units.weight, point), str(op2))
+    if forces is None or (approximate := reduced_by(deck, model)):
+        asked = NO_FORCES if forces is None else NO_EIGENVECTORS.format(approximate)
+        participation = _by_momentum(model, table, (scale, units.weight, point), f"{op2}: {asked}")
     else:
         participation = -scale * held_wrench(model, interface, forces, str(op2)) / squares[:, None]
     shapes = {port: scale * rows_of(table, grid, str(op2), port) for port, grid in ports.items()}
@@ -165,7 +174,7 @@ def read_nastran(
         rigid = rigid_mass(model, results, point, str(bdf), coupled)
     else:
         rigid = read_only(stated, (6, 6), f"{name}: mass_matrix")
-    found = participation / scale / units.weight, point, rigid[0, 0]
+    found = participation / scale / units.weight, point, rigid[0, 0], scale * np.sqrt(units.weight)
     _check_same(model, results, table, found, (str(op2), coupled))
     root = np.sqrt(units.mass)
     data = ModalData(
@@ -225,13 +234,15 @@ def _squares(table: Any, path: str) -> FloatArray:
     return squares
 
 
-def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatArray], path: str) -> FloatArray:
+def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatArray], asked: str) -> FloatArray:
     """Participation by the momentum of the deck's lumped masses, shape (n, 6), if these are the masses of the run.
 
     Parameters
     ----------
     found : (ndarray of shape (n, 1), float, ndarray of shape (3,))
         Factors that normalise the modes, ``PARAM,WTMASS``, and P.
+    asked : str
+        Begin of the messages: why the forces of constraint do not give it.
 
     Raises
     ------
@@ -241,7 +252,6 @@ def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatAr
     scale, weight, point = found
     maps, unknown = momentum_maps(model, point, False)
     momentum = None if unknown else momentum_of(maps, table)
-    asked = f"{path}: file must contain forces of single-point constraint (SPCFORCES(PLOT)=ALL), got none"
     if momentum is None:
         raise InputError(f"{asked}, and not the motion of all masses of the deck")
     products = weight * scale * modal_masses(model, maps, table, point) * scale.T
@@ -252,15 +262,23 @@ def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatAr
 
 
 def _check_same(
-    model: Any, results: Any, table: Any, found: tuple[FloatArray, FloatArray, float], files: tuple[str, bool]
+    model: Any,
+    results: Any,
+    table: Any,
+    found: tuple[FloatArray, FloatArray, float, FloatArray],
+    files: tuple[str, bool],
 ) -> None:
-    """Deck against OP2: mass by the grid point weight, momentum of the modes where all mass is known."""
-    (path, coupled), (participation, point, mass) = files, found
+    """Deck against OP2: mass by the grid point weight, momentum and norm of the modes where all mass is known."""
+    (path, coupled), (participation, point, mass, scale) = files, found
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
         return
     total = float(sum(by_velocity[0, 0] for by_velocity in maps.values()))
     for weight in results.grid_point_weight.values():
         check_mass(total, float(np.asarray(weight.MO)[0, 0]), path)
-    if abs(total - mass) <= MASS * mass:
-        check_momentum(maps, table, participation, path)
+    if abs(total - mass) > MASS * mass or momentum_of(maps, table) is None:
+        return
+    exact = is_exact(model, coupled)
+    check_momentum(maps, table, participation, path, EXACT_MOMENTUM if exact else MOMENTUM)
+    lumped = momentum_maps(model, point, False)[0]
+    check_normalised(scale * modal_masses(model, lumped, table, point) * scale.T, exact, path)

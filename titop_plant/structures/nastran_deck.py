@@ -119,6 +119,17 @@ def number_of(text: str) -> float:
         return float("nan")
 
 
+def reduced_by(deck: Deck, model: Any) -> str:
+    """What makes the modes of a run no eigenvectors of its matrices: residual vectors, or an analysis set; else ""."""
+    asked = re.search(r"^\s*resvec\b[^=\n]*=\s*(\w+)", deck.text, re.IGNORECASE | re.MULTILINE)
+    if asked and not asked[1].upper().startswith("NO"):
+        return f"RESVEC = {asked[1].upper()}"
+    if "RESVEC" in model.params and str(model.params["RESVEC"].values[0]).upper() != "NO":
+        return "PARAM,RESVEC"
+    sets = {"ASET": model.asets, "BSET": model.bsets, "CSET": model.csets, "QSET": model.qsets, "OMIT": model.omits}
+    return next((name for name, cards in sets.items() if cards), "")
+
+
 def is_coupled(deck: Deck, model: Any, path: Path) -> bool:
     """Whether ``PARAM,COUPMASS`` asks for coupled (consistent) mass matrices; NASTRAN's default is lumped ones."""
     return number_of(parameters_of(deck, model, path).get("COUPMASS", "-1")) > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import RESULTS
 from titop_plant.structures.nastran_deck import Deck, read_deck
+
+SAME_VALUE = 1e-3
+"""Largest relative difference of eigenvalues of two tables that are those of one mode."""
+KINDS = {b"\x89HDF": "an HDF5 file", b"PK\x03\x04": "a zip file", b"\x1f\x8b": "a gzip file"}
 
 
 def _pynastran() -> tuple[Any, Any]:
@@ -44,13 +49,30 @@ def read_model(path: Path) -> tuple[Deck, Any]:
         deck = read_deck(path)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: BDF file must exist, got no such file as {error.filename}") from None
+    _check_whole(deck, path)
     try:
         model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # pyNastran raises many types
         raise InputError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
+    defaults = model.grdset
+    if defaults is not None and (defaults.Cp() or defaults.Cd() or defaults.ps not in ("", "0", 0, None)):
+        raise InputError(
+            f"{path}: GRDSET must have no CP, CD and PS (state them on each GRID), got CP {defaults.Cp()}, "
+            f"CD {defaults.Cd()}, PS {defaults.ps or 'none'}"
+        )
     return deck, model
+
+
+def _check_whole(deck: Deck, path: Path) -> None:
+    """Refuse a deck of several superelements."""
+    part = re.search(r"^\s*begin\s+(super\s*=\s*\w+)", deck.text, re.IGNORECASE | re.MULTILINE)
+    if part:
+        raise InputError(
+            f"{path}: deck must be of one structure, got BEGIN {part[1].upper()}: read its reduced matrices "
+            "(EXTSEOUT(STIFFNESS,MASS,DMIGPCH), read_nastran_matrices), or a run without superelements"
+        )
 
 
 def read_results(path: Path) -> Any:
@@ -65,6 +87,13 @@ def read_results(path: Path) -> Any:
         check_file(path, RESULTS)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: OP2 file must exist, got no such file") from None
+    with path.open("rb") as file:
+        head = file.read(64)
+    kind = next((name for start, name in KINDS.items() if head.startswith(start)), None)
+    if head and not kind and all(byte in b"\t\r\n\f" or 32 <= byte < 127 for byte in head):
+        kind = "text, as F06 and punch files"
+    if kind:
+        raise InputError(f"{path}: OP2 must be readable by pyNastran (PARAM,POST,-1 writes it), got {kind}")
     try:
         return _pynastran()[1](str(path), debug=None)
     except (ImportError, MemoryError):
@@ -78,17 +107,24 @@ def _one_line(error: Exception) -> str:
     return text if len(text) < 200 else text[:200] + "..."
 
 
-def of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | None) -> Any:
-    """The table of a subcase; keys are a number, or tuples that begin with it.
+def of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | None, also: str = "") -> Any:
+    """The table of a subcase; keys are a number, or tuples that begin with it. `also`: what the file has, if not it.
 
     Raises
     ------
     ValueError
         No table, several without `subcase`, or none of this subcase.
     """
-    found = {int(key[0] if isinstance(key, tuple) else key): table for key, table in tables.items()}
+    numbers = [int(key[0] if isinstance(key, tuple) else key) for key in tables]
+    found = dict(zip(numbers, tables.values()))
+    if len(found) < len(numbers):
+        twice = max(found, key=numbers.count)
+        raise InputError(
+            f"{path}: file must contain {what} once for each subcase, got {numbers.count(twice)} tables of subcase "
+            f"{twice} (superelements, or runs that were appended)"
+        )
     if not found:
-        raise InputError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none")
+        raise InputError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none{also}")
     if subcase is None:
         if len(found) > 1:
             raise InputError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
@@ -112,13 +148,30 @@ def rows_of(table: Any, grid: int, path: str, name: str) -> FloatArray:
     return np.asarray(table.data[:, index[0], :], dtype=float)
 
 
-def mass_normalisation(results: Any, n: int) -> FloatArray:
-    """Factor on every mode that makes its modal mass 1, by the table of eigenvalues if there is one; shape (n,)."""
-    for table in results.eigenvalues.values():
-        generalized = np.asarray(table.generalized_mass, dtype=float)
-        if generalized.size == n and np.all(generalized > 0):
+def mass_normalisation(model: Any, results: Any, table: Any, path: str) -> FloatArray:
+    """Factor on every mode that makes its modal mass 1, by the table of eigenvalues if there is one; shape (n,).
+
+    Raises
+    ------
+    ValueError
+        No table has these modes, and the deck asks for another normalisation than that of unit masses.
+    """
+    squares = np.asarray(table.eigns, dtype=float)
+    numbers = np.asarray(table.modes, dtype=int)
+    for stated in results.eigenvalues.values():
+        row = {int(mode): k for k, mode in enumerate(np.asarray(stated.mode))}
+        rows = [row[mode] for mode in numbers.tolist() if mode in row]
+        generalized = np.asarray(stated.generalized_mass, dtype=float)[rows]
+        values = np.asarray(stated.eigenvalues, dtype=float)[rows]
+        if len(rows) == squares.size and np.allclose(values, squares, rtol=SAME_VALUE) and np.all(generalized > 0):
             return np.asarray(1.0 / np.sqrt(generalized))
-    return np.ones(n)
+    for card in model.methods.values():
+        if str(getattr(card, "norm", None) or "MASS").upper() != "MASS":
+            raise InputError(
+                f"{path}: file must contain the table of eigenvalues of these modes with their generalised masses, got "
+                f"none and {card.type} {card.sid} with NORM {card.norm}"
+            )
+    return np.ones(squares.size)
 
 
 def grid_positions(model: Any, grids: Mapping[str, int], path: str) -> dict[str, FloatArray]:

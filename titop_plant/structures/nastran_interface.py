@@ -20,6 +20,9 @@ from titop_plant.structures.kinematics import tau
 from titop_plant.structures.nastran_axes import six_axes
 from titop_plant.structures.nastran_files import grid_positions, rows_of
 
+SPRINGS = ("CELAS1", "CELAS2", "CELAS3", "CELAS4", "CBUSH", "CBUSH1D")
+RIGID = 1e-3
+"""Sum of the terms of an MPC in a rigid motion, relative to their absolute values, that is their rounding."""
 STILL = 1e-5
 """Motion or force at a grid point, relative to the largest of the mode, that is none in single precision."""
 
@@ -91,17 +94,19 @@ class Interface:
         return place
 
 
-def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, path: str) -> None:
+def check_clamped(
+    model: Any, interface: Interface, table: Any, forces: Any, path: str, subcase: int | None = None
+) -> None:
     """Check that the deck holds the interface in all six directions and nothing else.
 
-    Without `forces` (None) no other constraint is accepted.
+    Without `forces` (None) no other constraint is accepted. Constraints are those of `subcase`, None for all.
 
     Raises
     ------
     ValueError
         Rigid motions are free, another grid point is held with a force, or the results move what the deck holds.
     """
-    held = _constrained(model)
+    held = _constrained(model, subcase)
     first = interface.clamped[0]
     if not held:
         raise InputError(
@@ -139,6 +144,36 @@ def check_clamped(model: Any, interface: Interface, table: Any, forces: Any, pat
     for grid in interface.clamped:
         if _largest(model, table, grid, held, path, absent=0.0) > STILL:
             raise InputError(f"{path}: results must be of a run that clamps GRID {grid} as the deck does, got motion")
+    _check_not_grounded(model, path, subcase)
+
+
+def _check_not_grounded(model: Any, path: str, subcase: int | None) -> None:
+    """Refuse springs to ground or scalar points, and MPC against rigid motions: P does not hold the body alone."""
+    for element in model.elements.values():
+        if element.type in SPRINGS and any(grid not in model.nodes for grid in element.node_ids):
+            raise InputError(
+                f"{path}: springs must be between two grid points, got {element.type} {element.eid} to ground or to a "
+                "scalar point: SPC at the parent must be all that holds the body"
+            )
+    chosen = _chosen(model, "MPC", subcase)
+    for key, cards in model.mpcs.items():
+        for card in cards if chosen is None or int(key) in chosen else ():
+            grids = _integers(card.nodes)
+            if all(grid in model.nodes for grid in grids) and _holds(model, card, grids, path):
+                raise InputError(
+                    f"{path}: MPC must let the body move as a rigid one, got MPC {key} of GRID {grids[:6]} against it"
+                )
+
+
+def _holds(model: Any, equation: Any, grids: list[int], path: str) -> bool:
+    """Whether an MPC of grid points has a value in a rigid motion."""
+    point = np.asarray(model.nodes[grids[0]].get_position(), dtype=float)
+    terms = np.zeros((len(grids), 6))
+    for k, (grid, component, factor) in enumerate(zip(grids, equation.components, equation.coefficients)):
+        position = np.asarray(model.nodes[grid].get_position(), dtype=float)
+        terms[k] = factor * (six_axes(model.nodes[grid], path) @ tau(position, point))[int(component) - 1]
+    parts = (terms[:, :3], terms[:, 3:])
+    return any(float(np.abs(one.sum(axis=0)).max()) > RIGID * float(np.abs(one).sum()) for one in parts)
 
 
 def held_wrench(model: Any, interface: Interface, forces: Any, path: str) -> FloatArray:
@@ -157,10 +192,10 @@ def held_wrench(model: Any, interface: Interface, forces: Any, path: str) -> Flo
     return total
 
 
-def _constrained(model: Any) -> dict[int, set[str]]:
+def _constrained(model: Any, subcase: int | None) -> dict[int, set[str]]:
     """Constrained components by grid point: the sets that the case control names, else all; and those of GRID."""
     constrained: dict[int, set[str]] = {}
-    chosen = _chosen(model)
+    chosen = _chosen(model, "SPC", subcase)
     for key, cards in model.spcs.items():
         for card in cards if chosen is None or int(key) in chosen else ():
             components = card.components
@@ -173,19 +208,23 @@ def _constrained(model: Any) -> dict[int, set[str]]:
     return {grid: found for grid, found in constrained.items() if grid in model.nodes}
 
 
-def _chosen(model: Any) -> set[int] | None:
-    """Sets of SPC that the case control names, with those that SPCADD adds; None without a case control."""
+def _chosen(model: Any, kind: str, subcase: int | None) -> set[int] | None:
+    """Sets of SPC or MPC that the case control names, with those that SPCADD or MPCADD adds; None where it names none.
+
+    Those of `subcase`, or of all for None and for a subcase that it does not have.
+    """
     control = getattr(model, "case_control_deck", None)
     if control is None:
         return None
+    cases = control.subcases
     named = {
-        int(case.params["SPC"][0])
-        for case in control.subcases.values()
-        if "SPC" in case.params and str(case.params["SPC"][0]).isdigit()
+        int(case.params[kind][0])
+        for case in ([cases[subcase]] if subcase in cases else cases.values())
+        if kind in case.params and str(case.params[kind][0]).isdigit()
     }
     if not named:
         return None
-    for key, cards in model.spcadds.items():
+    for key, cards in (model.spcadds if kind == "SPC" else model.mpcadds).items():
         if int(key) in named:
             named |= {int(one) for card in cards for one in _integers(card.sets)}
     return named

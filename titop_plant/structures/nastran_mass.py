@@ -13,8 +13,12 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from titop_plant.structures.kinematics import skew, tau
+from titop_plant.structures.nastran_axes import displacement_axes, six_axes
 
 BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
+POINTS = ("CONM1", "CONM2", "CMASS1", "CMASS2", "CMASS3", "CMASS4")
+SAME_IN_ALL = 1e-4
+"""Largest difference of the mass in two directions, relative, that is the rounding of a rigid body."""
 NO_INERTIA = 1e-9
 """Least moment of inertia, relative to the largest, below which a body has none about that axis."""
 
@@ -29,7 +33,7 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
     coupled : bool
         ``PARAM,COUPMASS``: bars have the consistent mass of cubic deflections and the polar inertia
         ``rho (I1 + I2) L`` about their axis. False, NASTRAN's default: half their mass is at each end. Other elements
-        have equal masses at their grid points, CONM1 and CONM2 their inertia.
+        have equal masses at their grid points, CONM1 and CONM2 their inertia, CMASS1 and CMASS2 one component.
 
     Returns
     -------
@@ -40,15 +44,18 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
         The first mass that is not understood, "" if all are.
     """
     maps: dict[int, FloatArray] = {}
-    for number in model.nsms:  # pyNastran has them in no element
-        return maps, f"NSM set {number}"
+    if unknown := _not_understood(model):
+        return maps, unknown
 
     def add(grid: int, momentum: FloatArray) -> None:
         maps[grid] = maps.get(grid, np.zeros((6, 6))) + momentum
 
     for lump in model.masses.values():
-        if lump.type not in ("CONM1", "CONM2"):
-            return maps, f"{lump.type} {lump.eid}"
+        if lump.type.startswith("CMASS"):
+            for grid, component in _scalar(model, lump):
+                axis = six_axes(model.nodes[grid], "deck")[component - 1]
+                add(grid, lump.Mass() * tau(_position(model.nodes[grid]), point).T @ np.outer(axis, axis))
+            continue
         position = _position(model.nodes[lump.Nid()])
         if lump.type == "CONM1":
             add(lump.Nid(), tau(position, point).T @ _general(lump))
@@ -58,14 +65,60 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
     for element in model.elements.values():
         mass = float(element.Mass()) if hasattr(element, "Mass") else 0.0
         grids = [grid for grid in element.node_ids if grid] if mass else []
-        if coupled and element.type in BARS and grids:
-            start, end = (_position(node) for node in element.nodes_ref)
-            for grid, momentum in zip(grids, _bar(element, mass)):
-                add(grid, tau(0.5 * (start + end), point).T @ momentum)
+        if element.type in BARS and grids:
+            start, end = _ends(element)
+            mass *= float(linalg.norm(end - start)) / float(element.Length())
+            half = (np.diag([mass / 2.0] * 3 + [0.0] * 3),) * 2
+            centers = (0.5 * (start + end),) * 2 if coupled else (start, end)
+            parts = zip(grids, (start, end), _bar(element, mass) if coupled else half, centers)
+            for grid, place, momentum, center in parts:
+                add(grid, tau(center, point).T @ momentum @ tau(place, _position(model.nodes[grid])))
             continue
         for grid in grids:
             add(grid, tau(_position(model.nodes[grid]), point).T @ np.diag([mass / len(grids)] * 3 + [0.0] * 3))
     return maps, ""
+
+
+def _not_understood(model: Any) -> str:
+    """The first mass that pyNastran has in no element, or that is not understood; "" if there is none."""
+    for number in model.nsms:
+        return f"NSM set {number}"
+    for name in model.dmigs:
+        return f"DMIG {name}"
+    for lump in model.masses.values():
+        grids = [grid for grid in lump.node_ids if grid]
+        if lump.type not in POINTS or (len(grids) > 1 and any(grid in model.nodes for grid in grids)):
+            return f"{lump.type} {lump.eid}"
+    for element in model.elements.values():
+        shifted = element.type in BARS and any(np.any(getattr(element, side, 0.0)) for side in ("wa", "wb"))
+        if shifted and str(element.offt).upper() != "GGG":
+            return f"{element.type} {element.eid} with OFFT {element.offt}"
+    return ""
+
+
+def is_exact(model: Any, coupled: bool) -> bool:
+    """Whether :func:`momentum_maps` is the mass matrix of the run: point masses, and bars with half at each end."""
+    bars = all(element.type in ("CBAR", "CROD", "CONROD") for element in model.elements.values() if _has_mass(element))
+    return bars and not coupled and "BARMASS" not in model.params
+
+
+def _has_mass(element: Any) -> bool:
+    return hasattr(element, "Mass") and float(element.Mass()) != 0.0
+
+
+def _scalar(model: Any, lump: Any) -> list[tuple[int, int]]:
+    """Grid point and component 1 to 6 of a CMASS; none at scalar points, which rigid motions do not move."""
+    components = (getattr(lump, "c1", 0), getattr(lump, "c2", 0))
+    return [(grid, int(one)) for grid, one in zip(lump.node_ids, components) if grid in model.nodes and one]
+
+
+def _ends(element: Any) -> tuple[FloatArray, FloatArray]:
+    """Ends of a bar in the basic coordinates: its grid points, and its offsets in their displacement axes."""
+    found = []
+    for node, side in zip(element.nodes_ref, ("wa", "wb")):
+        offset = np.asarray(getattr(element, side, np.zeros(3)), dtype=float)
+        found.append(_position(node) + displacement_axes(node, "deck").T @ offset)
+    return found[0], found[1]
 
 
 def _general(lump: Any) -> FloatArray:
@@ -99,7 +152,7 @@ def _bar(element: Any, mass: float) -> tuple[FloatArray, FloatArray]:
 
     Integrals of the cubic shape functions and of their products with the distance from the centre.
     """
-    start, end = (_position(node) for node in element.nodes_ref)
+    start, end = _ends(element)
     length = float(linalg.norm(end - start))
     along = skew((end - start) / length)  # along @ v is axis x v
     found = []
@@ -124,7 +177,7 @@ def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) ->
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
         raise InputError(
-            f"{path}: mass elements must be CONM1 or CONM2 (or add PARAM,GRDPNT,0 to the run), got {unknown}"
+            f"{path}: mass elements must be CONM1, CONM2 or CMASS2 (or add PARAM,GRDPNT,0 to the run), got {unknown}"
         )
     total = np.zeros((6, 6))
     for grid, momentum in maps.items():
@@ -144,7 +197,7 @@ def _polar(element: Any) -> FloatArray:
     section: Any = getattr(element, "pid_ref", None)
     if element.type not in BARS or not (hasattr(section, "I11") and hasattr(section, "I22")):
         return np.zeros((3, 3))
-    start, end = (_position(node) for node in element.nodes_ref)
+    start, end = _ends(element)
     span = end - start
     line = float(section.Rho()) * (float(section.I11()) + float(section.I22()))
     return np.asarray(line / max(float(linalg.norm(span)), 1e-300) * np.outer(span, span), dtype=float)
@@ -160,9 +213,10 @@ def rigid_mass(model: Any, results: Any, point: FloatArray, path: str, coupled: 
     ValueError
         Still no inertia about an axis, or a mass element that is not understood.
     """
-    found = _grid_point_weight(model, results, point)
+    found = _grid_point_weight(model, results, point, path)
     if found is None:
         found = mass_of_elements(model, point, path, coupled)
+    check_rigid(found, path)
     if lacks_inertia(found):
         found = found.copy()
         found[3:, 3:] += polar_inertia(model)
@@ -174,16 +228,34 @@ def rigid_mass(model: Any, results: Any, point: FloatArray, path: str, coupled: 
     return found
 
 
+def check_rigid(mass_matrix: FloatArray, path: str) -> None:
+    """Refuse a mass matrix, shape (6, 6), that no rigid body has: another mass in each direction.
+
+    Raises
+    ------
+    ValueError
+        Such a matrix, as of CMASS1, CMASS2 or CONM1 in one direction only.
+    """
+    mass, size = mass_matrix[0, 0], float(np.abs(mass_matrix[:3, :3]).max())
+    if np.abs(mass_matrix[:3, :3] - mass * np.eye(3)).max() > SAME_IN_ALL * size:
+        raise InputError(
+            f"{path}: mass must be the same in all directions (CMASS1, CMASS2 and CONM1 in x, y and z), got "
+            f"{', '.join(f'{one:.6g}' for one in np.diag(mass_matrix)[:3])} in x, y and z"
+        )
+
+
 def lacks_inertia(mass_matrix: FloatArray) -> bool:
     """Whether a body with mass has no moment of inertia about some axis."""
     least = linalg.eigvalsh(mass_matrix[3:, 3:])
     return bool(mass_matrix[0, 0] > 0 and least[0] <= NO_INERTIA * least[-1])
 
 
-def _grid_point_weight(model: Any, results: Any, point: FloatArray) -> FloatArray | None:
+def _grid_point_weight(model: Any, results: Any, point: FloatArray, path: str) -> FloatArray | None:
     for weight in results.grid_point_weight.values():
         reference = int(weight.reference_point)
-        origin = np.asarray(model.nodes[reference].get_position()) if reference in model.nodes else np.zeros(3)
+        if reference and reference not in model.nodes:
+            raise InputError(f"{path}: PARAM,GRDPNT must be 0 or a grid point of the deck, got {reference}")
+        origin = _position(model.nodes[reference]) if reference else np.zeros(3)
         shift = tau(origin, point)
         matrix = shift.T @ np.asarray(weight.MO, dtype=float) @ shift
         return np.asarray(0.5 * (matrix + matrix.T))

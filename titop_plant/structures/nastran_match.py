@@ -18,6 +18,10 @@ POSITION = 1e-4
 """Largest difference of positions, relative to the size of the model; the OP2 file is in single precision."""
 MOMENTUM = 0.25
 """Largest difference of the participation, relative; the masses of elements are taken at their grid points."""
+EXACT_MOMENTUM = 0.01
+"""The same where the masses of the deck are those of the run: point masses, and bars with half at each end."""
+ORTHONORMAL = 0.01
+"""Largest error of the products of the modes with masses of the deck that are those of the run."""
 
 
 def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
@@ -100,7 +104,32 @@ def modal_masses(model: Any, maps: Mapping[int, FloatArray], table: Any, point: 
     return total
 
 
-def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: FloatArray, path: str) -> None:
+def check_normalised(products: FloatArray, exact: bool, path: str) -> None:
+    """Refuse modes that are not orthonormal with the masses of the deck.
+
+    Parameters
+    ----------
+    products : ndarray, shape (n, n)
+        Of :func:`modal_masses`, normalised and in the unit of mass of the run.
+    exact : bool
+        These masses are those of the run. Else the median of the squares is compared alone, within a factor of 2.
+
+    Raises
+    ------
+    ValueError
+        Other modes: the file has another normalisation without its generalised masses, or is of another model.
+    """
+    worst = float(np.abs(products - np.eye(len(products))).max())
+    if not (worst <= ORTHONORMAL if exact else 0.5 <= np.median(np.diag(products)) <= 2.0):
+        raise InputError(
+            f"{path}: results must be of the model of the deck, with modes of unit generalised mass (NORM MASS) or the "
+            f"table of eigenvalues, got products of the modes with its masses that miss I by {worst:.2g}"
+        )
+
+
+def check_momentum(
+    maps: Mapping[int, FloatArray], table: Any, participation: FloatArray, path: str, largest: float = MOMENTUM
+) -> None:
     """Compare what holds a mode at the clamped point with the momentum of the deck's masses in its shape.
 
     Parameters
@@ -111,11 +140,13 @@ def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: Fl
         Eigenvectors; where they lack a grid point with mass, nothing is compared.
     participation : ndarray, shape (n, 6)
         Of the constraint forces, in the modal scale of `table` and the mass unit of the maps.
+    largest : float
+        Largest relative difference.
 
     Raises
     ------
     ValueError
-        They differ by more than `MOMENTUM`: the OP2 file is of another model.
+        They differ by more: the OP2 file is of another model, or the parent does not hold the body alone.
     """
     momentum = momentum_of(maps, table)
     if momentum is None:
@@ -123,8 +154,9 @@ def check_momentum(maps: Mapping[int, FloatArray], table: Any, participation: Fl
     for part, name in ((slice(0, 3), "forces"), (slice(3, 6), "moments")):
         held, has = participation[:, part], momentum[:, part]
         size = max(float(linalg.norm(held)), float(linalg.norm(has)))
-        if linalg.norm(held - has) > MOMENTUM * size:
+        if linalg.norm(held - has) > largest * size:
             raise InputError(
-                f"{path}: results must be of the model of the deck, got {name} of constraint that differ from the "
-                f"momentum of its masses by {100 * linalg.norm(held - has) / size:.0f} %"
+                f"{path}: results must be of the model of the deck, held by its parent alone and without residual "
+                f"vectors (RESVEC = NO), got {name} of constraint that differ from the momentum of its masses by "
+                f"{100 * linalg.norm(held - has) / size:.2g} %"
             )

@@ -28,10 +28,12 @@ from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.nastran_axes import displacement_axes
 from titop_plant.structures.nastran_files import grid_positions, read_model
 from titop_plant.structures.nastran_interface import Interface
+from titop_plant.structures.nastran_mass import check_rigid
 from titop_plant.structures.nastran_units import DeckUnits, Units, units_of
 from titop_plant.structures.residual_mass import check_residual_mass
 
 STIFFNESS, MASS = "KAAX", "MAAX"
+"""Their names, if EXTSEOUT states no other suffix (DMIGSFIX)."""
 RIGID = 1e-4
 """Largest force of a rigid motion, relative to those of its single coordinates."""
 
@@ -55,7 +57,7 @@ def read_nastran_matrices(
     Parameters
     ----------
     punch : path
-        DMIG ``KAAX`` and ``MAAX``; may be one file with `bdf`.
+        DMIG ``KAAX`` and ``MAAX``, or the one pair of another suffix; may be one file with `bdf`.
     bdf : path
         Positions of the grid points of the matrices.
     name : str
@@ -90,15 +92,16 @@ def read_nastran_matrices(
     model = read_model(Path(punch))[1]
     deck, geometry = read_model(Path(bdf))
     stated = units_of(deck, geometry, Path(bdf), units)
-    coordinates = _coordinates(model, path)
+    names = _names(model, path)
+    coordinates = _coordinates(model, names, path)
     _check_known(interface, ports, coordinates, path)
     named = {f"{grid}": grid for grid, component in coordinates if component}
     positions = {int(key): place for key, place in grid_positions(geometry, named, str(bdf)).items()}
     point = interface.place(geometry, str(bdf))
     turn = _to_basic(geometry, coordinates, str(bdf))
-    K, M = (turn.T @ _matrix(model.dmigs[key], coordinates, stated) @ turn for key in (STIFFNESS, MASS))
+    K, M = (turn.T @ _matrix(model.dmigs[key], coordinates, stated) @ turn for key in names)
     rigid = _rigid_motions(coordinates, {grid: stated.length * (place - point) for grid, place in positions.items()}, K)
-    _check_free(coordinates, rigid, K, path)
+    _check_free(coordinates, rigid, K, f"{path}: {names[0]}")
     clamped = np.array([k for k, (grid, _) in enumerate(coordinates) if grid in interface.clamped])
     if linalg.svdvals(rigid[clamped] / np.maximum(1e-300, np.abs(rigid[clamped]).max(axis=0)))[-1] < 1e-6:
         got = {grid: "".join(str(one) for of, one in coordinates if of == grid) for grid in interface.clamped}
@@ -110,20 +113,30 @@ def read_nastran_matrices(
     free = FreeStructure(name, M, K, rigid)
     place = (interface.name, stated.length * point)
     data = clamped_body(free, place, clamped, rows, n_modes, damping, massless=True)
+    check_rigid(data.mass_matrix, path)
     check_residual_mass(data)
     return data
 
 
-def _coordinates(model: Any, path: str) -> list[Coordinate]:
+def _names(model: Any, path: str) -> tuple[str, str]:
+    """Names of stiffness and mass: `STIFFNESS` and `MASS`, or those of the one other suffix (DMIGSFIX)."""
+    known = set(model.dmigs)
+    pairs = [(name, f"M{name[1:]}") for name in sorted(known) if name[0] == "K" and f"M{name[1:]}" in known]
+    if (STIFFNESS, MASS) in pairs:
+        return STIFFNESS, MASS
+    if len(pairs) != 1:
+        raise InputError(
+            f"{path}: punch file must have DMIG {STIFFNESS} and {MASS} (EXTSEOUT(STIFFNESS,MASS,DMIGPCH)) or one pair "
+            f"of another suffix, got {sorted(known) or 'none'}"
+        )
+    return pairs[0]
+
+
+def _coordinates(model: Any, names: tuple[str, str], path: str) -> list[Coordinate]:
     """Coordinates of both matrices in ascending order."""
     found: set[Coordinate] = set()
-    for key in (STIFFNESS, MASS):
-        matrix = model.dmigs.get(key)
-        if matrix is None:
-            raise InputError(
-                f"{path}: punch file must have DMIG {STIFFNESS} and {MASS} (EXTSEOUT(STIFFNESS,MASS,DMIGPCH)), "
-                f"got {sorted(model.dmigs) or 'none'}"
-            )
+    for key in names:
+        matrix = model.dmigs[key]
         if matrix.matrix_form not in (1, 6) or matrix.tin not in (1, 2):
             raise InputError(
                 f"{path}: DMIG {key} must be real and square or symmetric (form 1 or 6, type 1 or 2), "
@@ -202,7 +215,7 @@ def _rigid_motions(
     return rigid
 
 
-def _check_free(coordinates: list[Coordinate], rigid: FloatArray, stiffness: FloatArray, path: str) -> None:
+def _check_free(coordinates: list[Coordinate], rigid: FloatArray, stiffness: FloatArray, what: str) -> None:
     """Refuse a stiffness against rigid motions."""
     forces, parts = np.abs(stiffness @ rigid), np.abs(stiffness) @ np.abs(rigid)
     share = forces.max(axis=0) / np.maximum(parts.max(axis=0), 1e-300)
@@ -210,6 +223,6 @@ def _check_free(coordinates: list[Coordinate], rigid: FloatArray, stiffness: Flo
         axis = int(share.argmax())
         where = coordinates[int(forces[:, axis].argmax())]
         raise InputError(
-            f"{path}: {STIFFNESS} must have no force for rigid motions, got {share[axis]:.2g} of those of single "
+            f"{what} must have no force for rigid motions, got {share[axis]:.2g} of those of single "
             f"coordinates in {AXES[axis]} at GRID {where[0]}: a grounded component, or positions of another one"
         )

@@ -23,6 +23,10 @@ STRUCTURAL = (1e9, 2e12)
 
 SOLID = (1e6, 1e13)
 """Young's moduli from rubber to above any solid, Pa: one material of a deck in stated units is there."""
+DENSITIES = (10.0, 5e4)
+"""Densities from foam to above any metal, kg/m3; a body by mistake in another unit of mass has none there."""
+MASSLESS = 1e-3
+"""Largest density, kg/m3, of parts that shall have no mass."""
 SAME = 1e-3
 """Relative difference of factors that is their rounding: 0.00259 is one over 386.1 in/s2."""
 
@@ -132,7 +136,9 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
     else:
         _check_materials(model, path, UNIT_SYSTEMS["N-M"], None)
         return UNIT_SYSTEMS["N-M"]
-    _check_materials(model, path, found, f"{stated}" if stated is not None else f"PARAM,UNITSYS,{system}")
+    named = f"{stated}" if stated is not None else f"PARAM,UNITSYS,{system}"
+    _check_materials(model, path, found, named)
+    _check_densities(model, path, found, named)
     return found
 
 
@@ -170,3 +176,16 @@ def _check_materials(model: Any, path: Path, units: DeckUnits, stated: str | Non
         f"{path}: units must be those of the deck, got {stated}, in which the stiffest material has "
         f"E = {max(moduli) * pascal:.3g} Pa"
     )
+
+
+def _check_densities(model: Any, path: Path, units: DeckUnits, stated: str) -> None:
+    """Refuse stated units in which every material is lighter than foam or heavier than any metal."""
+    scale = units.mass * units.weight / units.length**3
+    values = [getattr(material, "rho", None) for material in model.materials.values()]
+    densities = [scale * float(value) for value in values if isinstance(value, (int, float))]
+    densities = [density for density in densities if density > MASSLESS]
+    if densities and not any(DENSITIES[0] <= density <= DENSITIES[1] for density in densities):
+        raise InputError(
+            f"{path}: units must be those of the deck, got {stated}, in which the densest material has "
+            f"{max(densities):.3g} kg/m3"
+        )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from unit.titop_plant.test_structures_nastran import KEEP, PARENT, frame, load, same_body, write_bdf, write_op2
 
-from titop_plant.structures import BeamFrame, read_nastran, to_modal_data
+from titop_plant.structures import BeamFrame, Interface, nastran_mass, read_nastran, to_modal_data
 from titop_plant.structures.nastran_match import check_grids
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE
 
@@ -115,6 +115,101 @@ def test_positions_that_the_op2_states_are_compared() -> None:
         check_grids(model({1: [0, 0, 0], 2: [2.1, 0, 0]}), results, table, "x.op2")
     with pytest.raises(ValueError, match=r"got none with the numbers \[3\]"):
         check_grids(model({1: [0, 0, 0], 2: [2, 0, 0], 3: [1, 0, 0]}), results, table, "x.op2")
+
+
+REFUSED = {
+    "a spring to ground": ("CELAS2,5001,1.+5,3,1\n", "springs must be .*, got CELAS2 5001 to ground"),
+    "a bush to ground": ("PBUSH,50,K,1.+5\nCBUSH,5001,50,3,,,,,0\n", "springs must be .*, got CBUSH 5001 to ground"),
+    "a spring to a held scalar point": (
+        "SPOINT,7001\nSPC1,1,0,7001\nCELAS2,5001,1.+5,3,1,7001,0\n",
+        "springs must be between two grid points, got CELAS2 5001 .* scalar point",
+    ),
+    "an equation to ground": (
+        "MPC,4,3,1,1.,3,1,1.\n",
+        "MPC must let the body move .*, got MPC 4 of GRID .3, 3. against it",
+    ),
+    "an equation of two points": ("MPC,4,3,1,1.,2,1,-1.\n", r"MPC must let .*, got MPC 4 of GRID \[3, 2\] against it"),
+    "constraints of all": ("GRDSET,,,,,,,6\n", "GRDSET must have no CP, CD and PS .*, got CP 0, CD 0, PS 6"),
+    "coordinates of all": (
+        "GRDSET,,7\nCORD2R,7,,1.,0.,0.,1.,0.,1.\n,2.,0.,0.\n",
+        "GRDSET must have no CP, CD and PS .*, got CP 7, CD 0, PS none",
+    ),
+    "a mass in x": ("CMASS2,6001,0.5,4,1\n", "mass must be the same in all directions .*, got .* in x, y and z"),
+    "a mass matrix in x": ("CONM1,6001,4,0,0.5\n", "mass must be the same in all directions"),
+    "a mass between points": (
+        "CMASS2,6001,0.5,3,1,4,1\n",
+        "mass elements must be CONM1, CONM2 or CMASS2 .*PARAM,GRDPNT,0 .*, got CMASS2 6001",
+    ),
+    "a mass matrix of the deck": ("DMIG,MX,0,6,2,0\nDMIG,MX,4,1,,4,1,0.5\n", "mass elements must be .*, got DMIG MX"),
+    "two structures": (
+        "BEGIN SUPER=1\n",
+        "deck must be of one structure, got BEGIN SUPER=1: read its reduced matrices",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_body_on_its_parent_is_refused_by_its_card(tmp_path: Path, name: str) -> None:
+    cards, message = REFUSED[name]
+    written(tmp_path, frame(), cards, weight=None)
+    with pytest.raises(ValueError, match=rf"crane\.bdf: {message}") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_equations_of_a_rigid_bar_hold_nothing(tmp_path: Path) -> None:
+    """MPC of the x component of d on c, with the arm d - c = (-0.1, 0.8, 0.3)."""
+    written(tmp_path, frame())
+    whole = load(tmp_path)
+    written(tmp_path, frame(), "MPC,4,3,1,1.,2,1,-1.\n,,2,5,-.3,2,6,.8\n")
+    same_body(load(tmp_path), whole, 1e-12)
+
+
+@pytest.mark.parametrize(
+    "start", [b"1  MSC NASTRAN  R E A L   E I G E N V A L U E S\n" * 4, b"\x89HDF\r\n\x1a\n", b"PK\3\4"]
+)
+def test_a_file_in_the_place_of_an_op2_is_named(
+    tmp_path: Path, start: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """F06, HDF5 and an archive."""
+    written(tmp_path, frame())
+    (tmp_path / "crane.op2").write_bytes(start + bytes(100) * (start[:1] != b"1"))
+    with pytest.raises(
+        ValueError, match=r"crane\.op2: OP2 must be .* \(PARAM,POST,-1 writes it\), got (text|an HDF5|a zip)"
+    ):
+        load(tmp_path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("coupled", [0, 1])
+def test_masses_are_where_offsets_and_components_have_them(tmp_path: Path, coupled: int) -> None:
+    """Grid points elsewhere with the offsets of bars and blocks that lead back, in displacement axes of their own; and
+    a block as three CMASS2 in the place of the mass of its CONM2: the same mass matrix."""
+    from pyNastran.bdf.bdf import read_bdf
+
+    written(tmp_path, frame())
+    file, parent = tmp_path / "crane.bdf", Interface("P", (1,), at=(0.1, 0.2, 0.3))
+    file.write_text(file.read_text().replace("COUPMASS       1", f"COUPMASS{2 * coupled - 1:>8}"))
+    whole = nastran_mass(file, parent=parent)
+    model = read_bdf(str(file), punch=True, xref=False, debug=None)
+    model.add_cord2r(7, [0.0, 0, 0], [0.2, -0.3, 1.0], [1.0, 0.1, 0])
+    shift = dict(zip(model.nodes, np.random.default_rng(1).normal(size=(len(model.nodes), 3))))
+    axes = np.asarray(model.coords[7].beta())
+    for grid, node in model.nodes.items():
+        node.xyz, node.cd = node.xyz - shift[grid], 7
+    for bar in model.elements.values():
+        bar.wa, bar.wb = axes @ shift[bar.ga], axes @ shift[bar.gb]
+    for lump in model.masses.values():
+        lump.X = lump.X + shift[lump.nid]
+    model.write_bdf(str(file), size=16, is_double=True)
+    np.testing.assert_allclose(nastran_mass(file, parent=parent), whole, atol=1e-9 * np.abs(whole).max())
+    first = next(iter(model.masses.values()))
+    model.add_grid(99, model.nodes[first.nid].xyz + first.X, cd=7)
+    for component in (1, 2, 3):
+        model.add_cmass2(6000 + component, first.mass, [99, 0], component, 0)
+    first.mass = 0.0
+    model.write_bdf(str(file), size=16, is_double=True)
+    np.testing.assert_allclose(nastran_mass(file, parent=parent), whole, atol=1e-9 * np.abs(whole).max())
 
 
 def test_a_deck_in_parts_is_the_whole_one(tmp_path: Path) -> None:

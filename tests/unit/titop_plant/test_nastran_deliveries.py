@@ -17,8 +17,10 @@ from support.nastran_deliveries import (
     RECTANGULAR,
     TURNED,
     Delivery,
+    Solution,
     matrices,
     solved,
+    with_residual_vectors,
     write_deck,
     write_results,
 )
@@ -81,10 +83,10 @@ def again(folder: Path, delivery: Delivery, parent: Any = ("P", 1), **options: A
     return read_nastran(folder / "x.bdf", folder / "x.op2", name="x", parent=parent, ports=ports, **options)
 
 
-def expected(delivery: Delivery, point: np.ndarray = POINT) -> ModalData:
+def expected(delivery: Delivery, point: np.ndarray = POINT, found: Solution | None = None) -> ModalData:
     """The body by the inertia of its modes."""
     names, M, _ = matrices(delivery)
-    found = solved(delivery)
+    found = found or solved(delivery)
     rigid = rigid_body_modes(delivery.frame, names, point)
     row, place = 6 * names.index("tip"), delivery.frame.nodes["tip"]
     return ModalData(
@@ -93,7 +95,7 @@ def expected(delivery: Delivery, point: np.ndarray = POINT) -> ModalData:
         point,
         rigid.T @ M @ rigid,
         np.sqrt(found.squares),
-        np.full(delivery.keep, 0.005),
+        np.full(found.squares.size, 0.005),
         found.shapes.T @ M @ rigid,
         (ChildPort("tip", place, found.shapes[row : row + 6]),),
     )
@@ -191,7 +193,7 @@ def test_non_structural_mass_is_that_of_the_run(tmp_path: Path) -> None:
     (tmp_path / "x.bdf").write_text(f"{text[:first]}{text[last:].rstrip()}\nNSM1,7,PBAR,3.0,1\n")
     same_body(again(tmp_path, delivery), body, 1e-9)
     write_results(replace(delivery, weight=None), tmp_path / "x.op2")
-    with pytest.raises(ValueError, match=r"must be CONM1 or CONM2 .*, got NSM set 7$"):
+    with pytest.raises(ValueError, match=r"must be CONM1, CONM2 or CMASS2 .*, got NSM set 7$"):
         again(tmp_path, delivery)
 
 
@@ -223,6 +225,42 @@ def test_without_constraint_forces_other_masses_are_refused(tmp_path: Path) -> N
     write_results(replace(delivery, frame=light, lumped=True, weight=None), tmp_path / "x.op2", forces=False)
     with pytest.raises(ValueError, match="miss I by"):
         again(tmp_path, delivery, parent)
+
+
+@pytest.mark.parametrize("lumped", [False, True])
+def test_modes_of_any_normalisation_are_the_same_body(tmp_path: Path, lumped: bool) -> None:
+    """NORM MAX: the generalised masses are in the table of eigenvalues, and without it the modes are refused."""
+    delivery, parent = HELD["RBE2"]
+    delivery = replace(delivery, lumped=lumped, wtmass=0.5, cards="EIGRL,1,,,8,,,,MAX\n")
+    write_deck(delivery, tmp_path / "x.bdf")
+    write_results(delivery, tmp_path / "x.op2", largest=True, eigenvalues=True)
+    same_body(again(tmp_path, delivery, parent, units="SI"), expected(delivery), 1e-5)
+    write_results(delivery, tmp_path / "x.op2", largest=True)
+    with pytest.raises(ValueError, match=r"table of eigenvalues of these modes .*, got none and EIGRL 1 with NORM MAX"):
+        again(tmp_path, delivery, parent, units="SI")
+    write_deck(replace(delivery, cards=""), tmp_path / "x.bdf")
+    with pytest.raises(ValueError, match=r"modes of unit generalised mass .* miss I by"):
+        again(tmp_path, delivery, parent, units="SI")
+
+
+def test_residual_vectors_have_the_momentum_of_their_masses(tmp_path: Path) -> None:
+    """Ritz vectors leave forces at the ports: those of constraint are not the inertia of the mode alone."""
+    delivery, parent = HELD["bolts clamped"]
+    delivery = replace(delivery, lumped=True, cards="SOL 103\nCEND\nSPC = 1\nRESVEC = YES\nBEGIN BULK\n")
+    found = with_residual_vectors(delivery, 5, "tip")
+    write_deck(delivery, tmp_path / "x.bdf")
+    write_results(delivery, tmp_path / "x.op2", solution=found)
+    same_body(again(tmp_path, delivery, parent), expected(delivery, found=found), 1e-5)
+    write_deck(replace(delivery, cards=""), tmp_path / "x.bdf")
+    with pytest.raises(ValueError, match=r"without residual vectors \(RESVEC = NO\), got forces of constraint that"):
+        again(tmp_path, delivery, parent)
+    coupled = replace(delivery, lumped=False)
+    write_deck(coupled, tmp_path / "x.bdf")
+    write_results(coupled, tmp_path / "x.op2", solution=with_residual_vectors(coupled, 5, "tip"))
+    with pytest.raises(
+        ValueError, match=r"must be eigenvectors .*, got RESVEC = YES, and the masses of the deck .* I by"
+    ):
+        again(tmp_path, coupled, parent)
 
 
 def test_an_interface_without_one_of_its_bolts_is_refused(tmp_path: Path) -> None:
@@ -258,7 +296,8 @@ def test_constraints_of_a_set_that_the_case_does_not_name_are_not_used(tmp_path:
     write_deck(delivery, tmp_path / "x.bdf")
     bulk = (tmp_path / "x.bdf").read_text().replace("ENDDATA", "")
     case = "SOL 103\nCEND\nSPC = {}\nMETHOD = 1\nBEGIN BULK\n"
-    for chosen, more in ((1, ""), (9, "SPCADD,9,1\n")):
+    of_two = "1\nSUBCASE 1\nLABEL = HELD\nSUBCASE 2\nSPC = 7"  # the results are those of the first
+    for chosen, more in ((1, ""), (9, "SPCADD,9,1\n"), (of_two, "")):
         (tmp_path / "x.bdf").write_text(f"{case.format(chosen)}{bulk}SPC1,7,123456,9\n{more}ENDDATA\n")
         same_body(again(tmp_path, delivery, parent), expected(delivery), 1e-5)
     (tmp_path / "x.bdf").write_text(f"{case.format(7)}{bulk}SPC1,7,123456,9\nENDDATA\n")
@@ -326,6 +365,14 @@ def test_units_in_which_no_material_exists_are_refused(tmp_path: Path, units: st
     """A deck in SI, read as one in mm or inches: its aluminium would be a thousand times stiffer than diamond."""
     with pytest.raises(ValueError, match=rf"units must be those of the deck, got {units}, .* has E = \S+e\+1[3-6] Pa"):
         load(tmp_path, HELD["RBE2"][0], units=units)
+
+
+@pytest.mark.parametrize(("of", "units"), [("mm-t-s", "mm-kg-s"), ("inch-lbf-s", "mm-kg-s")])
+def test_units_of_another_mass_are_refused(tmp_path: Path, of: str, units: str) -> None:
+    """A thousandth of the mass and stiffness has the same frequencies: its aluminium is lighter than foam."""
+    deck = replace(HELD["RBE2"][0], frame=scaled(tower(), *UNITS[of][:2]))
+    with pytest.raises(ValueError, match=rf"must be those of the deck, got {units}, .* densest material has \S+ kg/m3"):
+        load(tmp_path, deck, units=units)
 
 
 @pytest.mark.parametrize("weight", [0, None])

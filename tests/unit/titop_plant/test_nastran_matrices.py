@@ -43,6 +43,14 @@ def test_all_component_modes_give_the_whole_frame(tmp_path: Path) -> None:
     assert found.mass == pytest.approx(expected(HELD["RBE2"][0]).mass, rel=1e-8)
 
 
+def test_the_matrices_may_have_another_suffix(tmp_path: Path) -> None:
+    """EXTSEOUT(DMIGSFIX=TOWER)."""
+    reduced(tmp_path, FREE, 4)
+    body = load(tmp_path)
+    reduced(tmp_path, FREE, 4, names=("KTOWER", "MTOWER"))
+    same_body(load(tmp_path), body, 1e-12)
+
+
 @pytest.mark.parametrize("modes", [0, 2, 6])
 def test_reduction_is_from_above_and_keeps_the_mass(tmp_path: Path, modes: int) -> None:
     """By Rayleigh and Ritz every frequency is too high; the static shapes contain the rigid motions exactly."""
@@ -107,6 +115,9 @@ def test_wrong_requests_are_named(tmp_path: Path, options: dict[str, Any], messa
 def test_incomplete_punch_files_are_named(tmp_path: Path) -> None:
     reduced(tmp_path, FREE, 0, names=("KAAX", "MXX"))
     with pytest.raises(ValueError, match=r"must have DMIG KAAX and MAAX \(EXTSEOUT.*, got \['KAAX', 'MXX'\]"):
+        load(tmp_path)
+    (tmp_path / "x.pch").write_text("".join(f"DMIG,{name},0,6,2,0\n" for name in ("KA", "MA", "KB", "MB")))
+    with pytest.raises(ValueError, match=r"or one pair of another suffix, got \['KA', 'KB', 'MA', 'MB'\]"):
         load(tmp_path)
     reduced(tmp_path, FREE, 0, {"P": SIX, "tip": "123"})
     with pytest.raises(ValueError, match=r"GRID 9 \('tip'\) must have six components in the matrices, got 123"):
