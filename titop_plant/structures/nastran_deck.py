@@ -17,6 +17,7 @@ from lftkit.support.input_limits import INCLUDES, SYSTEM
 
 _INCLUDE = re.compile(r"^\s*include\b", re.IGNORECASE)
 _CASE_PARAM = re.compile(r"^\s*param[\s,]+(\w+)[\s,]+([^\s,$]+)", re.IGNORECASE | re.MULTILINE)
+_SUPER = re.compile(r"^\s*begin\s+(?:bulk\s+)?(super|auxmodel)\s*=?\s*(\w+)", re.IGNORECASE)
 _SECTIONS = re.compile(r"^\s*(cend|begin\s+bulk)\b", re.IGNORECASE | re.MULTILINE)
 
 
@@ -43,13 +44,27 @@ def read_deck(path: Path) -> Deck:
         A file that cannot be read.
     ValueError
         A binary file; INCLUDE of a file outside the folder of the deck, in a circle, or of too many files; a deck
-        without lines.
+        without lines, or with several structures.
     """
-    lines = _lines(path, path.resolve().parent, (), [0])
+    lines = _of_one_structure(_lines(path, path.resolve().parent, (), [0]), path)
     text = "\n".join(line for line in lines if not re.match(r"^\s*\$\s*pynastran", line, re.IGNORECASE)) + "\n"
     if not text.strip():
         raise InputError(f"{path}: BDF must have lines, got none")
     return Deck(text, _SECTIONS.search(text) is None)
+
+
+def _of_one_structure(lines: list[str], path: Path) -> list[str]:
+    """The lines without the BEGIN SUPER at the head of a punch file (EXTSEOUT with EXTBULK)."""
+    parts = [(k, found) for k, line in enumerate(lines) if (found := _SUPER.match(line))]
+    if not parts:
+        return lines
+    first, found = parts[0]
+    if len(parts) > 1 or any(line.strip() and not line.lstrip().startswith("$") for line in lines[:first]):
+        raise InputError(
+            f"{path}: deck must be of one structure, got BEGIN {found[1].upper()} {found[2]} beside another: read its "
+            "reduced matrices (EXTSEOUT(STIFFNESS,MASS,DMIGPCH), read_nastran_matrices), or a run without superelements"
+        )
+    return lines[:first] + lines[first + 1 :]
 
 
 def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,7 +48,6 @@ def read_model(path: Path) -> tuple[Deck, Any]:
         deck = read_deck(path)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: BDF file must exist, got no such file as {error.filename}") from None
-    _check_whole(deck, path)
     try:
         model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
     except (ImportError, MemoryError):
@@ -63,16 +61,6 @@ def read_model(path: Path) -> tuple[Deck, Any]:
             f"CD {defaults.Cd()}, PS {defaults.ps or 'none'}"
         )
     return deck, model
-
-
-def _check_whole(deck: Deck, path: Path) -> None:
-    """Refuse a deck of several superelements."""
-    part = re.search(r"^\s*begin\s+(super\s*=\s*\w+)", deck.text, re.IGNORECASE | re.MULTILINE)
-    if part:
-        raise InputError(
-            f"{path}: deck must be of one structure, got BEGIN {part[1].upper()}: read its reduced matrices "
-            "(EXTSEOUT(STIFFNESS,MASS,DMIGPCH), read_nastran_matrices), or a run without superelements"
-        )
 
 
 def read_results(path: Path) -> Any:

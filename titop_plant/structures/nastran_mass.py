@@ -16,6 +16,8 @@ from titop_plant.structures.kinematics import skew, tau
 from titop_plant.structures.nastran_axes import displacement_axes, six_axes
 
 BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
+UNKNOWN = ("CPYRAM", "CBEAM3", "CBEND")
+"""Elements whose mass pyNastran has not, or not rightly: of an oblique pyramid, and of curved bars."""
 POINTS = ("CONM1", "CONM2", "CMASS1", "CMASS2", "CMASS3", "CMASS4")
 SAME_IN_ALL = 1e-4
 """Largest difference of the mass in two directions, relative, that is the rounding of a rigid body."""
@@ -90,6 +92,8 @@ def _not_understood(model: Any) -> str:
         if lump.type not in POINTS or (len(grids) > 1 and any(grid in model.nodes for grid in grids)):
             return f"{lump.type} {lump.eid}"
     for element in model.elements.values():
+        if element.type in UNKNOWN or (element.type == "CBUSH" and element.pid_ref and element.pid_ref.mass):
+            return f"{element.type} {element.eid}"
         shifted = element.type in BARS and any(np.any(getattr(element, side, 0.0)) for side in ("wa", "wb"))
         if shifted and str(element.offt).upper() != "GGG":
             return f"{element.type} {element.eid} with OFFT {element.offt}"
@@ -108,8 +112,10 @@ def _has_mass(element: Any) -> bool:
 
 def _scalar(model: Any, lump: Any) -> list[tuple[int, int]]:
     """Grid point and component 1 to 6 of a CMASS; none at scalar points, which rigid motions do not move."""
-    components = (getattr(lump, "c1", 0), getattr(lump, "c2", 0))
-    return [(grid, int(one)) for grid, one in zip(lump.node_ids, components) if grid in model.nodes and one]
+    if lump.type not in ("CMASS1", "CMASS2"):
+        return []
+    ends = ((lump.G1(), lump.c1), (lump.G2(), lump.c2))
+    return [(grid, int(one)) for grid, one in ends if grid in model.nodes and one]
 
 
 def _ends(element: Any) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +183,8 @@ def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) ->
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
         raise InputError(
-            f"{path}: mass elements must be CONM1, CONM2 or CMASS2 (or add PARAM,GRDPNT,0 to the run), got {unknown}"
+            f"{path}: masses must be those of CONM1, CONM2, CMASS2 and of elements that are read (or add "
+            f"PARAM,GRDPNT,0 to the run), got {unknown}"
         )
     total = np.zeros((6, 6))
     for grid, momentum in maps.items():

@@ -138,13 +138,16 @@ REFUSED = {
     "a mass matrix in x": ("CONM1,6001,4,0,0.5\n", "mass must be the same in all directions"),
     "a mass between points": (
         "CMASS2,6001,0.5,3,1,4,1\n",
-        "mass elements must be CONM1, CONM2 or CMASS2 .*PARAM,GRDPNT,0 .*, got CMASS2 6001",
+        "masses must be .*PARAM,GRDPNT,0 .*, got CMASS2 6001",
     ),
-    "a mass matrix of the deck": ("DMIG,MX,0,6,2,0\nDMIG,MX,4,1,,4,1,0.5\n", "mass elements must be .*, got DMIG MX"),
-    "two structures": (
-        "BEGIN SUPER=1\n",
-        "deck must be of one structure, got BEGIN SUPER=1: read its reduced matrices",
+    "a mass of a bush": ("PBUSH,50,K,1.+5\n,,M,.5\nCBUSH,5001,50,3,4,,,,0\n", "masses must be .*, got CBUSH 5001"),
+    "a pyramid": (
+        "PSOLID,9,1\nGRID,9,,0.,0.,1.\nCPYRAM,5001,9,1,2,3,4,9\n",
+        "masses must be .*, got CPYRAM 5001",
     ),
+    "a mass matrix of the deck": ("DMIG,MX,0,6,2,0\nDMIG,MX,4,1,,4,1,0.5\n", "masses must be .*, got DMIG MX"),
+    "two structures": ("GRID,9\nBEGIN SUPER=1\n", "deck must be of one structure, got BEGIN SUPER 1 beside another"),
+    "two parts": ("BEGIN SUPER     11\nBEGIN BULK SUPER = 2\n", "deck must be of one .*, got BEGIN SUPER 11 beside"),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,32 @@ def test_all_component_modes_give_the_whole_frame(tmp_path: Path) -> None:
     body = expected(HELD["RBE2"][0])
     same_body(load(tmp_path, n_modes=body.n_modes), body, 1e-6)
     assert found.mass == pytest.approx(expected(HELD["RBE2"][0]).mass, rel=1e-8)
+
+
+def test_a_punch_file_of_an_external_superelement_is_geometry_and_matrices(tmp_path: Path) -> None:
+    """As NASTRAN writes it with EXTBULK and DMIGPCH: BEGIN SUPER without "=", EXTRN, ASET, QSET1, SPOINT, DTI."""
+    reduced(tmp_path, FREE, 4)
+    body = load(tmp_path)
+    head = "$ STANDARD PUNCH (.PCH) FILE FOR EXTERNAL SUPERELEMENT  111\n$\nBEGIN SUPER     111     \n$\n"
+    grids = "".join(re.findall(r"GRID\*.*\n\*.*\n", (tmp_path / "x.bdf").read_text()))
+    sets = [
+        ("EXTRN", 1, 123456, 9, 123456, 9001, 0),
+        ("ASET", 1, 123456, 9, 123456),
+        ("QSET1", 0, 9001, "THRU", 9004),
+        ("SPOINT", 9001, "THRU", 9004),
+    ]
+    cards = "".join(f"{card[0]:<8}" + "".join(f"{field:>8}" for field in card[1:]) + "\n" for card in sets)
+    table = (
+        "DTI     TUG1    0       66      105     32767   0       7       0       \n"
+        "        PHIP            7                       REAL           1ENDREC  \n"
+    )
+    text = (tmp_path / "x.pch").read_text()
+    (tmp_path / "x.pch").write_text(head + grids.replace("GRID*   ", "GRID   *") + "$\n" + cards + table + text)
+    (tmp_path / "x.bdf").unlink()
+    found = read_nastran_matrices(
+        tmp_path / "x.pch", tmp_path / "x.pch", name="x", parent=("P", 1), ports={"tip": 9}, units="SI"
+    )
+    same_body(found, body, 1e-12)
 
 
 def test_the_matrices_may_have_another_suffix(tmp_path: Path) -> None:
