@@ -23,7 +23,7 @@ from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 IMAGINARY = 1e-7  # real part of an imaginary eigenvalue over its magnitude, at most: one too many costs only a gain
 ROUNDING = 1e-13  # the same over the largest magnitude
-UNPAIRED = 3.0  # twice a real part over the distance from being the reflection of another, at most, of an imaginary eigenvalue
+UNPAIRED = 3.0  # twice a real part over the distance from the reflection of another one, of an imaginary eigenvalue
 SQUARES = float(np.sqrt(10.0 * EPS))  # least gain over the sum of its terms' magnitudes that squares of gains show
 SAMPLES = 40  # frequencies at which these terms are looked at, at most
 WORKSPACE = 66  # numbers per row that LAPACK's routine for eigenvalues asks for, at most
