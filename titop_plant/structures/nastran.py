@@ -169,7 +169,7 @@ def read_nastran(
         participation = _by_momentum(model, table, (scale, units.weight, point), f"{op2}: {asked}")
     else:
         participation = -scale * held_wrench(model, interface, forces, str(op2)) / squares[:, None]
-    shapes = {port: scale * rows_of(table, grid, str(op2), port) for port, grid in ports.items()}
+    shapes = {port: scale * _port_rows(table, grid, str(op2), port) for port, grid in ports.items()}
     if stated is None:
         rigid = rigid_mass(model, results, point, str(bdf), coupled)
     else:
@@ -232,6 +232,23 @@ def _squares(table: Any, path: str) -> FloatArray:
             f"(least eigenvalue {squares.min():.3g} of up to {squares.max():.3g})"
         )
     return squares
+
+
+def _port_rows(table: Any, grid: int, path: str, name: str) -> FloatArray:
+    """Six components of a port in every mode, shape (n, 6).
+
+    Raises
+    ------
+    ValueError
+        A grid point that moves and does not turn: one of solid elements or rods, which give it no rotation.
+    """
+    rows = rows_of(table, grid, path, name)
+    if np.any(rows[:, :3]) and not np.any(rows[:, 3:]):
+        raise InputError(
+            f"{path}: GRID {grid} ({name!r}) must turn with the structure (solid elements and rods turn no grid point: "
+            "tie one to several by RBE2 or RBE3), got rotations of zero in all modes"
+        )
+    return rows
 
 
 def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatArray], asked: str) -> FloatArray:

@@ -29,7 +29,7 @@ def displacement_axes(node: Any, path: str) -> FloatArray:
     ValueError
         A grid point on the axis of its cylindrical or spherical coordinates, or coordinates that are not understood.
     """
-    if node.Cd() == 0:
+    if node.Cd() in (0, -1):  # -1: of a fluid, with a pressure
         return np.eye(3)
     system = node.cd_ref
     rows = np.asarray(system.beta(), dtype=float)

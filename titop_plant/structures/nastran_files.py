@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ def read_model(path: Path) -> tuple[Deck, Any]:
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: BDF file must exist, got no such file as {error.filename}") from None
     try:
-        model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
+        with _quiet():
+            model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
     except (ImportError, MemoryError):
         raise
     except Exception as error:  # pyNastran raises many types
@@ -82,12 +84,21 @@ def read_results(path: Path) -> Any:
         kind = "text, as F06 and punch files"
     if kind:
         raise InputError(f"{path}: OP2 must be readable by pyNastran (PARAM,POST,-1 writes it), got {kind}")
+    reader = _pynastran()[1]
     try:
-        return _pynastran()[1](str(path), debug=None)
+        with _quiet():
+            return reader(str(path), debug=None)
     except (ImportError, MemoryError):
         raise
     except Exception as error:
         raise InputError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what pyNastran prints of a file that it cannot read; the error has its reason."""
+    with io.StringIO() as text, redirect_stdout(text), redirect_stderr(text):
+        yield
 
 
 def _one_line(error: Exception) -> str:

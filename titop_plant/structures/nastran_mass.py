@@ -94,16 +94,21 @@ def _not_understood(model: Any) -> str:
     for element in model.elements.values():
         if element.type in UNKNOWN or (element.type == "CBUSH" and element.pid_ref and element.pid_ref.mass):
             return f"{element.type} {element.eid}"
-        shifted = element.type in BARS and any(np.any(getattr(element, side, 0.0)) for side in ("wa", "wb"))
-        if shifted and str(element.offt).upper() != "GGG":
+        if _is_offset(element) and str(element.offt).upper() != "GGG":
             return f"{element.type} {element.eid} with OFFT {element.offt}"
     return ""
 
 
 def is_exact(model: Any, coupled: bool) -> bool:
     """Whether :func:`momentum_maps` is the mass matrix of the run: point masses, and bars with half at each end."""
-    bars = all(element.type in ("CBAR", "CROD", "CONROD") for element in model.elements.values() if _has_mass(element))
+    heavy = [element for element in model.elements.values() if _has_mass(element)]
+    bars = all(element.type in ("CBAR", "CROD", "CONROD") and not _is_offset(element) for element in heavy)
     return bars and not coupled and "BARMASS" not in model.params
+
+
+def _is_offset(element: Any) -> bool:
+    """Whether an end of a bar is not at its grid point."""
+    return element.type in BARS and any(np.any(getattr(element, side, 0.0)) for side in ("wa", "wb"))
 
 
 def _has_mass(element: Any) -> bool:

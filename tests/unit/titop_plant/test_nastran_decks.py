@@ -13,6 +13,7 @@ import pytest
 from unit.titop_plant.test_structures_nastran import KEEP, PARENT, frame, load, same_body, write_bdf, write_op2
 
 from titop_plant.structures import BeamFrame, Interface, nastran_mass, read_nastran, to_modal_data
+from titop_plant.structures.nastran_files import of_subcase
 from titop_plant.structures.nastran_match import check_grids
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE
 
@@ -182,6 +183,27 @@ def test_a_file_in_the_place_of_an_op2_is_named(
     ):
         load(tmp_path)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_damaged_op2_is_one_line_and_nothing_is_printed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    written(tmp_path, frame())
+    file = tmp_path / "crane.op2"
+    whole = file.read_bytes()
+    capfd.readouterr()
+    for share in (0.1, 0.4, 0.7, 0.9):
+        file.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ValueError, match=r"crane\.op2: ") as caught:
+            load(tmp_path)
+        assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_two_tables_of_one_subcase_are_refused() -> None:
+    """Keys of pyNastran for a superelement beside the residual structure."""
+    tables = {(1, 2, 1, 0, 0, "", ""): "residual", (1, 2, 1, 0, 101, "", ""): "superelement"}
+    for subcase in (None, 1):
+        with pytest.raises(ValueError, match=r"x\.op2: file must contain modes once .*, got 2 tables of subcase 1 "):
+            of_subcase(tables, "modes", "x.op2", subcase)
 
 
 @pytest.mark.parametrize("coupled", [0, 1])

@@ -126,6 +126,16 @@ def test_a_ring_of_bolts_is_one_interface(tmp_path: Path, kind: str, lumped: boo
     same_body(load(tmp_path, delivery, parent), expected(delivery), 1e-5)
 
 
+def test_effective_masses_of_all_modes_are_the_mass_that_is_not_held(tmp_path: Path) -> None:
+    """Lumped masses: the halves of the struts at the bolts move with P, all others in the modes."""
+    delivery = replace(HELD["RBE2"][0], lumped=True, keep=15)
+    body, frame = load(tmp_path, delivery), delivery.frame
+    section, arms = frame.beams[0].section, [frame.nodes["top"] - frame.nodes[bolt] for bolt in RING]
+    held = 0.5 * section.density * section.A * sum(float(np.sqrt(arm @ arm)) for arm in arms)
+    effective = body.participation.T @ body.participation
+    np.testing.assert_allclose(effective[:3, :3], (body.mass - held) * np.eye(3), atol=1e-5 * body.mass)
+
+
 TURNED_GRIDS = {**dict.fromkeys(RING, CYLINDRICAL), "tip": RECTANGULAR, "top": CYLINDRICAL}
 """Grid points whose displacements have axes of their own."""
 
@@ -261,6 +271,17 @@ def test_residual_vectors_have_the_momentum_of_their_masses(tmp_path: Path) -> N
         ValueError, match=r"must be eigenvectors .*, got RESVEC = YES, and the masses of the deck .* I by"
     ):
         again(tmp_path, coupled, parent)
+
+
+def test_a_port_without_rotations_is_refused(tmp_path: Path) -> None:
+    """As a grid point of solid elements, whose rotations NASTRAN leaves at zero."""
+    delivery, parent = HELD["bolts clamped"]
+    write_deck(delivery, tmp_path / "x.bdf")
+    found = solved(delivery)
+    found.shapes[6 * delivery.grid("tip") - 3 :][:3] = 0.0
+    write_results(delivery, tmp_path / "x.op2", solution=found)
+    with pytest.raises(ValueError, match=r"GRID 8 \('tip'\) must turn with the structure .*, got rotations of zero"):
+        again(tmp_path, delivery, parent)
 
 
 def test_an_interface_without_one_of_its_bolts_is_refused(tmp_path: Path) -> None:
