@@ -18,6 +18,7 @@ from los_testbed.run.loop.simulate import run_in_process
 from scipy.linalg import eigh
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.structures import BeamFrame, mass_summary, nastran_mass, read_nastran, write_modal_data
@@ -128,4 +129,7 @@ if __name__ == "__main__":
     if len(arguments.files) not in (0, 2):
         parser.error(f"BDF and OP2 must both be given, or neither, got {len(arguments.files)} file")
     with tempfile.TemporaryDirectory() as temporary:
-        main(arguments.output or Path(temporary), arguments.files)
+        try:
+            main(arguments.output or Path(temporary), arguments.files)
+        except (InputError, FileNotFoundError, ImportError) as error:
+            parser.exit(2, f"error: {error}\n")

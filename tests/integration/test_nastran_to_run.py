@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,18 @@ def test_the_reference_payload_through_nastran_files(tmp_path: Path) -> None:
     assert imported.ticks == direct.ticks == 2000
     assert imported.ape_max == pytest.approx(direct.ape_max, rel=1e-5)
     assert imported.rpe_rms == pytest.approx(direct.rpe_rms, rel=1e-5)
+
+
+@pytest.mark.parametrize("deck", ["GRID,1\n", None])
+def test_a_deck_that_is_refused_ends_the_example_with_code_2_and_one_line(tmp_path: Path, deck: str | None) -> None:
+    """Without the ports, and without the file."""
+    pytest.importorskip("pyNastran", reason="extra nastran")
+    if deck:
+        (tmp_path / "x.bdf").write_text(deck)
+    command = [sys.executable, str(EXAMPLE), str(tmp_path / "x.bdf"), str(tmp_path / "x.op2")]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.startswith(f"error: {tmp_path / 'x.bdf'}: ") and found.stderr.count("\n") == 1
 
 
 def test_the_reference_payload_as_a_superelement_in_millimetres(tmp_path: Path) -> None:
