@@ -30,6 +30,7 @@ from lftkit.analysis.eigenvectors import (
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.matrices import frequencies
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
 
@@ -340,9 +341,7 @@ def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = A
     >>> frequency_response(lag, [2.0]).round(12)
     array([[[0.5-0.5j]]])
     """
-    w = np.atleast_1d(np.asarray(omega, dtype=float))
-    if w.ndim != 1 or not np.all(np.isfinite(w)):
-        raise InputError(f"omega must be a vector of finite numbers, got shape {w.shape}")
+    w = frequencies(omega)
     system.require_certain()
     system.require_continuous()
     if system.A.shape[0] == 0 or w.size == 0:

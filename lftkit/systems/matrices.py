@@ -52,12 +52,17 @@ def checked_matrices(
 
 def frequencies(omega: ArrayLike) -> FloatArray:
     """Frequencies (N,) [rad/s] from one or several real numbers; a ValueError where one is not finite."""
+    got = ""
     try:
         found = np.atleast_1d(np.asarray(omega, dtype=float))
     except (TypeError, ValueError):
-        found = np.array([np.nan])
-    if found.ndim != 1 or not np.all(np.isfinite(found)):
-        raise InputError(f"omega must be a vector of finite numbers, got {omega!r}")
+        found, got = np.zeros(0), type(omega).__name__
+    if found.ndim != 1:
+        got = f"shape {found.shape}"
+    elif not np.all(np.isfinite(found)):
+        got = f"{found[~np.isfinite(found)][0]}"
+    if got:
+        raise InputError(f"omega must be a vector of finite numbers, got {got}")
     return found
 
 

@@ -81,8 +81,9 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "a rectangular array of real numbers": lambda: static_gain(np.array([[1j]]), U, Y),
     "values must be a mapping from names to values, got 3": lambda: FAMILY.at(3),  # type: ignore[arg-type]
     "parameter 'k' must be a finite real number, got 'x'": lambda: FAMILY.at({"k": "x"}),  # type: ignore[dict-item]
-    r"omega must be a vector of finite numbers, got \[nan\]": lambda: FAMILY.response([np.nan]),
-    "omega must be a vector of finite numbers, got 'a'": lambda: FAMILY.response("a"),  # type: ignore[arg-type]
+    "omega must be a vector of finite numbers, got nan": lambda: FAMILY.response(np.append(np.arange(5000.0), np.nan)),
+    r"omega must be a vector of finite numbers, got shape \(2, 1\)": lambda: FAMILY.response([[1.0], [2.0]]),
+    "omega must be a vector of finite numbers, got str": lambda: FAMILY.response("a"),  # type: ignore[arg-type]
     # expressions
     "lower must be a finite real number, got 'a'": lambda: real("k", 1, "a", 2),  # type: ignore[arg-type]
     "must be one number or those of both ends, got 'x'": lambda: real("k", 1, percent="x"),  # type: ignore[arg-type]
