@@ -17,7 +17,11 @@ def is_number(value: Any) -> bool:
 
 
 def as_number(value: Any, what: str) -> float:
-    """A real number, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
+    """A real number, also one of numpy or of an array without axes, as one of Python.
+
+    A ValueError that begins with `what` for anything else.
+    """
+    value = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
     if not is_number(value):
         raise InputError(f"{what} must be a finite real number, got {value!r}")
     return value if isinstance(value, int | float) else float(value)

@@ -51,8 +51,8 @@ def real(
         raise InputError(f"range of {name!r} must be given once: lower and upper, percent, or plus_minus")
     if lower is None or upper is None:
         size: Any = percent if percent is not None else plus_minus
-        ends = (-size, size) if is_number(size) else size
-        if not (isinstance(ends, tuple | list) and len(ends) == 2 and all(map(is_number, ends))):
+        ends = (-size, size) if is_number(size) else tuple(size) if np.shape(size) == (2,) else ()
+        if not (ends and all(map(is_number, ends))):
             raise InputError(f"range of {name!r} must be one number or those of both ends, got {size!r}")
         middle = as_number(nominal, f"parameter {name!r}: nominal")
         scale = abs(middle) / 100.0 if percent is not None else 1.0
