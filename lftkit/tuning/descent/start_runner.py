@@ -240,10 +240,10 @@ class _Runner:
         """The best so far; of equal ones the first."""
         return min(self.results, key=lambda run: run.rank)
 
-    def run(self, work: Work, starts: Sequence[Start], share: float = 0.0) -> list[StartResult]:
+    def run(self, work: Work, starts: Sequence[Start], share: float | None = None) -> list[StartResult]:
         """Results of the starts begun before the deadline, in order, each with its part of a share of the time.
 
-        Parts of the time left are equal: what one start does not need, those after it have. With the share 0 any start
+        Parts of the time left are equal: what one start does not need, those after it have. Without a share any start
         may take all of it.
         """
         if not starts or not self.going_on:
@@ -270,17 +270,17 @@ class _Runner:
         now = time.monotonic()
         return replace(self._limits, deadline=deadline if parts <= 1 else now + (deadline - now) / parts)
 
-    def _end(self, share: float) -> float:
-        """The deadline of a share of the time left."""
+    def _end(self, share: float | None) -> float:
+        """The deadline, or that of a share of the time left."""
         now, deadline = time.monotonic(), self._limits.deadline
-        return now + share * (deadline - now) if 0.0 < share < 1.0 else deadline
+        return deadline if share is None else now + share * (deadline - now)
 
-    def _serial(self, work: Work, starts: Sequence[Start], share: float) -> list[StartResult]:
+    def _serial(self, work: Work, starts: Sequence[Start], share: float | None) -> list[StartResult]:
         results: list[StartResult] = []
         end = self._end(share)
         for k, start in enumerate(starts):
             try:
-                limits = self._within(end, len(starts) - k if share else 1)
+                limits = self._within(end, len(starts) - k if share is not None else 1)
                 results.append(_attempted(work, self._problem, start, limits, self._band))
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
@@ -289,10 +289,10 @@ class _Runner:
                 break
         return results
 
-    def _parallel(self, work: Work, starts: Sequence[Start], share: float) -> list[StartResult]:
+    def _parallel(self, work: Work, starts: Sequence[Start], share: float | None) -> list[StartResult]:
         results: list[StartResult] = []
         count = min(self._workers, len(starts))
-        rounds = -(-len(starts) // count) if share else 1  # of the processes, one after another
+        rounds = -(-len(starts) // count) if share is not None else 1  # of the processes, one after another
         first = self._within(self._end(share), rounds).deadline
         part = first - time.monotonic() if rounds > 1 else 0.0
         deadlines = [first + (k // count) * part if k >= count else first for k in range(len(starts))]
