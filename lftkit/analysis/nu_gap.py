@@ -30,7 +30,9 @@ class NuGap:
     Attributes
     ----------
     value, upper : float
-        ``value <= nu-gap <= upper``, of at most 1; both are 1 where the winding number is another.
+        ``value <= nu-gap <= upper``, of at most 1; both are 1 where the winding number is another. The upper side has
+        the rounding of the normalised factors, which is estimated at their poles and between them: with gains of 1e6
+        and more the sides are farther apart than 1e-7 of the value.
     omega : float
         Frequency of the largest chordal distance [rad/s].
     same_winding : bool
