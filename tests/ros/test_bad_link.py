@@ -72,16 +72,21 @@ def test_the_link_is_as_bad_as_it_is_meant_to_be(recorded):
 
 
 def test_repeated_and_late_commands_are_counted_and_not_obeyed(recorded):
-    """Every command that came twice or out of order; more can be late on a busy machine, and none can be missing."""
+    """Every command that came twice or out of order; more can be late on a busy machine, and none can be missing.
+
+    Where the loop does not keep pace, a newer command may be there before the copy of an older one: it counts as late.
+    """
     results, run, stamps = recorded
     plant = results.statistics["plant"]
+    at_pace = judged_at_pace(run, "that commands that come twice are counted as such")
     # a tick whose sensor was lost has no command at all: the link then has nothing to repeat or to delay
     sent = set(run["fsm/command"].stamp.tolist())
     for name in ("fsm", "pma"):
         twice = sum(fate(s) == TWICE for s in sent)
         old = sum(fate(s) in (DELAYED, SWAPPED) for s in sent)
         duplicate, late = (int(plant.get(f"rejected_{name}_{reason}", 0)) for reason in ("duplicate", "late"))
-        assert 0 < duplicate <= twice + lost_samples(run, f"{name}/command")
+        assert duplicate <= twice + lost_samples(run, f"{name}/command")
+        assert duplicate > 0 or not at_pace
         assert duplicate + late >= twice + old
     assert int(plant["missed_ticks"]) >= among(stamps, LOST)
 
@@ -96,7 +101,9 @@ def test_the_estimator_steps_over_what_is_missing_and_goes_on(recorded):
     made = set(estimates.stamp.tolist())
     too_late = [s for s in stamps[:-10] if fate(int(s)) in (DELAYED, SWAPPED) and int(s) not in made]
     unknown = lost_samples(run, "los_estimate")  # estimated, perhaps, and not in the bag
-    assert 0 < len(too_late) <= int(results.statistics["estimator"]["rejected_late"]) + unknown
+    assert len(too_late) <= int(results.statistics["estimator"]["rejected_late"]) + unknown
+    if judged_at_pace(run, "that samples come too late"):
+        assert too_late
     assert np.isfinite(estimates.values).all()
     assert np.all(np.diff(estimates.stamp) >= MS), "in order, none twice"
 

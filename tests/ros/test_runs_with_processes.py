@@ -14,7 +14,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 import simple_telescope
-from los_testbed.nodes.support.handshake import LISTEN_S
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
@@ -130,10 +129,10 @@ def test_a_second_run_on_the_same_domain_is_refused(interrupted):
 
 @pytest.mark.further
 @pytest.mark.parametrize(
-    ("heard", "listen_s"), [("at once", LISTEN_S), pytest.param("discovered late", 0.0, marks=pytest.mark.slow)]
+    ("heard", "listen_s"), [("at once", 20.0), pytest.param("discovered late", 0.0, marks=pytest.mark.slow)]
 )
 def test_a_plant_that_hears_another_one_refuses_to_start(tmp_path, heard, listen_s):
-    """Also from another machine, where no lock file helps."""
+    """Also from another machine, where no lock file helps. It listens until it hears: on a busy machine, longer."""
     results, found = interrupted_run(tmp_path, heard, listen_s)
     assert found[heard].returncode == 2
     told = found[f"{heard}, told"]

@@ -191,7 +191,7 @@ class Runner:
             if self._live is not None:
                 self._start(LIVE)
                 self._until(LIVE, "ready", 120.0)
-            self._until("plant", "alone", 30.0)
+            self._until("plant", "alone", self._config.start_timeout + 30.0)
             for name in list(self._programs)[1:]:
                 self._start(name)
             most = None if self._config.wait_for_start else self._config.start_timeout + 120.0
