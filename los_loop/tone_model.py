@@ -20,7 +20,7 @@ after a start at rest, where a record of seconds shows the slow decay of lightly
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -38,7 +38,7 @@ from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
-from pointing_analysis.spectra.spectra import background, lines
+from pointing_analysis.spectra.spectra import SpectralLine, background, lines
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
@@ -294,15 +294,26 @@ def compare_tones(
             raise InputError("the model of the loop diverges")
         window = exposure_of_run(run)
         pairs = [lines(values, series.dt, model.omega, window, taper=True) for values in (measured, record)]
-        noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
-    expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
-    found = [
-        ToneComparison(line.omega, line.merged, expected[line.omega], float(np.hypot(*line.amplitude)), float(floor))
-        for line, floor in zip(pairs[0], noise)
-        if line.omega in expected and not np.isnan(floor)
-    ]
+        expected = {line.omega: line.phasor for line in pairs[1]}
+        found = [line for line in pairs[0] if line.omega in expected]
+        predicted = np.array([expected[line.omega] for line in found]).reshape(-1, 2)
+        noise = background(measured - record, series.dt, [line.omega for line in found], predicted)
     seconds = (series.start, series.start + series.dt * len(measured))
-    return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
+    return _comparisons(found, predicted, noise), seconds
+
+
+def _comparisons(
+    found: Sequence[SpectralLine], predicted: ComplexArray, noise: FloatArray
+) -> tuple[ToneComparison, ...]:
+    """Measured lines, predicted phasors (k, 2) and noise along and across them (k, 2); without noise there is none."""
+    tones = [
+        ToneComparison(
+            line.omega, line.merged, float(expected), float(np.linalg.norm(line.phasor)), *map(float, beside)
+        )
+        for line, expected, beside in zip(found, np.linalg.norm(predicted, axis=1), noise)
+        if not np.isnan(beside).any()
+    ]
+    return tuple(sorted(tones, key=lambda tone: tone.omega))
 
 
 def compare_settled(
@@ -324,14 +335,9 @@ def compare_settled(
     with one_thread():
         fitted = lines(series.values, series.dt, omega, exposure_of_run(run), taper=True)
         found = [line for line in fitted if line.merged == 1]
-        noise = background(series.values, series.dt, [line.omega for line in found])
-    predicted = {line.omega: np.linalg.norm(settled[:, np.argmin(np.abs(omega - line.omega))]) for line in found}
-    tones = [
-        ToneComparison(line.omega, 1, float(predicted[line.omega]), float(np.hypot(*line.amplitude)), float(floor))
-        for line, floor in zip(found, noise)
-        if not np.isnan(floor)
-    ]
-    return tuple(sorted(tones, key=lambda tone: tone.omega)), (series.start, series.start + series.duration)
+        predicted = np.array([settled[:, np.argmin(np.abs(omega - line.omega))] for line in found]).reshape(-1, 2)
+        noise = background(series.values, series.dt, [line.omega for line in found], predicted)
+    return _comparisons(found, predicted, noise), (series.start, series.start + series.duration)
 
 
 def tone_responses(run: Run, model: ToneModel, transient: float | None = None) -> tuple[StageTones, ...]:

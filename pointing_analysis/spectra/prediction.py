@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 CLEAR = 3.0
@@ -20,12 +21,13 @@ class ToneComparison:
         Number of tones merged in this one: the run is too short to resolve them.
     predicted, measured : float
         Amplitude [rad], norm of both axes: of the model, in the record.
-    noise : float
-        Amplitude [rad] that noise alone would have there, rms.
+    along, across : float
+        Amplitude [rad] that noise alone would have there, rms: its component in the direction of the tone, and the
+        other one (:func:`pointing_analysis.spectra.spectra.background`).
 
     Examples
     --------
-    >>> ToneComparison(408.8, 1, predicted=2e-7, measured=2.1e-7, noise=2e-9).in_noise
+    >>> ToneComparison(408.8, 1, predicted=2e-7, measured=2.1e-7, along=2e-9, across=0.0).in_noise
     False
     """
 
@@ -33,12 +35,13 @@ class ToneComparison:
     merged: int
     predicted: float
     measured: float
-    noise: float
+    along: float
+    across: float
 
     @property
     def in_noise(self) -> bool:
         """Whether neither the predicted nor the measured tone is above the noise."""
-        return max(self.predicted, self.measured) < CLEAR * self.noise
+        return max(self.predicted, self.measured) < CLEAR * math.hypot(self.along, self.across)
 
     @property
     def ratio(self) -> float:
@@ -47,8 +50,15 @@ class ToneComparison:
 
     @property
     def uncertainty(self) -> float:
-        """Two standard deviations of the ratio by noise: a quarter of its mean square points along the tone."""
-        return self.noise / self.predicted if self.predicted else float("inf")
+        """Two standard deviations of the ratio by noise.
+
+        Half the mean square of the noise along the tone is in phase with it. What is across adds its square to that of
+        the amplitude, exponentially distributed; its mean, which is an error of the ratio, too, is included.
+        """
+        if not self.predicted:
+            return float("inf")
+        along, across = self.along / self.predicted, self.across / self.predicted
+        return math.hypot(math.sqrt(2.0) * along, math.sqrt(2.0) * across**2)
 
 
 @dataclass(frozen=True)

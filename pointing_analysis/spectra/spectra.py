@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.errors import InputError
-from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.arrays import ComplexArray, FloatArray, IntArray
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
 from pointing_analysis.spectra.sidebands import FoundLine
 
-NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
+NEIGHBOURS = np.arange(2, 8)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time
-MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
+MEDIAN = np.log(2.0)  # median over mean of the square of one complex component of noise, exponential
 LEAK = 1.05
 """Ratio of the RPE of the parts of a record, tones and rest, to that of the record: above it the fit has taken a drift
 or a pulse for tones. Parts that are independent differ from the whole by their scatter alone, some 2 % in short runs.
@@ -117,7 +117,8 @@ class SpectralLine:
     Attributes
     ----------
     omega : [rad/s]
-    amplitude : (2,) amplitude per axis, unit of the error
+    phasor : (2,) complex per axis, unit of the error; the line is the real part of phasor times exp(i omega t), t from
+        the first sample
     rms : radial rms of the line
     rpe : radial RPE rms the line causes in windows of the stated length
     merged : number of given tones merged in this line (the run is too short to resolve them)
@@ -125,11 +126,16 @@ class SpectralLine:
     """
 
     omega: float
-    amplitude: FloatArray
+    phasor: ComplexArray
     rms: float
     rpe: float
     merged: int = 1
     found: FoundLine | None = None
+
+    @property
+    def amplitude(self) -> FloatArray:
+        """(2,) amplitude per axis, unit of the error."""
+        return np.abs(self.phasor)
 
 
 def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
@@ -143,44 +149,59 @@ def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
     return [np.array(g) for g in groups]
 
 
-def background(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
-    """Amplitude that a fit of a tone finds where there is none: noise and drift, rms over the phase, norm of both axes.
+def background(error: ArrayLike, dt: float, omegas: ArrayLike, phasors: ArrayLike) -> FloatArray:
+    """Amplitude that a fit of a tone finds where there is none: noise and drift, rms, along and across the tone.
 
-    For tapered fits (`lines`). From the medians over frequencies that lie two to five whole periods in the run below
-    and above the tone, where the tone itself adds nothing; their geometric mean.
+    For tapered fits (`lines`). From the medians over frequencies that lie two to seven whole periods in the run below
+    and above the tone, where the tone itself adds nothing; their geometric mean. Along the tone is the component of the
+    noise's phasors of both axes in the direction of the tone's, across is the other one: noise that acts on one axis
+    does not disturb a tone on the other to first order.
 
     Parameters
     ----------
     error : (n, 2), rows with NaN count as zero
     dt : [s]
-    omegas : frequencies of tones [rad/s]
+    omegas : (k,) frequencies of tones [rad/s]
+    phasors : (k, 2) complex, of the tones on both axes, any scale; (k, 2) zeros count as a tone on the first axis
 
     Returns
     -------
-    (k,), unit of the error; NaN for tones with less than 2.5 periods in the run, which have no such neighbours below
+    (k, 2) along and across, unit of the error; NaN for tones with less than 2.5 periods in the run, which have no such
+    neighbours below
 
     Examples
     --------
-    >>> noise = np.random.default_rng(1).standard_normal((10_000, 2))
-    >>> bool(abs(background(noise, 1e-3, [500.0])[0] / np.sqrt(12 / 10_000) - 1) < 0.4)
-    True
+    >>> noise = np.random.default_rng(4).standard_normal((10_000, 2)) * [1.0, 0.1]
+    >>> along, across = background(noise, 1e-3, [500.0], [[1.0, 0.0]])[0] / np.sqrt(6 / 10_000)
+    >>> bool(abs(along - 1) < 0.4), bool(abs(across - 0.1) < 0.04)
+    (True, True)
     """
     e = np.asarray(error, dtype=float)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    along = _directions(np.asarray(phasors, dtype=complex).reshape(-1, 2))
     present = ~np.isnan(e).any(axis=1)
     n = len(e)
     if n <= 2 * NEIGHBOURS[-1] or not present.any():
-        return np.full(tones.shape, np.nan)
+        return np.full((tones.size, 2), np.nan)
     w = np.where(present, _taper(n, np.arange(n)), 0.0)
     e = np.where(present[:, None], e, 0.0)
     e = w[:, None] * (e - w @ e / w.sum())
-    found = np.empty(tones.shape)
+    found = np.empty((tones.size, 2))
     for i, omega in enumerate(tones):
         spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
-        power = np.square(2 * np.abs(spectrum) / w.sum()).sum(axis=1) / MEDIAN
+        across = np.array([-along[i, 1], along[i, 0]])  # conjugate of the vector that is orthogonal to the tone's
+        parts = np.column_stack([spectrum @ along[i].conj(), spectrum @ across])
+        power = np.square(2 * np.abs(parts) / w.sum()) / MEDIAN
         below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
-        found[i] = np.median(power[below]) * np.median(power[NEIGHBOURS]) if below.size else np.nan
-    return np.asarray(np.power(found, 0.25))
+        beside = np.median(power[below], axis=0) * np.median(power[NEIGHBOURS], axis=0) if below.size else np.nan
+        found[i] = np.power(beside, 0.25)
+    return found
+
+
+def _directions(phasors: ComplexArray) -> ComplexArray:
+    """Unit vectors along phasors (k, 2); the first axis for zeros."""
+    size = linalg.norm(phasors, axis=1, keepdims=True)
+    return np.asarray(np.where(size > 0.0, phasors / np.where(size > 0.0, size, 1.0), [1.0, 0.0]))
 
 
 def _taper(n: int, rows: IntArray) -> FloatArray:
@@ -261,12 +282,12 @@ def lines(
     if not groups:
         return ()
     m = len(centre)
-    amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])
-    rms = np.hypot(amplitude[:, 0], amplitude[:, 1]) / np.sqrt(2)
+    phasor = solution[1 : m + 1] - 1j * solution[m + 1 :]
+    rms = linalg.norm(phasor, axis=1) / np.sqrt(2)
     rpe = rms * weights.rpe_discrete(centre, metrics.samples_or_one(window, dt), dt)
     order = np.argsort(-rpe, kind="stable")
     return tuple(
-        SpectralLine(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
+        SpectralLine(float(centre[i]), read_only(phasor[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
         for i in order
     )
 
@@ -291,9 +312,14 @@ def found_lines(
     weight = weights.rpe_discrete(np.array([line.omega for line in new]), metrics.samples_or_one(window, dt), dt)
     rms = [float(np.sqrt(line.power)) for line in new]
     return tuple(
-        SpectralLine(line.omega, read_only(line.amplitude), r, float(r * w), found=line)
+        SpectralLine(line.omega, read_only(line.phasor * _turned(line, run, dt)), r, float(r * w), found=line)
         for line, r, w in zip(new, rms, weight)
     )
+
+
+def _turned(line: FoundLine, run: float, dt: float) -> complex:
+    """Factor from the phasor in the middle of a run [s] to that at its first sample."""
+    return complex(np.exp(-0.5j * line.omega * (run - dt)))
 
 
 def _fit(e: FloatArray, dt: float, tones: FloatArray, taper: bool) -> tuple[list[FloatArray], FloatArray, FloatArray]:

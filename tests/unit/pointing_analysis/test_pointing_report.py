@@ -35,14 +35,16 @@ PREDICTED = ModelResults(
         Prediction(note="the controllers are gone"),
         Prediction(
             (
-                ToneComparison(88.0, 1, 15 * MAS, 15.3 * MAS, 0.3 * MAS),
-                ToneComparison(210.0, 2, 30 * MAS, 60 * MAS, 0.0),
+                ToneComparison(88.0, 1, 15 * MAS, 15.3 * MAS, 0.3 * MAS / np.sqrt(2.0), 0.0),
+                ToneComparison(210.0, 2, 30 * MAS, 60 * MAS, 0.0, 0.0),
             ),
             1.0,
             6.0,
         ),
         Prediction(
-            (ToneComparison(88.0, 1, 2 * MAS, 0.1 * MAS, MAS), ToneComparison(210.0, 1, 0.0, MAS, 0.0)), 1.0, 6.0
+            (ToneComparison(88.0, 1, 2 * MAS, 0.1 * MAS, MAS, 0.0), ToneComparison(210.0, 1, 0.0, MAS, 0.0, 0.0)),
+            1.0,
+            6.0,
         ),
     )
 )
