@@ -14,6 +14,7 @@ from lftkit.analysis.magnitude_fit import fit_magnitude
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
+from lftkit.systems.matrices import frequencies
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement
 
@@ -80,7 +81,7 @@ def ucover(
     """
     G0 = as_system(nominal)
     G0.require_siso()
-    w = np.atleast_1d(np.asarray(omega, dtype=float))
+    w = frequencies(omega)
     responses = _responses(members, w)
     centre = G0.response(w)[:, 0, 0]
     if np.any(centre == 0.0):
@@ -104,8 +105,11 @@ def _responses(members: Sequence[Any] | ArrayLike, omega: FloatArray) -> Complex
             one.require_siso()
         found = np.array([one.response(omega)[:, 0, 0] for one in systems])
     else:
-        found = np.atleast_2d(np.asarray(members, dtype=complex))
-    if found.ndim != 2 or found.shape[1] != len(omega) or not len(found):
+        try:
+            found = np.atleast_2d(np.asarray(members, dtype=complex))
+        except (TypeError, ValueError):
+            raise InputError(f"members must be systems or their responses, got {type(members).__name__}") from None
+    if found.ndim != 2 or found.shape[1] != len(omega) or not found.size:
         raise InputError(f"members must be responses of shape (K, {len(omega)}), got {found.shape}")
     if not np.all(np.isfinite(found)):
         raise InputError("members must have finite responses, got one that is not")

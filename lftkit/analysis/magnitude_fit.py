@@ -15,6 +15,8 @@ from scipy import optimize
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_integer, as_number, as_positive
+from lftkit.systems.matrices import frequencies, real_array
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete, warped_frequency
 from lftkit.systems.system import System
@@ -57,7 +59,8 @@ def fit_magnitude(
     Raises
     ------
     ValueError
-        Frequencies or gains that are not positive and finite, or not as many; a negative order.
+        Frequencies or gains that are not positive and finite, weights that are negative, or not as many; an order
+        that is no whole number from 0 on.
 
     Examples
     --------
@@ -68,20 +71,25 @@ def fit_magnitude(
     >>> found.poles().real.round(4).tolist(), round(abs(found(0.0)), 3)
     ([-0.5], 4.0)
     """
-    w, gains = np.asarray(omega, dtype=float), np.asarray(magnitude, dtype=float)
-    if w.ndim != 1 or w.shape != gains.shape or not len(w):
+    w, gains = frequencies(omega), np.atleast_1d(real_array("magnitude", magnitude))
+    if w.shape != gains.shape or not len(w):
         raise InputError(f"omega and magnitude must be as many numbers, got shapes {w.shape} and {gains.shape}")
     if not (np.all(np.isfinite(w)) and np.all(w > 0.0) and np.all(np.diff(w) > 0.0)):
         raise InputError("omega must be positive, finite and rising, got other frequencies")
     if not (np.all(np.isfinite(gains)) and np.all(gains > 0.0)):
         raise InputError(f"magnitude must be positive and finite, got {gains.min()} to {gains.max()}")
-    if order < 0:
+    number = as_integer(order, "order")
+    if number < 0:
         raise InputError(f"order must be at least 0, got {order}")
+    if as_number(dt, "dt"):
+        as_positive(dt, "dt")
+    counts = np.ones(len(w)) if weight is None else real_array("weight", weight)
+    if counts.shape != w.shape or not (np.all(np.isfinite(counts)) and np.all(counts >= 0.0) and counts.any()):
+        raise InputError(f"weight must be {len(w)} finite numbers, zero or positive, not all zero, got others")
     if dt and not w[-1] < math.pi / dt:
         raise InputError(f"omega must be below pi / dt = {math.pi / dt:g} rad/s, got {w[-1]:g}")
     warped = np.array([warped_frequency(x, dt) for x in w]) if dt else w
-    counts = np.ones(len(w)) if weight is None else np.asarray(weight, dtype=float)
-    sections = _Sections(np.log(warped), np.log(gains), counts, order)
+    sections = _Sections(np.log(warped), np.log(gains), counts, number)
     x = sections.least_squares()
     if above:
         x = sections.raised(sections.closest_above(x))

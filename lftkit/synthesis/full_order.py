@@ -14,35 +14,38 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.analysis.norms import h2_norm, hinf_norm, is_stable
 from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
-from lftkit.synthesis.lower_bound import confirmed_optimum, lower_bound_proof
+from lftkit.support.scalars import as_positive
+from lftkit.synthesis.lower_bound import CONFIRMED, confirmed_optimum, lower_bound_proof
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
-    has_rank,
-    of_full_rank,
     only_port,
     standard_plant,
     weight_of,
 )
+from lftkit.synthesis.working_plant import WorkingPlant
 from lftkit.systems.connection.interconnection import connect
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
-from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
-from lftkit.tuning.gains.loop import ExtendedPlant
+from lftkit.tuning.full_order import FullOrderEstimator
 
 REGULARISED = 1e-6, 1e-5, 1e-4, 1e-3
 """Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and
 with the same weight and noise of every state, which zeros on the imaginary axis need."""
 ABOVE = 1.00002, 1.0002, 1.002, 1.02, 1.1
 """Levels of controllers over the lowest one: nearer to it their poles are faster."""
+NEEDED = (
+    "every command must have a weight (D12 of full column rank)",
+    "every measurement must have noise (D21 of full row rank)",
+)
+"""What D12 and D21 must have for the equations."""
 REACHED = 1e-6
 """Relative distance of the norm of a loop above its level that counts as rounding."""
 
@@ -64,7 +67,8 @@ class FullOrderDesign:
         nor linear matrix inequalities have an optimum near to `value`. With ``certify=True`` it is proven, or minus
         infinity.
     regularised : float
-        Weight of commands and noise of measurements that was added, 0 for none; of states, too, where that is better.
+        Weight of commands and noise of measurements that was added, in units in which those of the plant, or its gains
+        where it has none, are near to 1; 0 for none; of states, too, where that is better.
     proof : LowerBoundProof or None
         Of `lower`, for :func:`~lftkit.proofs.check_proof`.
     """
@@ -119,19 +123,24 @@ def hinfsyn(
     (1.4142, 1.4142)
     """
     given = standard_plant(plant, measured, commanded)
-    mapped = continuous(given.system)
-    generalised = replace(given, system=mapped).extended
-    design = _least(given, generalised) if level is None else _at_level(given, generalised, level)
-    if not certify:
-        return design
-    proven = lower_bound_proof(plant, measured, commanded)
-    return replace(design, lower=proven.level, proof=proven.proof)
+    generalised = _generalised(given)
+    if level is not None:
+        as_positive(level, "level")
+    proven = lower_bound_proof(plant, measured, commanded) if certify else None
+    if level is not None:
+        design = _at_level(given, generalised, level)
+    else:
+        design = _least(given, generalised, -np.inf if proven is None else proven.level)
+    return design if proven is None else replace(design, lower=proven.level, proof=proven.proof)
 
 
-def _least(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
-    """The controller with the least norm and its bound, with weights where the equations have no solution without."""
+def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> FullOrderDesign:
+    """The controller with the least norm and its bound, with weights where the equations have no solution without.
+
+    No other bound is looked for where the value is near to the one that is proven.
+    """
     found = _controller_of_least_norm(given, generalised)
-    if found.lower > -np.inf:
+    if found.lower > -np.inf or proven >= (1.0 - CONFIRMED) * found.value:
         return found
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
 
@@ -145,9 +154,9 @@ def _least(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
     return bounded(better) if better is not None and better.value < found.value else found
 
 
-def _controller_of_least_norm(given: StandardPlant, generalised: ExtendedPlant) -> FullOrderDesign:
+def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
     """Without a bound where small weights of commands and measurements are needed."""
-    found = _best(given, generalised) if of_full_rank(generalised) else None
+    found = _best(given, generalised) if all(generalised.full_rank) else None
     found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
     if found is None:
         raise InputError(
@@ -158,16 +167,16 @@ def _controller_of_least_norm(given: StandardPlant, generalised: ExtendedPlant) 
 
 
 def _with_weights(
-    given: StandardPlant, generalised: ExtendedPlant, *, of_states: bool = False
+    given: StandardPlant, generalised: WorkingPlant, *, of_states: bool = False
 ) -> FullOrderDesign | None:
-    found = [_best(given, _weighted(generalised, w, w if of_states else 0.0), w) for w in REGULARISED]
+    found = [_best(given, generalised.weighted(w, w if of_states else 0.0), w) for w in REGULARISED]
     return min((one for one in found if one is not None), key=lambda one: one.value, default=None)
 
 
 def controller_of_least_norm(plant: System, measured: Names, commanded: Names) -> System:
     """The controller of :func:`hinfsyn`, without looking for a bound where that is a problem of its own."""
     given = standard_plant(plant, measured, commanded)
-    return _controller_of_least_norm(given, replace(given, system=continuous(given.system)).extended).controller
+    return _controller_of_least_norm(given, _generalised(given)).controller
 
 
 def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
@@ -189,19 +198,16 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     """
     given = standard_plant(plant, measured, commanded)
     if given.system.dt:
-        raise InputError(f"{plant.name}: must be continuous for h2syn, got the period {given.system.dt:g} s")
-    generalised = given.extended
-    if generalised.D11.any():
-        raise InputError(f"{plant.name}: D11 must be zero for a finite H2 norm, got a direct path")
-    for name, matrix, least in (
-        ("every command must have a weight (D12 of full column rank)", generalised.D12, generalised.D12.shape[1]),
-        ("every measurement must have noise (D21 of full row rank)", generalised.D21, len(generalised.D21)),
-    ):
-        if not has_rank(matrix, least):
-            raise InputError(f"{plant.name}: {name}, got a matrix of lower rank")
-    full = lqg(generalised)
+        raise InputError(f"{given.system.name}: must be continuous for h2syn, got the period {given.system.dt:g} s")
+    generalised = _generalised(given)
+    if generalised.plant.D11.any():
+        raise InputError(f"{given.system.name}: D11 must be zero for a finite H2 norm, got a direct path")
+    for missing, full_rank in zip(NEEDED, generalised.full_rank):
+        if not full_rank:
+            raise InputError(f"{given.system.name}: {missing}, got a matrix of lower rank")
+    full = generalised.lqg()
     if full is None:
-        raise InputError(f"{plant.name}: must have no zeros on the imaginary axis in its weights, got some")
+        raise InputError(f"{given.system.name}: must have no zeros on the imaginary axis in its weights, got some")
     controller = _controller(given, full)
     closed = given.closed(controller)
     value = float(h2_norm(closed))
@@ -276,24 +282,9 @@ def mixsyn(
     return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
-def _weighted(plant: ExtendedPlant, weight: float, states: float) -> ExtendedPlant:
-    """The plant with a small weight of each command and state, and a small noise of each measurement and state."""
-    (n, nu), ny = plant.B2.shape, len(plant.C2)
-    of_states = states * np.eye(n if states else 0, n)
-    more = len(of_states)
-    return replace(
-        plant,
-        B1=np.hstack([plant.B1, np.zeros((n, ny)), of_states.T]),
-        C1=np.vstack([plant.C1, np.zeros((nu, n)), of_states]),
-        D11=linalg.block_diag(plant.D11, np.zeros((nu + more, ny + more))),
-        D12=np.vstack([plant.D12, weight * np.eye(nu), np.zeros((more, nu))]),
-        D21=np.hstack([plant.D21, weight * np.eye(ny), np.zeros((ny, more))]),
-    )
-
-
-def _best(given: StandardPlant, plant: ExtendedPlant, weight: float = 0.0) -> FullOrderDesign | None:
+def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
     """The controller with the least norm of those at levels a little above the lowest one; `weight` was added."""
-    found = lowest_level(plant)
+    found = plant.lowest_level()
     if found is None:
         return None
     designs = [_design(given, plant, above * found[1]) for above in ABOVE]
@@ -305,8 +296,8 @@ def _best(given: StandardPlant, plant: ExtendedPlant, weight: float = 0.0) -> Fu
     return replace(best, lower=found[0] if confirmed else -np.inf, regularised=weight)
 
 
-def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrderDesign | None:
-    full = central(plant, level)
+def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrderDesign | None:
+    full = plant.central(level)
     if full is None:
         return None
     try:
@@ -316,17 +307,22 @@ def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrd
         return None
     if not is_stable(closed.A, closed.dt):
         return None
-    return FullOrderDesign(controller, closed, hinf_norm(closed).value, -np.inf)
+    value = hinf_norm(closed).value
+    return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
 
 
-def _at_level(given: StandardPlant, generalised: ExtendedPlant, level: float) -> FullOrderDesign:
-    found = _design(given, generalised, level) if of_full_rank(generalised) else None
+def _at_level(given: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:
+    found = _design(given, generalised, level) if all(generalised.full_rank) else None
     for weight in () if found is not None else REGULARISED:
         for states in (0.0, weight):
-            found = found or _design(given, _weighted(generalised, weight, states), level)
+            found = found or _design(given, generalised.weighted(weight, states), level)
     if found is None or found.value > (1.0 + REACHED) * level:
         raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
     return found
+
+
+def _generalised(given: StandardPlant) -> WorkingPlant:
+    return WorkingPlant.of(replace(given, system=continuous(given.system)).extended)
 
 
 def _controller(given: StandardPlant, full: FullOrderEstimator) -> System:

@@ -12,6 +12,7 @@ from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_number
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign
 from lftkit.synthesis.standard_plant import chain, only_port, weight_of
 from lftkit.systems.connection.feedback import close_loop
@@ -71,7 +72,7 @@ def ncfsyn(
     if X is None or Z is None:
         raise InputError(f"{G.name}: the shaped plant must be stabilisable and detectable, got one that is not")
     least = float(np.sqrt(1.0 + np.abs(linalg.eigvals(X @ Z)).max(initial=0.0)))
-    if level is not None and not level > least:
+    if level is not None and not least < as_number(level, "level") < np.inf:
         raise InputError(f"level must be above the least one, {least:.6g}, got {level:g}")
     best: tuple[float, System, System] | None = None
     for at in [above * least for above in ABOVE] if level is None else [level]:

@@ -14,7 +14,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
-from lftkit.systems.ports import Port
+from lftkit.systems.ports import Port, names_of_ports
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant
 
@@ -23,7 +23,7 @@ Names = str | Sequence[str]
 RANK = 1e-9
 """Smallest singular value of D12 and D21, relative to the largest one or to 1, that counts as rank."""
 AXIS = 1e-9
-"""Real part of a mode, relative to the largest pole, above which it must be reached and seen."""
+"""Real part of a mode, relative to the norm of A, above which it must be reached and seen."""
 UNREACHED = 1e-10
 """Smallest singular value of the Popov, Belevitch and Hautus matrix, rows of size 1, of a mode that is not reached."""
 
@@ -68,14 +68,14 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
     system.require_certain()
     groups = []
     for names, ports, kind in ((measured, system.outputs, "outputs"), (commanded, system.inputs, "inputs")):
-        chosen = (names,) if isinstance(names, str) else tuple(names)
+        chosen = names_of_ports(names, kind)
         known = {p.name: p for p in ports}
         if missing := [name for name in chosen if name not in known]:
             raise InputError(f"{kind} must be of {', '.join(known)}, got {', '.join(missing)}")
         rest = tuple(p for p in ports if p.name not in chosen)
         if not chosen or not rest:
             raise InputError(
-                f"{plant.name}: some {kind} must be the controller's and some not, got {', '.join(chosen)}"
+                f"{system.name}: some {kind} must be the controller's and some not, got {', '.join(chosen)}"
             )
         groups.append((tuple(known[name] for name in chosen), rest))
     (seen, errors), (driven, disturbances) = groups
@@ -96,7 +96,7 @@ def _require_stabilisable(given: StandardPlant) -> None:
     B = B[:, given.system.input_indices([p.name for p in given.commanded])]
     C = C[given.system.output_indices([p.name for p in given.measured])]
     poles = given.system.poles()
-    scale = max(1.0, float(np.abs(poles).max(initial=0.0)))
+    scale = float(linalg.norm(A))
     for pole in poles:
         slow = abs(pole) < 1.0 if given.system.dt else pole.real < -AXIS * scale
         if slow:
@@ -125,11 +125,6 @@ def has_rank(matrix: FloatArray, least: int) -> bool:
     """Whether a matrix has at least this rank, not zero."""
     sizes = linalg.svdvals(matrix) if min(matrix.shape) else np.zeros(0)
     return len(sizes) >= least > 0 and bool(sizes[least - 1] > RANK * max(1.0, float(sizes[0])))
-
-
-def of_full_rank(plant: ExtendedPlant) -> bool:
-    """Whether every command has a weight (D12) and every measurement noise (D21)."""
-    return has_rank(plant.D12, plant.D12.shape[1]) and has_rank(plant.D21, len(plant.D21))
 
 
 def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]:

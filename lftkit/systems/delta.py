@@ -51,7 +51,12 @@ def _dynamics(element: DynamicElement, value: Value) -> Value:
     if hasattr(value, "matrices"):
         found = total_size(value.outputs), total_size(value.inputs)
     else:
-        value = np.atleast_2d(np.asarray(value, dtype=complex))
+        try:
+            value = np.atleast_2d(np.asarray(value, dtype=complex))
+        except (TypeError, ValueError):
+            raise InputError(f"element {element.name!r} must be numbers or a system, got {value!r}") from None
+        if not np.all(np.isfinite(value)):
+            raise InputError(f"element {element.name!r} must be finite, got another number")
         found = value.shape
         if found == shape and linalg.norm(value, 2) > element.bound * (1 + 1e-12):
             raise InputError(

@@ -186,21 +186,23 @@ def from_json(text: str) -> System:
         raise InputError(f'text must have "format": "{FORMAT}" and "version": {VERSION}, got another')
     try:
         sides = [tuple(Port(**p) for p in content[key]) for key in ("inputs", "outputs")]
-        elements = tuple(_element(dict(e)) for e in content["elements"])
+        elements = tuple(_element(e) for e in content["elements"])
         A, B, C, D = (content[key] for key in "ABCD")
-        period, channels = float(content["dt"]), tuple(content["channels"])
-        return System(A, B, C, D, sides[0], sides[1], content["name"], period, channels, elements)
+        channels = tuple(content["channels"])
+        return System(A, B, C, D, sides[0], sides[1], content["name"], content["dt"], channels, elements)
     except KeyError as error:
         raise InputError(f"text must have the keys of a system, {error} is missing") from None
     except (TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"text must describe a system, got: {error}") from None
 
 
-def _element(content: dict[str, Any]) -> Element:
-    kind = content.pop("kind", None)
+def _element(content: Any) -> Element:
+    if not isinstance(content, dict):
+        raise TypeError(f"{content!r} as an element")
+    kind = content.get("kind")
     if kind not in _KINDS:
         raise InputError(f"kind of an element must be one of {', '.join(_KINDS)}, got {kind!r}")
-    made: Element = _KINDS[kind](**content)
+    made: Element = _KINDS[kind](**{key: value for key, value in content.items() if key != "kind"})
     return made
 
 

@@ -30,6 +30,8 @@ from lftkit.uncertainty.parameters import RealParameter
 
 BLOCKS = "blocks"
 """Field with the elements of an uncertain system, in lower case."""
+DELAYS = "inputdelay", "outputdelay", "iodelay", "internaldelay"
+"""Fields of an `ss` object, in lower case, that a system here cannot have unless they are zero."""
 
 
 def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
@@ -89,6 +91,8 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
     Raises
     ------
     ValueError
+        Delays, a descriptor matrix E that is not the unit matrix, or a TimeUnit other than seconds, as the struct of a
+        whole `ss` object has them: without them it would be another system.
         A file that cannot be read, no system or several (also several in one array of structs), an `ss` object that was
         saved as such (only MATLAB reads it), matrices that do not fit, or blocks that are no real parameters.
     """
@@ -113,7 +117,9 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         raise InputError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
     if structs[name].size != 1:
         raise InputError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
-    return _from_fields(_fields(structs[name]), name, path)
+    fields = _fields(structs[name])
+    _require_explicit({key.lower(): value for key, value in fields.items()}, f"{path}: {name}")
+    return _from_fields(fields, name, path)
 
 
 def _fields(struct: Any) -> dict[str, Any]:
@@ -155,6 +161,18 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
         raise InputError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _require_explicit(fields: Mapping[str, Any], name: str) -> None:
+    """Refuse what would be lost: delays, a descriptor matrix, another unit of time."""
+    for key in DELAYS:
+        if np.size(fields.get(key, ())) and np.any(_full(fields[key]) != 0):
+            raise InputError(f"{name} must have no delays (pade or absorbDelay in MATLAB), got {key}")
+    E = _full(fields.get("e", ()))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError(f"{name} must be an explicit state space (ss(G, 'explicit') in MATLAB), got a matrix E")
+    if (unit := "".join(_texts(fields.get("timeunit"))) or "seconds") != "seconds":
+        raise InputError(f"{name} must have the TimeUnit seconds (chgTimeUnit in MATLAB), got {unit}")
 
 
 def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:

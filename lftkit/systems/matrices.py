@@ -27,7 +27,7 @@ def checked_matrices(
     ValueError
         Wrong shape or an entry that is not finite; the message names the matrix, its required and its actual shape.
     """
-    given = {key: real_array(key, value) for key, value in zip("ABCD", (A, B, C, D))}
+    given = {key: real_array(f"matrix {key}", value) for key, value in zip("ABCD", (A, B, C, D))}
     d = np.atleast_2d(given["D"])
     m = d.shape[1] if inputs is None else inputs
     p = d.shape[0] if outputs is None else outputs
@@ -66,13 +66,11 @@ def frequencies(omega: ArrayLike) -> FloatArray:
     return found
 
 
-def real_array(key: str, value: ArrayLike) -> FloatArray:
-    """`value` as an array of floats; a ValueError names the matrix `key` where it holds anything but real numbers."""
+def real_array(what: str, value: ArrayLike) -> FloatArray:
+    """`value` as an array of floats; a ValueError that begins with `what` where it holds anything but real numbers."""
     try:
-        if np.iscomplexobj(value):
+        if np.iscomplexobj(value) or np.asarray(value).dtype.kind in "US":
             raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(
-            f"matrix {key} must be a rectangular array of real numbers, got {type(value).__name__}"
-        ) from None
+        raise InputError(f"{what} must be a rectangular array of real numbers, got {type(value).__name__}") from None

@@ -43,6 +43,8 @@ class Port:
             raise InputError(f"name of a port must be text, got {self.name!r}")
         if not self.name:
             raise InputError("name of a port must not be empty, got ''")
+        if not isinstance(self.unit, str):
+            raise InputError(f"unit of port {self.name!r} must be text, got {self.unit!r}")
         size = as_integer(self.size, f"size of port {self.name!r}")
         if size < 1:
             raise InputError(f"size of port {self.name!r} must be at least 1, got {size}")
@@ -70,6 +72,8 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     ValueError
         Another form, or a name that is used twice; the message begins with `what`.
     """
+    if not isinstance(ports, Iterable):
+        raise InputError(f"{what}: must be a sequence of ports, got {ports!r}")
     made = tuple(_as_port(p, what) for p in ports)
     names = [p.name for p in made]
     twice = sorted({n for n in names if names.count(n) > 1})
@@ -84,6 +88,14 @@ def _as_port(given: Any, what: str) -> Port:
     if not (isinstance(given, tuple | list) and 2 <= len(given) <= 3):
         raise InputError(f"{what}: a port must be a Port or (name, size), got {given!r}")
     return Port(*given)
+
+
+def names_of_ports(given: Any, what: str) -> tuple[str, ...]:
+    """Names given as a sequence, or a single one; a ValueError that begins with `what` for anything else."""
+    names = (given,) if isinstance(given, str) else tuple(given) if isinstance(given, Iterable) else (given,)
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"{what} must be a name or names of ports, got {given!r}")
+    return names
 
 
 def read_only(array: ArrayLike) -> FloatArray:

@@ -13,13 +13,13 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 from lftkit.errors import InputError
-from lftkit.support.scalars import as_number
+from lftkit.support.scalars import as_integer, as_number
 from lftkit.systems import lft
 from lftkit.systems.arithmetic import Arithmetic
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.delta import Value, chosen_values, delta_response, delta_system, random_values
 from lftkit.systems.matrices import checked_matrices, frequencies
-from lftkit.systems.ports import Port, as_ports, port_indices, total_size
+from lftkit.systems.ports import Port, as_ports, names_of_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
 from lftkit.uncertainty.parameters import RealParameter
@@ -249,9 +249,7 @@ class System(Arithmetic):
         ValueError
             Unknown element, value outside its range, or an LFT that is not well posed at these values.
         """
-        if values is not None and not isinstance(values, Mapping):
-            raise InputError(f"values must be a mapping from names to values, got {values!r}")
-        given = {**(values or {}), **named}
+        given = {**_mapping(values, "values"), **named}
         chosen = chosen_values(self.elements, given, beyond_range=beyond_range)
         requirement = f"the LFT must be well posed at {given}"
         if all(isinstance(e, RealParameter) for e in self.elements):
@@ -271,7 +269,16 @@ class System(Arithmetic):
 
         Real ones are uniform in their ranges, complex ones in their disks; dynamics are all-pass systems with a pole
         and a gain, up to the bound, that are random.
+
+        Raises
+        ------
+        ValueError
+            No generator of numpy, or no number of draws.
         """
+        if not isinstance(rng, np.random.Generator):
+            raise InputError(f"rng must be a numpy.random.Generator, got {type(rng).__name__}")
+        if as_integer(count, "count") < 0:
+            raise InputError(f"count must be at least 0, got {count}")
         return [
             {name: self._drawn(v) for name, v in random_values(self.elements, rng, self.dt).items()}
             for _ in range(count)
@@ -293,9 +300,11 @@ class System(Arithmetic):
         """Sub-system ``system[outputs, inputs]`` by port names; all states and channels stay."""
         if not isinstance(key, tuple) or len(key) != 2:
             raise InputError(f"index must be [output ports, input ports], for example P['y', 'u'], got {key!r}")
-        return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
+        return self.select(outputs=key[0], inputs=key[1])
 
-    def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> System:
+    def select(
+        self, *, outputs: str | Iterable[str] | None = None, inputs: str | Iterable[str] | None = None
+    ) -> System:
         """Keep the named ports, in the order given; the other inputs are zero.
 
         Raises
@@ -304,8 +313,11 @@ class System(Arithmetic):
             Unknown port; the message lists the existing ones.
         """
         q = len(self.channels)
-        keep_in = tuple(self.inputs if inputs is None else (self.input_port(n) for n in inputs))
-        keep_out = tuple(self.outputs if outputs is None else (self.output_port(n) for n in outputs))
+        keep_in, keep_out = self.inputs, self.outputs
+        if inputs is not None:
+            keep_in = tuple(self.input_port(n) for n in names_of_ports(inputs, "inputs"))
+        if outputs is not None:
+            keep_out = tuple(self.output_port(n) for n in names_of_ports(outputs, "outputs"))
         columns = np.r_[np.arange(q), q + self.input_indices(p.name for p in keep_in)]
         rows = np.r_[np.arange(q), q + self.output_indices(p.name for p in keep_out)]
         return replace(
@@ -356,7 +368,7 @@ class System(Arithmetic):
         ValueError
             A name to be replaced that does not exist.
         """
-        ports, elements = dict(ports or {}), dict(elements or {})
+        ports, elements = _mapping(ports, "ports"), _mapping(elements, "elements")
         known = {p.name for p in self.inputs + self.outputs}
         for name in ports:
             if name not in known:
@@ -410,7 +422,7 @@ class System(Arithmetic):
     def static(cls, gain: ArrayLike, inputs: Sequence[Any], outputs: Sequence[Any], name: str = "gain") -> System:
         """System without states, ``y = gain u``."""
         none = np.zeros((0, 0))
-        return cls(none, none, none, np.atleast_2d(np.asarray(gain, dtype=float)), tuple(inputs), tuple(outputs), name)
+        return cls(none, none, none, gain, inputs, outputs, name)  # type: ignore[arg-type]
 
     @classmethod
     def from_control(
@@ -458,8 +470,11 @@ class System(Arithmetic):
         return control_system(self.matrices, self.inputs, self.outputs, dt, self.name if name is None else name)
 
 
-def _names(key: str | Sequence[str]) -> tuple[str, ...]:
-    return (key,) if isinstance(key, str) else tuple(key)
+def _mapping(given: Any, what: str) -> dict[str, Any]:
+    """A mapping as a dict, None as an empty one; a ValueError that begins with `what` for anything else."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(f"{what} must be a mapping from names to values, got {given!r}")
+    return dict(given or {})
 
 
 def _normalisation(element: Element) -> tuple[float, float]:

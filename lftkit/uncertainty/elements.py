@@ -137,5 +137,7 @@ def element_table(elements: Iterable[Element]) -> dict[str, Element]:
 
 
 def _check_name(name: str) -> None:
+    if not isinstance(name, str):
+        raise InputError(f"name of an element must be text, got {name!r}")
     if not name:
         raise InputError("name of an element must not be empty, got ''")

@@ -47,6 +47,8 @@ class RealParameter:
     description: str = ""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InputError(f"name of a parameter must be text, got {self.name!r}")
         if not self.name:
             raise InputError("name of a parameter must not be empty, got ''")
         for key in ("nominal", "lower", "upper"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lftkit import System, discretise, s, ucover
+from lftkit import InputError, System, discretise, s, ucover
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
 NOMINAL = (1 / (s**2 + 0.4 * s + 1)).system("u", "y")
@@ -76,3 +76,19 @@ def test_the_nominal_system_is_kept_to_the_last_bit() -> None:
 def test_what_cannot_be_covered_is_refused(given: Any, nominal: System, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ucover(given, nominal, 1, OMEGA)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"members": "some"}, "members must be systems or their responses, got str"),
+        ({"order": 1.5}, "order must be an integer, got 1.5"),
+        ({"omega": "low"}, "omega must be a vector of finite numbers, got str"),
+        ({"omega": []}, r"members must be responses of shape \(K, 0\)"),
+        ({"name": 3}, "name of an element must be text, got 3"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(changed: Any, message: str) -> None:
+    given: dict[str, Any] = {"members": members(), "nominal": NOMINAL, "order": 1, "omega": OMEGA} | changed
+    with pytest.raises(InputError, match=message):
+        ucover(**given)

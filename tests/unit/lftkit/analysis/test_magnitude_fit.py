@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lftkit import System
+from lftkit import InputError, System
 from lftkit.analysis.magnitude_fit import fit_magnitude
 
 OMEGA = np.geomspace(0.01, 100.0, 60)
@@ -71,10 +71,27 @@ def test_units_of_frequency_do_not_matter() -> None:
         ([2.0, 1.0], [1.0, 1.0], 1, "omega must be positive, finite and rising"),
         ([1.0, 2.0], [1.0, 0.0], 1, "magnitude must be positive and finite, got 0.0 to 1.0"),
         ([1.0, 2.0], [1.0, 1.0], -1, "order must be at least 0, got -1"),
+        ([1.0, 2.0], [1.0, 1.0], 1.5, "order must be an integer, got 1.5"),
+        ("low", [1.0], 1, "omega must be a vector of finite numbers, got str"),
+        ([1.0], 1j, 1, "magnitude must be a rectangular array of real numbers, got complex"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(omega: Any, magnitude: Any, order: int, message: str) -> None:
+def test_what_cannot_be_fitted_is_refused(omega: Any, magnitude: Any, order: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fit_magnitude(omega, magnitude, order)
-    with pytest.raises(ValueError, match="omega must be below pi / dt"):
-        fit_magnitude([1.0, 2.0], [1.0, 1.0], 1, dt=2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dt": 2.0}, "omega must be below pi / dt"),
+        ({"dt": "fast"}, "dt must be a finite real number, got 'fast'"),
+        ({"dt": -1.0}, "dt must be positive, got -1.0"),
+        ({"weight": [1.0]}, "weight must be 2 finite numbers, zero or positive, not all zero"),
+        ({"weight": [1.0, np.nan]}, "weight must be 2 finite numbers"),
+        ({"weight": "some"}, "weight must be a rectangular array of real numbers, got str"),
+    ],
+)
+def test_options_of_a_fit_that_mean_nothing_are_refused(options: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        fit_magnitude([1.0, 2.0], [1.0, 1.0], 1, **options)

@@ -45,6 +45,7 @@ def stable(closed: System) -> bool:
     return bool(np.abs(poles).max() < 1.0 if closed.dt else poles.real.max() < 0.0)
 
 
+NESTED: Any = [["u"]]
 DISTURBANCE = 200 / ((10 * s + 1) * (0.05 * s + 1) ** 2)
 
 
@@ -195,6 +196,13 @@ def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_b
         (lambda: hinfsyn(random_plant(0, 2), "x", "u"), "outputs must be of z, y, got x"),
         (lambda: hinfsyn(random_plant(0, 2), "y", ["u", "w"]), "some inputs must be the controller's and some not"),
         (lambda: mixsyn(system(1 / (s + 1)), system(1 / s), 1.0), "the mode at 0 is not stable and must be seen in y"),
+        (lambda: hinfsyn(random_plant(0, 2), 3, "u"), "outputs must be a name or names of ports, got 3"),
+        (lambda: hinfsyn(random_plant(0, 2), "y", NESTED), "inputs must be a name or names of ports"),
+        (lambda: hinfsyn(random_plant(0, 2), "y", "u", "low"), "level must be positive, got 'low'"),
+        (lambda: hinfsyn(random_plant(0, 2), "y", "u", np.inf), "level must be positive, got inf"),
+        (lambda: ncfsyn(system(1 / s), level=np.inf), "level must be above the least one, 1.41421, got inf"),
+        (lambda: ncfsyn(system(1 / s), level="low"), "level must be a finite real number, got 'low'"),
+        (lambda: hinfsyn(2.0, "y", "u"), "some outputs must be the controller's and some not, got y"),
         (lambda: augw(system(1 / (s + 1))), "one of the weights error, effort and output, got none"),
         (lambda: h2syn(random_plant(0, 2, through=True), "y", "u"), "D11 must be zero"),
         (lambda: mixsyn(system(1 / (s + 1)), random_plant(0, 1)), "z1 must have 1 inputs or one, got 5"),
@@ -219,6 +227,42 @@ def test_units_of_states_make_no_plant_unstabilisable(seed: int) -> None:
     A[0], B[0, 2] = np.eye(n)[0], 0.0
     with pytest.raises(ValueError, match="the mode at 1 is not stable and must be reached from u"):
         hinfsyn(System(A * units[:, None] / units, B * units[:, None], C / units, D, *ports), "y", "u")
+
+
+UNITS = {
+    "commands": (1.0, 1.0, 1e-7, 1.0, 1.0),
+    "measurements": (1.0, 1.0, 1.0, 1e-7, 1.0),
+    "commands and measurements": (1.0, 1.0, 1e6, 1e-7, 1.0),
+    "small disturbances": (1e-7, 1.0, 1.0, 1.0, 1.0),
+    "large errors": (1.0, 1e6, 1.0, 1.0, 1.0),
+    "seconds": (1.0, 1.0, 1.0, 1.0, 1e8),
+    "all": (1e6, 1e-6, 1e-4, 1e5, 1e3),
+}
+"""Factors of disturbances, errors, commands, measurements and rates."""
+
+
+def _in_units(plant: System, factors: tuple[float, ...]) -> System:
+    w, z, u, y, rate = factors
+    columns, rows = (
+        np.repeat(pair, [p.size for p in side]) for pair, side in (((w, u), plant.inputs), ((z, y), plant.outputs))
+    )
+    A, B, C, D = plant.matrices
+    matrices = rate * A, rate * B * columns, rows[:, None] * C, rows[:, None] * D * columns
+    return System(*matrices, plant.inputs, plant.outputs, plant.name)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize("seed", [2, slow(0), slow(3)])
+def test_units_of_signals_and_time_are_factors_of_the_norm(seed: int, units: str) -> None:
+    """Of w and z those of the norm, of u and y of the controller alone, and time is the root of a factor of H2."""
+    plant = random_plant(seed, 2 + seed, through=bool(seed % 2))
+    given, (w, z, _, _, rate) = _in_units(plant, UNITS[units]), UNITS[units]
+    least, found = hinfsyn(plant, "y", "u"), hinfsyn(given, "y", "u")
+    assert found.value / (w * z) == pytest.approx(least.value, rel=1e-5) and stable(found.closed)
+    assert found.lower / (w * z) == pytest.approx(least.lower, rel=1e-5) and found.regularised == 0.0
+    if not seed % 2:
+        assert h2syn(given, "y", "u").value / (w * z * rate**0.5) == pytest.approx(h2syn(plant, "y", "u").value, 1e-6)
 
 
 def _least_to_the_last_bit(plant: System) -> None:

@@ -15,6 +15,7 @@ from lftkit import (
     SampledSystem,
     System,
     connect,
+    dynamic,
     from_control,
     invert,
     matrix,
@@ -35,6 +36,9 @@ from lftkit.systems.sampling import sampled
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures import structures
 
+WORD: Any = "w"
+NUMBER: Any = 3
+NUMBERS: Any = [1]
 ONE: Any = [[1.0]]
 U, Y = [Port("u", 1)], [Port("y", 1)]
 SPRING, OTHER = RealParameter("k", 2.0, 1.0, 5.0), RealParameter("k", 2.0, 1.0, 4.0)
@@ -63,6 +67,18 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "p: input port must be one of u, got 'v'": lambda: FAMILY.select(inputs=["v"]),
     "p: input port must be one of u, got 'x'": lambda: FAMILY["y", "x"],
     "port must be one of .*, got 'w'": lambda: FAMILY.renamed({"w": "x"}),
+    "ports must be a mapping from names to values, got 'w'": lambda: FAMILY.renamed(WORD),
+    "elements must be a mapping from names to values, got 3": lambda: FAMILY.renamed(elements=NUMBER),
+    "name of a parameter must be text, got 3": lambda: FAMILY.renamed(elements={"k": NUMBER}),
+    "outputs must be a name or names of ports, got 3": lambda: FAMILY.select(outputs=NUMBER),
+    r"inputs must be a name or names of ports, got \[1\]": lambda: FAMILY[("y", NUMBERS)],
+    "rng must be a numpy.random.Generator, got int": lambda: FAMILY.sample_values(NUMBER),
+    r"count must be an integer, got \[\[1.0": lambda: FAMILY.sample_values(np.random.default_rng(0), ONE),
+    "count must be at least 0, got -1": lambda: FAMILY.sample(np.random.default_rng(0), -1),
+    "element 'd' must be numbers or a system, got 'a'": lambda: dynamic("d").system("u", "y").at({"d": "a"}),
+    "element 'd' must be finite": lambda: dynamic("d").system("u", "y").at({"d": np.nan}),
+    "gain, inputs: must be a sequence of ports, got 3": lambda: System.static(ONE, NUMBER, Y),
+    "unit of port 'a' must be text, got 3": lambda: Port("a", 1, NUMBER),
     "read-only": lambda: FAMILY.D.__setitem__((0, 0), 1.0),
     "must have one definition, got two": lambda: System(
         [], [], [], np.zeros((3, 3)), U, Y, channels=("k", "k"), elements=(SPRING, OTHER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,34 @@ def test_complex_coefficients_of_scipy_are_refused() -> None:
             lk.as_system(given)
     nearly = zpk([], [-1.0 + 0.1j, -1.0 - 0.1j * (1.0 + 1e-15)], 1.0)  # conjugate but for rounding
     assert lk.from_scipy(nearly).poles() == pytest.approx([-1.0 + 0.1j, -1.0 - 0.1j])
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("InputDelay", [[0.5]], r"no delays .*, got inputdelay"),
+        ("InternalDelay", [[0.1], [0.2]], r"no delays .*, got internaldelay"),
+        ("E", [[2.0]], "an explicit state space .*, got a matrix E"),
+        ("TimeUnit", "minutes", "the TimeUnit seconds .*, got minutes"),
+    ],
+)
+def test_what_a_system_here_cannot_have_is_not_dropped(tmp_path: Path, field: str, value: Any, message: str) -> None:
+    """Fields of the struct of a whole `ss` object that make it another system; without effect they are taken."""
+    plain = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]}
+    io.savemat(tmp_path / "plant.mat", {"P": {**plain, field: value}})
+    with pytest.raises(lk.InputError, match=rf"plant\.mat: P must have {message}".replace("have an", "be an")):
+        lk.read_mat(tmp_path / "plant.mat")
+    none = {"E": [[1.0]], "InputDelay": [[0.0]], "OutputDelay": [], "TimeUnit": "seconds"}
+    io.savemat(tmp_path / "plant.mat", {"P": {**plain, **none}})
+    assert lk.read_mat(tmp_path / "plant.mat").poles() == [-1.0]
+
+
+@pytest.mark.parametrize(("key", "value"), [("dt", "0.1"), ("dt", True), ("elements", "k"), ("A", [["-1.0"]])])
+def test_text_of_another_type_is_not_read_as_a_number(key: str, value: Any) -> None:
+    content = json.loads(lk.to_json((1.0 / (lk.s + 1.0)).system()))
+    with pytest.raises(lk.InputError) as caught:
+        lk.from_json(json.dumps(content | {key: value}))
+    assert "\n" not in str(caught.value)
 
 
 def test_an_array_of_structs_is_not_one_system(tmp_path: Path) -> None:

@@ -1,0 +1,151 @@
+"""A generalised plant in units in which the equations of its controllers lose few digits.
+
+The equations compare weights of commands with gains of errors, and tolerances with solutions. In units of a user, with
+commands of 1e-7 beside errors of 1e6, they find no solution where there is one. The units here follow those of the
+plant: whatever units it is given in, the scaled plant is the same up to factors of two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from lftkit.synthesis.standard_plant import RANK, has_rank
+from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.tuning.gains.loop import ExtendedPlant
+
+ROUNDS = 4
+"""Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""
+
+
+@dataclass(frozen=True)
+class WorkingPlant:
+    """A scaled plant and its units, which are powers of two: nothing is rounded.
+
+    Attributes
+    ----------
+    plant : ExtendedPlant
+        In continuous time.
+    rate, level : float
+        Units of rates [rad/s] and of the gain from disturbances to errors.
+    states, commands, measurements : ndarray, shapes (n,), (nu,), (ny,)
+        States and commands over, and measurements times these are those of the scaled plant.
+    """
+
+    plant: ExtendedPlant
+    rate: float
+    level: float
+    states: FloatArray
+    commands: FloatArray
+    measurements: FloatArray
+
+    @classmethod
+    def of(cls, plant: ExtendedPlant) -> WorkingPlant:
+        """The scaled plant of one in other units."""
+        found = cls(plant, 1.0, 1.0, *(np.ones(k) for k in (*plant.B2.shape, len(plant.C2))))
+        for _ in range(ROUNDS):
+            found = found._with_units_of_states()._with_units_of_signals()
+        return found
+
+    @property
+    def full_rank(self) -> tuple[bool, bool]:
+        """Whether every command has a weight (D12), and every measurement noise (D21)."""
+        D12, D21 = self.plant.D12, self.plant.D21
+        return has_rank(D12, D12.shape[1]), has_rank(D21, len(D21))
+
+    def weighted(self, weight: float, states: float) -> WorkingPlant:
+        """With a small weight of each command and state, and a small noise of each measurement and state."""
+        plant = self.plant
+        (n, nu), ny = plant.B2.shape, len(plant.C2)
+        of_states = states * np.eye(n if states else 0, n)
+        more = len(of_states)
+        changed = replace(
+            plant,
+            B1=np.hstack([plant.B1, np.zeros((n, ny)), of_states.T]),
+            C1=np.vstack([plant.C1, np.zeros((nu, n)), of_states]),
+            D11=linalg.block_diag(plant.D11, np.zeros((nu + more, ny + more))),
+            D12=np.vstack([plant.D12, weight * np.eye(nu), np.zeros((more, nu))]),
+            D21=np.hstack([plant.D21, weight * np.eye(ny), np.zeros((ny, more))]),
+        )
+        return replace(self, plant=changed)
+
+    def lowest_level(self) -> tuple[float, float] | None:
+        """Levels of the H-infinity norm without and with a controller, in the units of the user."""
+        found = lowest_level(self.plant)
+        return None if found is None else (self.level * found[0], self.level * found[1])
+
+    def central(self, level: float) -> FullOrderEstimator | None:
+        """Central controller at a level, both in the units of the user."""
+        return self._restored(central(self.plant, level / self.level))
+
+    def lqg(self) -> FullOrderEstimator | None:
+        """Controller with the least H2 norm, in the units of the user."""
+        return self._restored(lqg(self.plant))
+
+    def _restored(self, full: FullOrderEstimator | None) -> FullOrderEstimator | None:
+        if full is None:
+            return None
+        x, u, y = self.states[:, None], self.commands[:, None], self.measurements
+        rates = self.rate * x
+        A, B, L = rates * full.A / x.T, rates * full.B / u.T, rates * full.L * y
+        return FullOrderEstimator(A, B, L, u * full.F / x.T, u * full.D * y)
+
+    def _with_units_of_states(self) -> WorkingPlant:
+        """Rows and columns of states alike, those of B and C among them; the largest rate near to 1."""
+        P = self.plant
+        n = len(P.A)
+        if not n:
+            return self
+        whole = np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n] = P.A, _sizes(np.hstack([P.B1, P.B2]))
+        whole[n, :n] = _sizes(np.vstack([P.C1, P.C2]).T)
+        scale = linalg.lapack.dgebal(whole, scale=1, permute=0)[3]
+        s = scale[:n] / scale[n]
+        A = P.A * s / s[:, None]
+        rate = _power_of_two(float(linalg.norm(A)))
+        states = rate * s[:, None]
+        return replace(
+            self,
+            plant=replace(P, A=A / rate, B1=P.B1 / states, B2=P.B2 / states, C1=P.C1 * s, C2=P.C2 * s),
+            rate=self.rate * rate,
+            states=self.states * s,
+        )
+
+    def _with_units_of_signals(self) -> WorkingPlant:
+        """Weights of commands and noises of measurements near to 1, and the gain that the controller can leave, too."""
+        P = self.plant
+        B1, C1 = (float(linalg.norm(M)) for M in (P.B1, P.C1))
+        u = _units(_sizes(P.D12.T), C1 * _sizes(P.B2.T))
+        y = _units(_sizes(P.D21), B1 * _sizes(P.C2))
+        B2, C2 = (float(linalg.norm(M)) for M in (P.B2 * u, P.C2 * y[:, None]))
+        level = _power_of_two(float(np.sqrt(B1 * C1 / (B2 * C2)))) if B2 * C2 else 1.0
+        u = level * u
+        return replace(
+            self,
+            plant=ExtendedPlant(
+                P.A, P.B1, P.B2 * u, P.C1 / level, P.C2 * y[:, None],
+                P.D11 / level, P.D12 * u / level, P.D21 * y[:, None], P.D22 * u * y[:, None],
+            ),
+            level=self.level * level,
+            commands=self.commands * u,
+            measurements=self.measurements * y,
+        )  # fmt: skip
+
+
+def _units(direct: FloatArray, through_states: FloatArray) -> FloatArray:
+    """Units in which direct paths are near to 1, or paths through states where a signal has none beyond rounding."""
+    sizes = np.where(direct > RANK * through_states, direct, through_states)
+    return np.array([1.0 / _power_of_two(float(size)) for size in sizes])
+
+
+def _sizes(M: FloatArray) -> FloatArray:
+    """Norms of the rows."""
+    return np.asarray(linalg.norm(M, axis=1))
+
+
+def _power_of_two(size: float) -> float:
+    """The power of two near to a size; 1 for none."""
+    return float(np.exp2(np.round(np.log2(size)))) if 0.0 < size < np.inf else 1.0
