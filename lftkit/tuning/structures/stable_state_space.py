@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from functools import cache
+from typing import Any, cast
 
 import numpy as np
 from scipy import linalg
@@ -13,6 +14,12 @@ from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.structures.structures import total_size
+
+
+@cache
+def _triangles(n: int) -> tuple[Any, Any]:
+    """Indices of the strictly lower and of the lower triangle of a matrix, which every gradient asks for."""
+    return np.tril_indices(n, -1), np.tril_indices(n)
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,8 @@ class StableStateSpace:
         n, nu, ny = self.order, total_size(self.outputs), total_size(self.inputs)
         s, l, b, c, d = self._split(x)
         S, L = np.zeros((n, n)), np.zeros((n, n))
-        S[np.tril_indices(n, -1)], L[np.tril_indices(n)] = s, l
+        below, lower = _triangles(n)
+        S[below], L[lower] = s, l
         A = S - S.T - L @ L.T - self.min_decay * np.eye(n)
         D = d.reshape(nu, ny) if self.feedthrough else np.zeros((nu, ny))
         return np.block([[A, b.reshape(n, ny)], [c.reshape(nu, n), D]])
@@ -72,11 +80,12 @@ class StableStateSpace:
         """Gradient of ``sum(G * gain_matrix(x))``."""
         n = self.order
         L = np.zeros((n, n))
-        L[np.tril_indices(n)] = self._split(x)[1]
+        below, lower = _triangles(n)
+        L[lower] = self._split(x)[1]
         GA = G[:n, :n]
         parts = [
-            (GA - GA.T)[np.tril_indices(n, -1)],
-            (-(GA + GA.T) @ L)[np.tril_indices(n)],
+            (GA - GA.T)[below],
+            (-(GA + GA.T) @ L)[lower],
             G[:n, n:].ravel(),
             G[n:, :n].ravel(),
         ]
@@ -109,5 +118,6 @@ class StableStateSpace:
         L = linalg.cholesky(cast("Matrix", -0.5 * (A + A.T) - self.min_decay * np.eye(n)), lower=True)
         B = linalg.solve_triangular(T, model.B, lower=True)
         S = 0.5 * (A - A.T)
-        parts = [S[np.tril_indices(n, -1)], L[np.tril_indices(n)], B.ravel(), (model.C @ T).ravel()]
+        below, lower = _triangles(n)
+        parts = [S[below], L[lower], B.ravel(), (model.C @ T).ravel()]
         return np.concatenate([*parts, model.D.ravel()] if self.feedthrough else parts)
