@@ -112,7 +112,7 @@ def tune(
     >>> from lftkit.tuning.structures.structures import gain
     >>> from lftkit.tuning.requirements import HinfGain
     >>> result = tune([plant], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)],
-    ...               gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1))
+    ...               gain([("y", 1)], [("u", 1)]), initial=[[-0.5]], options=TuningOptions(starts=0))
     >>> str(result.status), round(result.controller.D.item(), 2), round(result.soft, 3)
     ('converged', -4.0, 0.2)
     """

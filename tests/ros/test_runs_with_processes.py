@@ -176,11 +176,11 @@ def test_a_node_that_the_kernel_ended_for_computing_without_a_pause_is_told_of(t
 ONCE = """
 import os, signal, sys
 from pathlib import Path
-from los_testbed.nodes import {node}
 mark = Path({mark!r})
 if not mark.exists():
     mark.touch()
     os.kill(os.getpid(), signal.SIGKILL)
+from los_testbed.nodes import {node}
 sys.exit({node}.main(sys.argv[1:]))
 """
 

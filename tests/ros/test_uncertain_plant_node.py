@@ -29,21 +29,12 @@ def start(logs: Path, *parameters: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        (("omega_1:=0.9",), ["omega_1 must be between 0.70585 and 0.78015 rad/s", "got 0.9"]),
-        (("wheel_speed:=[0.0, 0.0, -2000.0, 0.0]",), ["wheel_speed (wheel 3)", "-1047.2 and 1047.2", "-2000"]),
-        (("theta:=0.5", "tau:=0.1"), ["theta or tau", "got both"]),
-    ],
-)
-def test_a_node_outside_the_family_says_so_and_ends(
-    tmp_path: Path, parameters: tuple[str, ...], words: list[str]
-) -> None:
-    done = start(tmp_path, *parameters)
+def test_a_node_outside_the_family_says_so_and_ends(tmp_path: Path) -> None:
+    """Other values that are refused: unit/los_testbed/cli/test_plant_command.py."""
+    done = start(tmp_path, "wheel_speed:=[0.0, 0.0, -2000.0, 0.0]")
     last = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 2, done.stderr
-    assert all(word in last for word in words), last
+    assert all(word in last for word in ("wheel_speed (wheel 3)", "-1047.2 and 1047.2", "-2000")), last
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from pointing_analysis.read.messages.message_types import DEFINITIONS, JOINT_STA
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.topic import on_grid
 
-N = 3000
+N = 1600
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_file_wise_and_message_wise_compression(tmp_path: Path, signals) -> None
     check(Run.open(folder), {"truth/los": los})
 
 
-@pytest.mark.parametrize("options", [{}, {"chunks": False}, {"compression": "none"}], ids=str)
+@pytest.mark.parametrize("options", [{"chunk_size": 200_000}, {"chunks": False}, {"compression": "none"}], ids=str)
 @pytest.mark.parametrize("share", [0.95, 0.6, 0.3])
 def test_cut_off_file_gives_what_is_there_and_says_so(tmp_path: Path, signals, options, share) -> None:
     bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, storage=McapStorage(**options))

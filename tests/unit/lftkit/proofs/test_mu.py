@@ -31,7 +31,7 @@ def random_matrix(structure: list[UncertaintyBlock], seed: int) -> np.ndarray[An
     return sides[0] * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * sides[1].T
 
 
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("number", range(len(STRUCTURES)))
 def test_bounds_are_in_order_and_hold(number: int, seed: int) -> None:
     structure = STRUCTURES[number]
@@ -62,7 +62,7 @@ def test_no_perturbation_below_the_upper_bound_makes_the_loop_singular() -> None
     for number, structure in enumerate(STRUCTURES):
         M = random_matrix(structure, 10 + number)
         upper = mu(M, structure, starts=1).upper
-        for _ in range(300):
+        for _ in range(100):
             delta = np.zeros(M.shape[::-1], complex)
             for block, z, w in parts(structure):
                 if block.kind == "full":

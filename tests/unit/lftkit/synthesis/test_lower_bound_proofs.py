@@ -51,7 +51,6 @@ def test_the_bound_is_within_a_thousandth_of_existence_conditions(seed: int, n: 
     plant = random_plant(seed, n, through)
     found, least = lower_bound_proof(plant, "y", "u"), full_order_bound(plant)
     assert (1.0 - 1e-3) * least <= found.level <= (1.0 + 2e-6) * least, found.reason
-    assert check_proof(found.proof) == check_proof(found.proof)
     assert isinstance(checked := check_proof(found.proof), CheckedLowerBound) and checked.level == found.level
 
 
@@ -108,13 +107,13 @@ def test_no_random_controller_undercuts_a_bound() -> None:
     plant = random_plant(1, 3)
     level, best, rng = lower_bound_proof(plant, "y", "u").level, hinfsyn(plant, "y", "u"), np.random.default_rng(0)
     reached = []
-    for size in np.repeat([1e-3, 1e-2, 1e-1], 30):
+    for size in np.repeat([1e-3, 1e-2, 1e-1], 15):
         K = best.controller
         other = System(*(M + size * rng.standard_normal(M.shape) for M in K.matrices), K.inputs, K.outputs)
         closed = close_loop(plant, other, ["w"], ["z"])
         if linalg.eigvals(closed.A).real.max() < 0.0:
             reached.append(hinf_norm(*closed.matrices).value)
-    assert len(reached) > 30 and min(reached) >= level
+    assert len(reached) > 15 and min(reached) >= level
 
 
 Exact = list[list[Fraction]]

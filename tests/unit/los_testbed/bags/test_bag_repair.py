@@ -1,5 +1,7 @@
 """Damaged bags: what is whole is saved, what is not is named with its place."""
 
+import shutil
+
 import numpy as np
 import pytest
 import yaml
@@ -15,11 +17,18 @@ from simple_telescope import SimpleTelescope, write_controllers
 from pointing_analysis.read.run import Run
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    config = RunConfig(duration=4.0, mode="inprocess", **write_controllers(folder))
+    run_in_process(config, folder / "bag", SimpleTelescope())
+    return folder / "bag"
+
+
 @pytest.fixture
-def bag(tmp_path):
-    config = RunConfig(duration=4.0, mode="inprocess", **write_controllers(tmp_path))
-    run_in_process(config, tmp_path / "bag", SimpleTelescope())
-    return tmp_path / "bag"
+def bag(recorded, tmp_path):
+    """A copy for each test, which damages it."""
+    return shutil.copytree(recorded, tmp_path / "bag")
 
 
 def chunks(bag):

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from los_testbed.cli.app import main
+from support.command_line import call_command
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import BoundOptions, robust_stability
@@ -28,21 +27,15 @@ def proof() -> Content:
     return bounds.proof.content
 
 
-def test_the_command_checks_a_file(proof: Content, tmp_path: Path) -> None:
+def test_the_command_checks_a_file(proof: Content, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "proof.json"
-    code = "import sys; from los_testbed.cli.app import main; main(sys.argv[1:])"
     for content, expected, text in (
         (proof, 0, "proven: stable"),
         ({**proof, "stable": None}, 1, "refused: the content must match"),
     ):
         path.write_text(json.dumps(content), "utf-8")
-        done = subprocess.run(
-            [sys.executable, "-c", code, "design", "check-proof", str(path)],
-            capture_output=True,
-            text=True,
-            timeout=250,
-        )
-        assert done.returncode == expected and text in done.stdout + done.stderr
+        code, out, err = call_command(capsys, "design", "check-proof", path)
+        assert code == expected and text in out + err
 
 
 @pytest.mark.parametrize(

@@ -111,12 +111,12 @@ def test_a_rig_as_the_model_has_no_fault_also_with_lost_samples(model):
     ("wrong", "lines"),
     [
         (
-            "camera_los=swapped,accel_Ip=swapped",
-            ("accel_Ip[0, 1]: swapped: sees like value 1, 0", "camera_los: swapped: sees like value 1, 0"),
-        ),
-        (
-            "camera_los=delay,accel_M2=dead",
-            ("accel_M2: dead: no response", "camera_los: values 40 ms older than their stamps"),
+            "camera_los=delay,accel_Ip=swapped,accel_M2=dead",
+            (
+                "accel_Ip[0, 1]: swapped: sees like value 1, 0",
+                "accel_M2: dead: no response",
+                "camera_los: values 40 ms older than their stamps",
+            ),
         ),
         (
             "camera_los=sign,pma_force=swapped",

@@ -117,7 +117,8 @@ def ran(before: str, **environment: str) -> tuple[str, str]:
     ids=["without numba", "without a folder for its cache"],
 )
 def test_without_numba_or_a_folder_for_its_cache_the_bits_are_the_same(
-    before: str, environment: dict[str, str]
+    before: str, environment: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    usual, other = ran(""), ran(before, **environment)
+    exec(CODE.format(before=""), {})
+    usual, other = capsys.readouterr().out.split(), ran(before, **environment)
     assert (usual[0], other[0]) == ("False", str(bool(before))) and usual[1] == other[1]
