@@ -61,7 +61,7 @@ class FullOrderDesign:
     closed : System
         From the other inputs to the other outputs of the plant.
     value : float
-        Norm of `closed`.
+        Norm of `closed`; where rounding leaves that of an H-infinity design open, a bound of it.
     lower : float
         What no controller of any order can do better, numerically; minus infinity where neither the Riccati equations
         nor linear matrix inequalities have an optimum near to `value`. With ``certify=True`` it is proven, or minus
@@ -148,7 +148,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
         return replace(design, lower=confirmed_optimum(given.system, measured, commanded, design.value))
 
     found = bounded(found)
-    if found.lower > -np.inf or not found.regularised:
+    if found.lower > -np.inf:
         return found
     better = _with_weights(given, generalised, of_states=True)
     return bounded(better) if better is not None and better.value < found.value else found
@@ -305,10 +305,16 @@ def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrde
         closed = given.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
-    if not is_stable(closed.A, closed.dt):
-        return None
-    value = hinf_norm(closed).value
+    value = norm_of_loop(closed)
     return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
+
+
+def norm_of_loop(closed: System) -> float:
+    """H-infinity norm of a loop, infinite where it is not stable; its upper side where rounding leaves it open."""
+    if not is_stable(closed.A, closed.dt):
+        return np.inf
+    norm = hinf_norm(closed)
+    return norm.value if norm.upper <= (1.0 + REACHED) * norm.value else norm.upper
 
 
 def _at_level(given: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:

@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
-from lftkit.synthesis.full_order import ABOVE, FullOrderDesign
+from lftkit.synthesis.full_order import ABOVE, FullOrderDesign, norm_of_loop
 from lftkit.synthesis.standard_plant import chain, only_port, weight_of
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
@@ -80,7 +79,7 @@ def ncfsyn(
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
-        value = hinf_norm(closed).value if is_stable(closed.A, closed.dt) else np.inf
+        value = norm_of_loop(closed)
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:

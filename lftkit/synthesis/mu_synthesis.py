@@ -27,10 +27,12 @@ from lftkit.proofs.robustness import robust_stability
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.proofs.structured.bounds import MuBounds, mu
 from lftkit.proofs.trusted.structured import UncertaintyBlock
+from lftkit.support.scalars import as_integer, as_number
 from lftkit.synthesis.full_order import controller_of_least_norm
 from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
 from lftkit.systems.connection.interconnection import close
 from lftkit.systems.exchange import as_system
+from lftkit.systems.matrices import frequencies
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.image import continuous
@@ -149,8 +151,11 @@ def musyn(
     >>> found.value <= found.bound < 1.0
     True
     """
-    if iterations < 1:
-        raise InputError(f"iterations must be at least 1, got {iterations}")
+    for value, what, least in ((iterations, "iterations", 1), (scaling_order, "scaling_order", 0)):
+        if as_integer(value, what) < least:
+            raise InputError(f"{what} must be at least {least}, got {value}")
+    if not as_number(tolerance, "tolerance") >= 0.0:
+        raise InputError(f"tolerance must be zero or positive, got {tolerance}")
     problem = _Problem.of(as_system(plant), measured, commanded)
     grid = problem.grid(omega)
     best = problem.candidate(problem.standard.system, grid)
@@ -298,8 +303,11 @@ class _Problem:
     def grid(self, omega: ArrayLike | None) -> FloatArray:
         """Frequencies of the scalings in continuous time [rad/s]."""
         if omega is not None:
-            given = np.asarray(omega, dtype=float)
-            return np.asarray(2.0 / self.plant.dt * np.tan(0.5 * self.plant.dt * given)) if self.plant.dt else given
+            given, dt = frequencies(omega), self.plant.dt
+            end = np.pi / dt if dt else np.inf
+            if not (len(given) and given[0] > 0.0 and np.all(np.diff(given) > 0.0) and given[-1] < end):
+                raise InputError(f"omega must be positive and rising, below {end:g} rad/s, got other frequencies")
+            return np.asarray(2.0 / dt * np.tan(0.5 * dt * given)) if dt else given
         poles = self.image.poles()
         low, high = pole_range(poles)
         return frequency_grid(poles, low / BEYOND, high * BEYOND, points=POINTS)

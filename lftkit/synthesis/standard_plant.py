@@ -104,17 +104,30 @@ def _require_stabilisable(given: StandardPlant) -> None:
         shifted = A - pole * np.eye(len(A))
         reached = f"reached from {', '.join(p.name for p in given.commanded)}"
         seen = f"seen in {', '.join(p.name for p in given.measured)}"
-        for matrix, what in ((np.hstack([shifted, B]), reached), (np.hstack([shifted.T, C.T]), seen)):
-            if not _has_full_row_rank(matrix):
+        for left, right, what in ((shifted, B, reached), (shifted.T, C.T, seen)):
+            if not _has_full_row_rank(left, right):
                 where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
+                stable = "not stable" if pole.real >= 0.0 or given.system.dt else "not stable beyond rounding"
                 raise InputError(
-                    f"{given.system.name}: the mode at {where} is not stable and must be {what}; of a weight, move the "
+                    f"{given.system.name}: the mode at {where} is {stable} and must be {what}; of a weight, move the "
                     "pole to the left"
                 )
 
 
-def _has_full_row_rank(matrix: ComplexArray) -> bool:
-    """Whether no row follows from the others, each row in its own unit."""
+def _has_full_row_rank(left: ComplexArray, right: FloatArray) -> bool:
+    """Whether no row of ``[left, right]`` follows from the others, in units of states and signals that do not matter.
+
+    States are in units in which the rows and columns of both are alike, signals in those in which they are as large as
+    what moves the states.
+    """
+    n = len(left)
+    size = float(np.abs(left).max(initial=0.0)) or 1.0
+    columns = np.abs(right).max(axis=0, initial=0.0)
+    right = right[:, columns > 0.0] / columns[columns > 0.0] * size
+    bordered = np.zeros((n + 1, n + 1))
+    bordered[:n, :n], bordered[:n, n] = np.abs(left), np.abs(right).max(axis=1, initial=0.0)
+    units = linalg.lapack.dgebal(bordered, scale=1, permute=0)[3][:n]
+    matrix = np.hstack([left * units / units[:, None], right / units[:, None]])
     sizes = np.abs(matrix).max(axis=1, initial=0.0)
     if not sizes.all():
         return False

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
-from lftkit.support.scalars import is_number
+from lftkit.support.scalars import as_integer, is_number
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space, static_gain
 
@@ -41,6 +41,9 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     """
     if not (is_number(delay) and 0 <= delay < np.inf):
         raise InputError(f"delay must be zero or positive, got {delay!r} s")
+    order = as_integer(order, "order")
+    if as_integer(size, "size") < 0:
+        raise InputError(f"size must be at least 0, got {size}")
     each: FloatArray = np.eye(size)
     if order < 1 or delay == 0.0:
         return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), each

@@ -212,8 +212,9 @@ def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     if X is None or Y is None:
         return None
     product = X @ Y / level**2
-    least = min(float(linalg.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
-    if least < -1e-7 or float(np.abs(linalg.eigvals(product)).max()) >= 1.0:
+    sizes = [max(1.0, float(np.abs(M).max(initial=0.0))) for M in (X, Y)]
+    least = min(float(linalg.eigvalsh(M).min(initial=0.0)) / size for M, size in zip((X, Y), sizes))
+    if least < -1e-7 or float(np.abs(linalg.eigvals(product)).max(initial=0.0)) >= 1.0:
         return None
     F = -regular_solve(R, B.T @ X + D1.T @ C1)
     L = -regular_solve(S, C @ Y + D2 @ B1.T).T[:, nz:]

@@ -82,11 +82,15 @@ class HamiltonianModel:
         return value, min(seen, max(level, noise / CANCELLATION + CANCELLATION * terms))  # no gain exceeds their sum
 
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
-        """The highest peak near the crossings of the level and the middles between them."""
+        """The highest peak near the crossings of the level and the middles between them.
+
+        Without crossings the gain is on one side of the level in the whole band, and its ends say on which.
+        """
         crossings = level_crossings(self.system, level)
         inside = crossings[(crossings > self.band[0]) & (crossings < self.band[1])]
         if not inside.size:
-            return None
+            end = max((Peak(omega, direct_gain(self.system, omega)) for omega in self.band), key=lambda one: one.gain)
+            return end if end.gain > level else None
         edges = np.unique([self.band[0], *inside, min(self.band[1], 2.0 * float(inside[-1]))])
         candidates = np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])])
         found, modal = self._highest(candidates)

@@ -265,6 +265,36 @@ def test_units_of_signals_and_time_are_factors_of_the_norm(seed: int, units: str
         assert h2syn(given, "y", "u").value / (w * z * rate**0.5) == pytest.approx(h2syn(plant, "y", "u").value, 1e-6)
 
 
+@pytest.mark.parametrize("units", [(1e-7, 1.0), (1e6, 1e-7)])
+def test_a_resonance_in_small_units_is_reached_and_seen(units: tuple[float, float]) -> None:
+    """A mode without damping, from a command in one unit to a measurement in another; nothing disturbs it."""
+    u, y = units
+    G, weight = 1.0 / (s**2 + 1e4), (s + 100) / (s + 0.1)
+    plain, given = mixsyn(system(G), system(weight), 1.0), mixsyn(system(u * y * G), system(weight), u * y)
+    assert given.value == pytest.approx(plain.value, rel=1e-3) and stable(given.closed)
+    assert given.lower <= plain.value and plain.lower <= given.value
+
+
+def test_a_zero_on_the_axis_is_approached_and_the_norm_not_stated_too_low() -> None:
+    """``z = s / (s - 1) u + w / (s - 1)``: every stabilising controller leaves the gain 1 at frequency 0.
+
+    Controllers near to that have a closed pole near to 0, and rounding hides the norm of some.
+    """
+    ports = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    plant = System([[1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]], *ports)
+    found = hinfsyn(plant, "y", "u")
+    assert stable(found.closed) and abs(found.closed(0.0)) == pytest.approx(1.0, rel=1e-3)
+    assert found.lower <= 1.0 <= (1.0 + 1e-6) * found.value and found.value < 1.001
+
+
+def test_a_plant_without_states_has_a_gain_as_controller() -> None:
+    """Parrott: of ``[[2 + d, 1], [1, 0]]`` with d free the least norm is that of the second row and column, 1."""
+    D = np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    found = hinfsyn(System.static(D, [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]), "y", "u")
+    assert found.controller.order == 0 and found.value == pytest.approx(1.0, rel=1e-4)
+    assert found.lower == pytest.approx(1.0, rel=1e-4)
+
+
 def _least_to_the_last_bit(plant: System) -> None:
     """Controllers at levels that approach the least one until two doubles are neighbours."""
     given = standard_plant(plant, "y", "u").extended

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit import DynamicElement, System, complex_gain, connect, dynamic, hinf_norm, real, s
+from lftkit import DynamicElement, InputError, System, complex_gain, connect, dynamic, hinf_norm, real, s
 from lftkit.proofs import BoundOptions, check_proof
 from lftkit.proofs.performance import scaled_elements
 from lftkit.synthesis import MuDesign, hinfsyn, musyn
@@ -158,3 +158,20 @@ def test_what_it_does_not_take_is_refused_by_name() -> None:
         musyn(plant(LAG), "e", "u")
     with pytest.raises(ValueError, match="iterations must be at least 1, got 0"):
         musyn(UNMODELLED, "e", "u", iterations=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"iterations": 1.5}, "iterations must be an integer, got 1.5"),
+        ({"scaling_order": -1}, "scaling_order must be at least 0, got -1"),
+        ({"tolerance": "small"}, "tolerance must be a finite real number, got 'small'"),
+        ({"tolerance": np.nan}, "tolerance must be zero or positive, got nan"),
+        ({"omega": "low"}, "omega must be a vector of finite numbers, got str"),
+        ({"omega": [-1.0, 1.0]}, "omega must be positive and rising, below inf rad/s"),
+    ],
+)
+def test_options_that_mean_nothing_are_no_missing_controller(options: Any, message: str) -> None:
+    """A fit that refuses its frequencies ended the iteration as if no controller existed."""
+    with pytest.raises(InputError, match=message):
+        musyn(UNMODELLED, "e", "u", **options)
