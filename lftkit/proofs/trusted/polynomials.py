@@ -5,6 +5,7 @@ Every operation adds its truncation and its rounding to the radius.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -37,10 +38,14 @@ class Polynomial:
 
     def __init__(self, c: Sequence[ComplexArray] | ComplexArray, rad: FloatArray | None = None) -> None:
         given = np.asarray(c, dtype=complex)
-        self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
-        self.c[: len(given)] = given
+        self.count = len(given)  # what follows is zero
+        self.c = given
+        if self.count <= ORDER:
+            self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
+            self.c[: self.count] = given
         self.rad: FloatArray = np.zeros(self.c.shape[1:]) if rad is None else rad
-        if not (np.isfinite(self.c.sum()) and np.isfinite(self.rad.sum())):  # sums with such numbers are none, too
+        total = np.add.reduce(given, axis=None), np.add.reduce(self.rad, axis=None)
+        if not (cmath.isfinite(total[0]) and math.isfinite(total[1])):  # sums with such numbers are none, too
             raise ArithmeticError("numbers must be finite")
 
     @cached_property
@@ -50,9 +55,9 @@ class Polynomial:
         return found
 
     @cached_property
-    def powers(self) -> list[int]:
-        """Those whose coefficients are not zero."""
-        return [int(k) for k in np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1))]
+    def above(self) -> FloatArray:
+        """Bounds of the remainder and all coefficients but the first ORDER + 1 - k, for each k, and of all of it."""
+        return np.add.accumulate(np.concatenate([self.rad[None], self.sizes[::-1]]))
 
     def bound(self) -> FloatArray:
         """Elementwise bound of the magnitude."""
@@ -61,11 +66,12 @@ class Polynomial:
     def __add__(self, other: Polynomial) -> Polynomial:
         if self.rad.ndim != other.rad.ndim:
             raise ValueError(f"sums need as many dimensions, got {self.rad.ndim} and {other.rad.ndim}")
-        c = self.c + other.c
+        n = max(self.count, other.count)
+        c = self.c[:n] + other.c[:n]
         return Polynomial(c, INFLATE * (self.rad + other.rad + 2.0 * UNIT * np.abs(c).sum(axis=0)))
 
     def __neg__(self) -> Polynomial:
-        return Polynomial(-self.c, self.rad)
+        return Polynomial(-self.c[: self.count], self.rad)
 
     def __sub__(self, other: Polynomial) -> Polynomial:
         return self + (-other)
@@ -78,27 +84,33 @@ class Polynomial:
         return self._product(other, np.matmul, self.c.shape[-1])
 
     def _product(self, other: Polynomial, times: np.ufunc, terms: int) -> Polynomial:
-        a, b = self.sizes, other.sizes
-        gamma, whole = 8.0 * (terms + ORDER + 3) * UNIT, b.sum(axis=0) + other.rad
-        rad = times(self.rad, whole)
-        c = np.zeros((ORDER + 1, *rad.shape), complex)
-        factors = other.c[: max(other.powers, default=-1) + 1]
-        factors = factors.reshape(len(factors), *[1] * (self.rad.ndim - other.rad.ndim), *other.rad.shape)
-        for i in self.powers:
-            rad = rad + times(a[i], b[ORDER + 1 - i :].sum(axis=0) + other.rad + gamma * whole)
-            kept = factors[: ORDER + 1 - i]
-            c[i : i + len(kept)] += times(self.c[i], kept)
+        gamma, whole, n = 8.0 * (terms + ORDER + 3) * UNIT, other.above[-1], max(self.rad.ndim, other.rad.ndim)
+        left, right = _with(n, self.c[: self.count]), _with(n, other.c[: other.count])
+        cut = times(_with(n, self.sizes[: self.count]), _with(n, other.above[: self.count] + gamma * whole))
+        rad = times(self.rad, whole) + np.add.reduce(cut)
+        c = np.zeros((min(self.count + other.count - 1, ORDER + 1), *rad.shape), complex)
+        for i in range(min(self.count, other.count)):
+            if self.count > other.count:
+                part = times(left[: ORDER + 1 - i], right[i])
+            else:
+                part = times(left[i], right[: ORDER + 1 - i])
+            c[i : i + len(part)] += part
         return Polynomial(c, INFLATE * rad + TINY)
 
     def adjoint(self) -> Polynomial:
         """Conjugate transpose."""
-        return Polynomial(self.c.conj().swapaxes(-1, -2), self.rad.swapaxes(-1, -2))
+        return Polynomial(self.c[: self.count].conj().swapaxes(-1, -2), self.rad.swapaxes(-1, -2))
 
     def __getitem__(self, key: Any) -> Polynomial:
         """Index of the matrix dimensions, as of an ndarray."""
         inner = key if isinstance(key, tuple) else (key,)
-        whole = (slice(None), *inner)
+        whole = (slice(self.count), *inner)
         return Polynomial(self.c[whole], self.rad[inner])
+
+
+def _with(dimensions: int, values: Any) -> Any:
+    """Coefficients of matrices with that many dimensions: further ones of size 1 in front."""
+    return values.reshape(len(values), *[1] * (dimensions + 1 - values.ndim), *values.shape[1:])
 
 
 def constant(value: ComplexArray | FloatArray | complex, error: float | FloatArray = 0.0) -> Polynomial:

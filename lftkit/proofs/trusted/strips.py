@@ -39,6 +39,11 @@ from lftkit.proofs.trusted.proof import (
 
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
+SHIFTS = [
+    np.array([[math.comb(j, k) * at ** max(j - k, 0) / PIECES**k for j in range(ORDER + 1)] for k in range(ORDER + 1)])
+    for at in np.arange(1.0 - PIECES, PIECES, 2.0) / PIECES
+]
+"""Coefficients in each part, whose variable is in [-1, 1] again, by those of the window."""
 DEEPEST = 30
 """Most bisections of the frequencies between two nodes."""
 TRIG = 4.0 * UNIT
@@ -136,13 +141,10 @@ def inequality(model: Responses, strip: Strip, number: int, low: float, high: fl
 
 def negative(form: Polynomial) -> bool:
     """Whether a Hermitian polynomial is certainly negative definite for all t in [-1, 1]."""
-    for left, right in itertools.pairwise(np.linspace(-1.0, 1.0, PIECES + 1)):
-        at, width = 0.5 * (left + right), 0.5 * (right - left)
-        shifted = [
-            -sum(math.comb(j, k) * at ** (j - k) * form.c[j] for j in range(k, ORDER + 1)) * width**k
-            for k in range(ORDER + 1)
-        ]
-        rest = form.rad + sum(np.abs(part) for part in shifted[2:]) + 64.0 * UNIT * np.abs(form.c).sum(axis=0)
+    size = form.rad + 64.0 * UNIT * form.sizes.sum(axis=0)
+    for shift in SHIFTS:
+        shifted = -np.tensordot(shift, form.c, 1)
+        rest = size + np.abs(shifted[2:]).sum(axis=0)
         if not all(positive(shifted[0] + sign * shifted[1], rest) for sign in (-1.0, 1.0)):
             return False
     return True
