@@ -79,7 +79,7 @@ def tune_discrete(
     ...               dt=0.1)
     >>> from lftkit.tuning import HinfGain, gain
     >>> result = tune_discrete([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]),
-    ...                        options=TuningOptions(starts=2))
+    ...                        initial=[[-0.1]], options=TuningOptions(starts=0))
     >>> round(result.soft, 3), round(result.controller.D.item(), 2)
     (1.0, -0.5)
     """

@@ -122,7 +122,8 @@ def test_refused_input_has_the_exception_of_the_library() -> None:
 
     trusted = FOLDERS["lftkit"] / "proofs" / "trusted"
     own = [path for _, path in MODULES if path != parser and not path.is_relative_to(trusted)]
-    assert not [path for path in own if "ValueError" in raised(path)]
+    named = [path for path in own if "raise ValueError" in path.read_text("utf-8")]  # in a docstring, most of them
+    assert not [path for path in named if "ValueError" in raised(path)]
 
 
 def test_functions_have_few_parameters() -> None:

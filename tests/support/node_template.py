@@ -18,6 +18,7 @@ import gc
 import importlib
 import json
 import os
+import runpy
 import signal
 import socket
 import subprocess
@@ -35,6 +36,9 @@ NODES = {
     **{(str(Path(__file__).with_name(f"{name}.py")),): name for name in ("simple_telescope", "attacker")},
 }
 """Modules with a `main`, by the arguments of the interpreter that start them."""
+
+OWN = "code of a test"
+"""Instead of a module: what follows `-c`, or a script."""
 
 LATE_IMPORTS = (
     "email.parser",
@@ -159,7 +163,8 @@ def _node_of(command: Sequence[str]) -> tuple[str, list[str]]:
     for begin, module in NODES.items():
         if program == sys.executable and tuple(rest[: len(begin)]) == begin:
             return module, list(rest[len(begin) :])
-    return "", []
+    own = program == sys.executable and (rest[0] == "-c" or rest[0].endswith(".py"))
+    return (OWN, list(rest)) if own else ("", [])
 
 
 def serve(channel: socket.socket) -> int:
@@ -258,12 +263,27 @@ def become(request: Mapping[str, Any], descriptors: Sequence[int]) -> int:
         os.close(source)
     os.environ.clear()
     os.environ.update(request["variables"])
+    if request["module"] == OWN:
+        return run_own(request["arguments"])
     own = importlib.import_module(request["module"])
     if request["module"].startswith(PACKAGE):
         sys.path[0] = request["folder"]
     sys.argv[:] = [str(own.__file__), *request["arguments"]]
     importlib.invalidate_caches()
     return int(own.main())
+
+
+def run_own(arguments: list[str]) -> int:
+    """Code or a script of a test, as Python starts it: its folder, arguments and file; a SystemExit goes through."""
+    first, *rest = arguments
+    importlib.invalidate_caches()
+    if first == "-c":
+        sys.path[0], sys.argv[:] = "", ["-c", *rest[1:]]
+        exec(compile(rest[0], "<string>", "exec"), {"__name__": "__main__"})
+        return 0
+    sys.path[0], sys.argv[:] = str(Path(first).parent), [first, *rest]
+    runpy.run_path(first, run_name="__main__")
+    return 0
 
 
 if __name__ == "__main__":

@@ -66,6 +66,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.fixture(scope="module")
+def ours(folder: Path) -> Summary:
+    return summarise(Run.open(folder / "ours"), requirements=load(folder / "mission.toml"))
+
+
 def comparable(summary: Summary) -> dict[str, Any]:
     """All of a summary but where it comes from."""
     values = dataclasses.asdict(summary)
@@ -84,15 +89,16 @@ SOURCES = [
 
 
 @pytest.mark.parametrize(("name", "options"), SOURCES, ids=lambda value: str(value)[:40])
-def test_every_source_gives_the_verdict_of_our_own_bag(folder: Path, name: str, options: dict[str, Any]) -> None:
+def test_every_source_gives_the_verdict_of_our_own_bag(
+    folder: Path, ours: Summary, name: str, options: dict[str, Any]
+) -> None:
     requirements = load(folder / "mission.toml")
-    ours = summarise(Run.open(folder / "ours"), requirements=requirements)
     assert {v.status for v in ours.verdicts} >= {"compliant", "not compliant"}
     other = summarise(open_los(folder / name, unit="arcsec", **options), requirements=requirements)
     assert repr(comparable(other)) == repr(comparable(ours))
 
 
-def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
+def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path, ours: Summary) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
@@ -100,7 +106,6 @@ def test_parquet_gives_the_verdict_of_our_own_bag(folder: Path) -> None:
     stamps = external_bags.START + np.arange(len(xy)) * round(1e9 / RATE)
     columns = {"when": pyarrow.array(stamps, pyarrow.timestamp("ns")), "az": xy[:, 0], "el": xy[:, 1]}
     parquet.write_table(pyarrow.table(columns), folder / "a.parquet")
-    ours = summarise(Run.open(folder / "ours"), requirements=load(folder / "mission.toml"))
     for time in ("when", None):  # the only dates are the time
         run = open_los(folder / "a.parquet", los="az,el", unit="arcsec", time=time)
         assert repr(comparable(summarise(run, requirements=load(folder / "mission.toml")))) == repr(comparable(ours))

@@ -29,7 +29,7 @@ from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, rec
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.stability import nominal_windows, windows_above
 
-POWERS = (-320, -290, -160, 160, 300, 308)
+POWERS = (-320, -160, 160, 308)
 VALUES = (math.inf, math.nan, 5e-324, 1e308, -1e308)
 
 
@@ -112,7 +112,7 @@ def test_a_share_of_subnormal_sizes_is_no_small_share() -> None:
 @pytest.fixture(scope="module")
 def loop() -> LoopProof:
     system = aligned_modes(1, damping=0.1)
-    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
+    model, box, band = loop_model(system, dt=0.5), box_of(system), (0.0, 6.28)
     found = prove_level(model, box, band, level=11.0)
     assert not found.uncovered
     return LoopProof(model, tuple(p.name for p in system.parameters), box, band, 11.0, tuple(found.strips))

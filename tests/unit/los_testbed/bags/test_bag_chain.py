@@ -160,6 +160,11 @@ def without_summary(found: list[Record]) -> list[Record]:
     return [*found[: places(found, OP_DATA_END)[0] + 1], (OP_FOOTER, bytes(20))]
 
 
+def values_of(bag: Path) -> dict[str, np.ndarray]:
+    run = Run.open(bag)
+    return {name: run[name].values for name in run.topics}
+
+
 def same_as(run: Run, before: dict[str, np.ndarray]) -> bool:
     return all(np.array_equal(run[name].values, before[name]) for name in before)
 
@@ -168,7 +173,7 @@ def same_as(run: Run, before: dict[str, np.ndarray]) -> bool:
 @pytest.mark.parametrize("place", ["first", "manifest", "chunk", "index", "seal", "end"])
 def test_messages_outside_of_the_chunks_are_not_used(bag: Path, place: str, summary: bool) -> None:
     """99 015 of them in front of the first chunk halved the RPE of a signed bag, which verified as whole."""
-    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    before = values_of(bag)
     found = apart(bag)
     where = {
         "first": places(found, OP_MANIFEST)[0],
@@ -185,7 +190,7 @@ def test_messages_outside_of_the_chunks_are_not_used(bag: Path, place: str, summ
 
 
 def test_a_chunk_in_front_of_the_first_manifest_is_not_used(bag: Path) -> None:
-    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    before = values_of(bag)
     found = apart(bag)
     found.insert(places(found, OP_MANIFEST)[0], (OP_CHUNK, scaled(found[places(found, OP_CHUNK)[0]][1])[0]))
     run = changed(bag, found)
@@ -194,7 +199,7 @@ def test_a_chunk_in_front_of_the_first_manifest_is_not_used(bag: Path) -> None:
 
 def test_index_records_do_not_say_where_messages_are(bag: Path) -> None:
     """Each index names its first message alone, a byte further: what lies between was searched, and not all of it."""
-    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    before = values_of(bag)
     found = apart(bag)
     for at in places(found, OP_INDEX):
         body = bytearray(found[at][1])

@@ -31,6 +31,11 @@ def bag(recorded, tmp_path):
     return shutil.copytree(recorded, tmp_path / "bag")
 
 
+def contents(bag):
+    run = Run.open(bag)
+    return {name: run[name].values.tobytes() for name in run.topics}
+
+
 def chunks(bag):
     with next(bag.glob("*.mcap")).open("rb") as stream:
         return make_reader(stream).get_summary().chunk_indexes
@@ -88,11 +93,11 @@ def test_damage_in_a_chunk_and_in_its_manifest_leaves_the_records_that_are_whole
 def test_a_wrong_byte_in_a_chunk_is_put_right_by_its_manifest(bag):
     file = bag / "bag_0.mcap"
     good, hurt = file.read_bytes(), chunks(bag)[0]
-    before = {name: Run.open(bag)[name].values.tobytes() for name in Run.open(bag).topics}
+    before = contents(bag)
     data = bytearray(good)
     data[hurt.chunk_start_offset + 9 + 28 + 8 + 8] ^= 4  # magic number of zstd
     file.write_bytes(data)
-    assert {name: Run.open(bag)[name].values.tobytes() for name in Run.open(bag).topics} == before
+    assert contents(bag) == before
 
 
 def test_log_times_beyond_the_signed_ones_are_kept(bag, tmp_path):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
 import pytest
 from los_testbed.cli.command_group import ENTRIES
+from support.command_line import call_command
 
 
 def test_the_help_imports_no_command() -> None:
@@ -24,10 +24,11 @@ def test_the_help_imports_no_command() -> None:
     ("words", "expected"),
     [("los-testbed ca", {"campaign"}), ("los-testbed bag ve", {"verify"}), ("los-testbed run --mo", {"--mode"})],
 )
-def test_bash_completes_commands_and_options(words: str, expected: set[str]) -> None:
+def test_bash_completes_commands_and_options(
+    words: str, expected: set[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     asked = {"_LOS_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
-    code = "from los_testbed.cli.app import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **asked}, timeout=600
-    )
-    assert set(done.stdout.split()) == expected, done.stderr
+    for name, value in asked.items():
+        monkeypatch.setenv(name, value)
+    code, out, err = call_command(capsys)
+    assert code == 0 and set(out.split()) == expected, err
