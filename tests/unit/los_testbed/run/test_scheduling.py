@@ -58,6 +58,25 @@ def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     assert runaway.returncode == -signal.SIGXCPU
 
 
+def test_a_loop_that_is_late_at_every_tick_is_not_ended_by_the_kernel():
+    """On a machine that is too slow for the plant no deadline is waited for; its ticks count as missed."""
+    script = (
+        "import sys, time; from los_testbed.run.loop.scheduling import MAX_BUSY_S, become_real_time\n"
+        "from los_testbed.run.loop.tick_clock import TickClock\n"
+        "if 'real-time scheduling' in become_real_time(1): sys.exit(77)\n"
+        "clock = TickClock(1_000_000); clock.begin(time.monotonic_ns()); begin = time.process_time()\n"
+        "while time.process_time() < begin + 1.5 * MAX_BUSY_S:\n"
+        "    end = time.monotonic_ns() + 1_500_000\n"
+        "    while time.monotonic_ns() < end: pass\n"
+        "    clock.wait()\n"
+        "    clock.resume_at(clock.present())\n"
+    )
+    late = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=600)
+    if late.returncode == 77:
+        pytest.skip("real-time scheduling is not permitted here")
+    assert late.returncode == 0
+
+
 @pytest.mark.further
 def test_memory_that_takes_long_to_lock_is_locked_before_the_limit_holds():
     """As the first time on a virtual machine: the kernel must not take it for a process that never pauses."""

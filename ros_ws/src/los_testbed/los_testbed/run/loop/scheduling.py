@@ -9,6 +9,7 @@ import os
 import resource
 import signal
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,8 +33,28 @@ MAX_BUSY_S = 1.0
 """CPU time [s] that a real-time thread may use without blocking; then the kernel ends its process (SIGXCPU). No process
 of lower priority on the same processor could."""
 
+PAUSE_NS, PAUSE_S = 200_000_000, 2e-4
+"""Processor time [ns] after which a loop that is late at every tick blocks, and for how long [s]. A sleep of 20 us ends
+before the thread has left the processor: the kernel does not count it."""
+
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
+
+
+class Pauses:
+    """Instants in which a thread blocks that would else compute without end, as the kernel asks for (`MAX_BUSY_S`).
+
+    By the processor time of the thread: a loop that waits for its ticks needs none of them for seconds.
+    """
+
+    def __init__(self) -> None:
+        self._last = time.thread_time_ns()
+
+    def take(self) -> None:
+        """Block for an instant if the thread has used `PAUSE_NS` since the last one; where nothing is urgent."""
+        if not 0 <= time.thread_time_ns() - self._last < PAUSE_NS:
+            time.sleep(PAUSE_S)
+            self._last = time.thread_time_ns()
 
 
 def sharpen_timers() -> None:

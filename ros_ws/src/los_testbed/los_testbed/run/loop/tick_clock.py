@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from los_testbed.run.loop.scheduling import Pauses
+
 SPIN_NS = 60_000
 """Last part of a wait [ns] that is spent polling the clock: a sleeping thread wakes up this late."""
 
@@ -42,6 +44,7 @@ class TickClock:
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
         self.skipped = 0
+        self.pauses = Pauses()
         self._first = self._deadline = 0
 
     def begin(self, deadline_ns: int) -> None:
@@ -56,6 +59,7 @@ class TickClock:
 
     def wait(self) -> int:
         """Return at the next deadline, with the lateness [ns]."""
+        self.pauses.take()  # a loop that is always late would never block
         late = wait_until(self._deadline)
         lost = late // self.period_ns
         self.skipped += lost
