@@ -46,9 +46,12 @@ class LoopMargins:
         Where the response is real and negative: the factor of the gain that makes it -1, also at zero frequency, at
         infinity or at the Nyquist frequency.
     phase : tuple of (omega, angle)
-        Where the gain is 1: the phase lag that makes the response -1 [deg], above -180 and up to 180.
+        Where the gain is 1: the phase lag that makes the response -1 [deg], above -180 and up to 180; also at the
+        frequencies of `gain` at the ends.
     delay : tuple of (omega, delay)
-        At the same frequencies the least delay that makes it -1 [s].
+        At the frequencies between the ends the least delay that makes it -1 [s]. At infinity 0 where the gain there is
+        1 or larger: no delay is short enough. At the Nyquist frequency one period where it is so: delays of a sampled
+        loop are whole periods, and one makes it unstable.
     stable : bool
         Whether the loop is stable; otherwise the margins are crossings only.
     """
@@ -112,15 +115,17 @@ def loop_margins(loop: Any) -> LoopMargins:
     L.require_siso()
     signs = _Signs.of(L)
     real = signs.crossings(lambda value: value.imag, lambda value: value.imag / abs(value))
-    gain = [*((omega, signs.value(omega).real) for omega in real), *signs.ends()]
+    ends = signs.ends()
+    gain = [*((omega, signs.value(omega).real) for omega in real), *ends]
     factors = tuple(sorted((omega, -1.0 / value) for omega, value in gain if value < 0.0))
     unit = signs.crossings(lambda value: abs(value) - 1.0, lambda value: abs(value) - 1.0)
-    phase, delay = [], []
+    phase = [(omega, 180.0) for omega, value in ends if abs(value - 1.0) <= NOISE]
+    delay = [(omega, L.dt) for omega, value in ends if omega > 0.0 and abs(value) >= 1.0 - NOISE]
     for omega in unit:
         lag = math.pi + float(np.angle(signs.value(omega)))  # from 0 to 2 pi
         phase.append((omega, math.degrees(lag if lag <= math.pi else lag - 2.0 * math.pi)))
         delay.append((omega, lag / omega))
-    return LoopMargins(factors, tuple(phase), tuple(delay), _closed_stable(L))
+    return LoopMargins(factors, tuple(sorted(phase)), tuple(sorted(delay)), _closed_stable(L))
 
 
 def sensitivity_peaks(loop: Any) -> SensitivityPeaks:

@@ -46,10 +46,9 @@ def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
     found = loop_margins(L)
     inside = [g for omega, g in found.gain if 0.0 < omega < last]
     assert sorted(inside) == pytest.approx(sorted(g for g, w in zip(gains, at_gains) if 1e-9 < w < last), rel=1e-5)
-    assert sorted(angle for _, angle in found.phase) == pytest.approx(
-        sorted((phases + 180.0) % 360.0 - 180.0), abs=1e-3
-    )
-    assert [omega for omega, _ in found.phase] == pytest.approx(sorted(at_phases), rel=1e-5)
+    phase = [(omega, angle) for omega, angle in found.phase if 0.0 < omega < last]  # not those at the ends
+    assert sorted(angle for _, angle in phase) == pytest.approx(sorted((phases + 180.0) % 360.0 - 180.0), abs=1e-3)
+    assert [omega for omega, _ in phase] == pytest.approx(sorted(at_phases), rel=1e-5)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
@@ -61,10 +60,12 @@ def test_each_crossing_makes_a_pole_on_the_edge_and_the_range_between_them_none(
         if math.isfinite(omega):
             edge = np.exp(1j * omega * dt) if dt else 1j * omega
             assert np.abs(closed_poles(L, factor) - edge).min() < 1e-6 * max(1.0, abs(edge))
-    for omega, angle in found.phase:
+    last = math.pi / dt * (1.0 - 1e-9) if dt else math.inf
+    phase, delays = ([one for one in points if 0.0 < one[0] < last] for points in (found.phase, found.delay))
+    for omega, angle in phase:
         edge = np.exp(1j * omega * dt) if dt else 1j * omega
         assert np.abs(closed_poles(L, np.exp(-1j * np.radians(angle))) - edge).min() < 1e-6 * max(1.0, abs(edge))
-    for (omega, angle), (_, delay) in zip(found.phase, found.delay):
+    for (omega, angle), (_, delay) in zip(phase, delays, strict=True):
         assert math.remainder(omega * delay - math.radians(angle), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
     poles = closed_poles(L, 1.0)
     assert found.stable == bool(np.all(np.abs(poles) < 1.0) if dt else np.all(poles.real < 0.0))
@@ -99,7 +100,46 @@ def test_the_delay_margin_is_the_delay_that_destabilises() -> None:
         assert loop_margins(delayed).stable == stable
 
 
+def delayed_poles(L: System, periods: int) -> np.ndarray[Any, Any]:
+    """Poles of the loop with so many periods of delay, at least one, by its states and those of the delay."""
+    A, B, C, D = L.matrices
+    n, whole = len(A), np.zeros((len(A) + periods, len(A) + periods))
+    whole[:n, :n], whole[:n, -1:] = A, -B
+    whole[n, :n], whole[n, -1] = C, -D.item()
+    for k in range(1, periods):
+        whole[n + k, n + k - 1] = 1.0
+    found: np.ndarray[Any, Any] = linalg.eigvals(whole)
+    return found
+
+
+@pytest.mark.parametrize("through", [0.0, 0.8, 3.0, -3.0])
+def test_a_sampled_loop_bears_every_delay_below_its_margin(through: float) -> None:
+    """Also one whose gain at the Nyquist frequency is above 1, which bears no delay, without a crossing of 1."""
+    rng, seen = np.random.default_rng(11), 0
+    while seen < 25:
+        A = rng.standard_normal((2, 2))
+        A *= rng.uniform(0.2, 1.2) / np.abs(linalg.eigvals(A)).max()
+        B, C = rng.standard_normal((2, 1)), rng.standard_normal((1, 2))
+        L = System(A, B, C, [[through]], [("u", 1)], [("y", 1)], "random", 0.1)
+        found = loop_margins(L)
+        if found.stable:
+            seen += 1
+            borne = [k for k in range(1, 12) if 0.1 * k < found.delay_margin * (1.0 - 1e-9)]
+            assert all(np.abs(delayed_poles(L, k)).max() < 1.0 for k in borne)
+            if abs(L.response([math.pi / 0.1]).item()) > 1.0:
+                assert not borne and np.abs(delayed_poles(L, 1)).max() > 1.0
+
+
+def test_a_loop_with_a_gain_above_one_at_infinity_bears_no_delay() -> None:
+    """1 + D exp(-s T) has zeros with the real part log(D) / T."""
+    found = loop_margins(loop(1.5 * (s + 2) / (s + 1)))
+    assert found.stable and found.delay == ((math.inf, 0.0),) and found.phase_margin == math.inf
+    assert loop_margins(loop(0.9 * (s + 2) / (s + 1))).delay_margin > 0.0
+
+
 def test_ends_of_the_axis_count() -> None:
+    assert loop_margins(loop(1 / (s + 1))).phase == ((0.0, 180.0),)  # 1 - 1 / (s + 1) has its pole at zero
+    assert loop_margins(loop(1 / (s + 1))).delay_margin == math.inf
     assert loop_margins(loop(-0.5 / (s + 1))).gain == ((0.0, pytest.approx(2.0)),)
     assert loop_margins(loop((1 - 2 * s) / (s + 4))).gain == ((math.inf, pytest.approx(0.5)),)
     q = z(0.5)
