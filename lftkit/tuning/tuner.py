@@ -113,8 +113,8 @@ def tune(
     >>> from lftkit.tuning.requirements import HinfGain
     >>> result = tune([plant], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)],
     ...               gain([("y", 1)], [("u", 1)]), initial=[[-0.5]], options=TuningOptions(starts=0))
-    >>> str(result.status), round(result.controller.D.item(), 2), round(result.soft, 3)
-    ('converged', -4.0, 0.2)
+    >>> str(result.status), result.feasible, round(result.controller.D.item(), 3), round(result.soft, 4)
+    ('converged', True, -4.0, 0.2)
     """
     options = options or TuningOptions()
     if any(model.dt for model in models):

@@ -33,14 +33,6 @@ def published(name: str, order: int = 0, initial: object = (), **options: object
     return tune([plant], [GAIN], structure, initial=initial, options=TuningOptions(**options))  # type: ignore[arg-type]
 
 
-def test_hard_requirement_is_active_at_the_optimum() -> None:
-    result = descent(lag(), GAIN, HinfGain("w", "effort", bound=0.8, hard=True))
-    assert result.status == "converged" and result.feasible
-    # k / (1 + k) = 0.8 and 1 / (1 + k) = 0.2
-    assert result.controller.D.item() == pytest.approx(-4.0, rel=1e-4)
-    assert result.soft == pytest.approx(0.2, rel=1e-4)
-
-
 UNDAMPED = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, -1]])
 
 

@@ -113,7 +113,7 @@ class Observer:
 
 def test_every_form_of_a_controller_that_a_run_takes_is_replayed(call, tmp_path, monkeypatch) -> None:
     """The same matrices as JSON, .mat, python-control and a class, from rest and without lost frames: one answer."""
-    config = RunConfig(duration=3.0, mode="inprocess", start="rest", **write_controllers(tmp_path))
+    config = RunConfig(duration=1.5, mode="inprocess", start="rest", **write_controllers(tmp_path))
     run_in_process(config, tmp_path / "plain", SimpleTelescope())
     law = SampledSystem.from_file(other_observer(call.here / "quick.json"))
     K = System(law.A, law.B, law.C, law.D, law.inputs, law.outputs, "K", law.dt)

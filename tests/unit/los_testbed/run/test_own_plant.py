@@ -109,14 +109,14 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.parametrize("plant", ["Plain", "Configured"])
 def test_a_plant_is_named_on_the_command_line(plant: str, module: str) -> None:
     files = write_controllers(Path.cwd())
-    line = ["run", "--plant", f"{module}:{plant}", "--mode", "inprocess", "--duration", "2", "--loop", "fsm"]
+    line = ["run", "--plant", f"{module}:{plant}", "--mode", "inprocess", "--duration", "0.5", "--loop", "fsm"]
     line += ["--k-fsm", files["k_fsm"], "--k-pma", files["k_pma"], "--no-report", "--output", "bag"]
     assert app.main(line) == 0
     run = Run.open("bag")
     assert run.parameters["plant"] == f"{module}:{plant}"
     assert run.parameters["start"] == "rest"
     direct = SimpleTelescope()
-    run_in_process(RunConfig(duration=2.0, loop="fsm", mode="inprocess", **files), Path("direct"), plant=direct)
+    run_in_process(RunConfig(duration=0.5, loop="fsm", mode="inprocess", **files), Path("direct"), plant=direct)
     np.testing.assert_array_equal(run["truth/los"].values, Run.open("direct")["truth/los"].values)
     assert [scenario_of(r) for r in (run, Run.open("direct"))] == [
         f"{module}:{plant}",
