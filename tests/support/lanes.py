@@ -15,6 +15,8 @@ from xdist.scheduler import LoadFileScheduling
 
 NODES = "tests/ros/"
 """Folder of the tests that start nodes."""
+RULES = "tests/architecture/"
+"""Folder of the tests that read the whole code: its files are parsed once for all of them."""
 GIVE_WAY = 3
 """Niceness of the other tests above that of `make`: half of the share of a node that is ready at the same time, or of
 another program: where others have the processors, too, the tests go on."""
@@ -22,18 +24,18 @@ _START = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def lane_of(nodeid: str) -> str:
-    """What is given to a process as a whole: all tests of the nodes, or one file.
+    """What is given to a process as a whole: all tests of the nodes, those of the rules of the code, or one file.
 
     Examples
     --------
     >>> lane_of("tests/ros/test_control.py::test_changes"), lane_of("tests/unit/lftkit/test_system.py::test_gain[1]")
     ('tests/ros/', 'tests/unit/lftkit/test_system.py')
     """
-    return NODES if nodeid.startswith(NODES) else nodeid.split("::", 1)[0]
+    return next((folder for folder in (NODES, RULES) if nodeid.startswith(folder)), nodeid.split("::", 1)[0])
 
 
 class Lanes(LoadFileScheduling):
-    """Hands out files, and the tests of the nodes as if they were one file."""
+    """Hands out files, and the tests of the nodes and of the rules as if they were one file each."""
 
     def _split_scope(self, nodeid: str) -> str:
         return lane_of(nodeid)
