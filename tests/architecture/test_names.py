@@ -61,7 +61,8 @@ def skip_reasons(path: Path) -> Iterator[str]:
 
 def test_every_reason_to_skip_has_a_remedy() -> None:
     assert not list(skip_reasons(Path(__file__)))
-    reasons = {reason for path in (ROOT / "tests").rglob("test_*.py") for reason in skip_reasons(path)}
+    files = [path for pattern in ("test_*.py", "conftest.py") for path in (ROOT / "tests").rglob(pattern)]
+    reasons = {reason for path in files for reason in skip_reasons(path)}
     assert len(reasons) > 5
     assert not [reason for reason in reasons if remedy(reason) is None]
     unused = [part for part in REMEDIES if not any(part in reason for reason in reasons)]

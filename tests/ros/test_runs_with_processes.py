@@ -18,7 +18,15 @@ from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of, topic_hashes
+from ros_runs import (
+    PLANT,
+    assert_gaps_are_counted,
+    assert_plant_is_recorded,
+    config_for,
+    judged_at_pace,
+    span_of,
+    topic_hashes,
+)
 from simple_telescope import SimpleTelescope
 
 from pointing_analysis.read.run import Run
@@ -48,7 +56,8 @@ def test_every_sample_of_every_topic_is_in_the_bag(real_time):
         assert run[name].integrity.duplicates == 0
         assert np.isin(run[name].stamp, run["truth/los"].stamp).all()
     assert seen == sorted(seen)
-    assert len(seen) > 1100 / 200  # one for 100 ticks that are sent, where nothing else waits
+    if judged_at_pace(run, "how often the plant tells of its progress"):
+        assert len(seen) > 1100 / 200  # one for 100 ticks that are sent, where nothing else waits
 
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):

@@ -42,6 +42,7 @@ REMEDIES = {
     "only root can give rights up": "run as root with util-linux: apt-get install util-linux",
     "real time is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
     "real-time scheduling is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
+    "this machine is too slow": "run the tests of the nodes alone: pytest -m 'ros and not slow' tests",
     "mounting a small file system is not permitted": "run as root (CAP_SYS_ADMIN)",
     "only root can start a process of another user": "run as root",
     "no package index": "run where pip reaches a package index that has colcon",

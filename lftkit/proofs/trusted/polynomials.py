@@ -39,6 +39,8 @@ class Polynomial:
     def __init__(self, c: Sequence[ComplexArray] | ComplexArray, rad: FloatArray | None = None) -> None:
         given = np.asarray(c, dtype=complex)
         self.count = len(given)  # what follows is zero
+        if not 1 <= self.count <= ORDER + 1:
+            raise ValueError(f"a polynomial must have 1 to {ORDER + 1} coefficients, got {self.count}")
         self.c = given
         if self.count <= ORDER:
             self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
