@@ -21,6 +21,7 @@ from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
+from lftkit.systems.zeros_poles import zeros_poles
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -80,6 +81,8 @@ def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
 def from_scipy(system: Any) -> System:
     """A `scipy.signal.lti` or `dlti` (any of its forms), with its period; ports ``u`` and ``y``.
 
+    Zeros and poles stay as they are: they do not become the coefficients of a fraction, as in scipy.
+
     Raises
     ------
     ValueError
@@ -91,8 +94,12 @@ def from_scipy(system: Any) -> System:
         raise InputError(f"system must be a scipy.signal lti or dlti, got {type(system).__name__}")
     if system.dt is True:
         raise InputError("system must have a sampling period in seconds, got dt True")
-    ss = system.to_ss()
-    A, B, C, D = (_real(np.atleast_2d(np.asarray(M))) for M in (ss.A, ss.B, ss.C, ss.D))
+    if isinstance(system, signal.ZerosPolesGain) and np.ndim(system.zeros) < 2 and np.size(system.gain) == 1:
+        gain = _real(np.atleast_2d(np.asarray(system.gain))).item()
+        A, B, C, D = zeros_poles(system.zeros, system.poles, gain)
+    else:
+        ss = system.to_ss()
+        A, B, C, D = (_real(np.atleast_2d(np.asarray(M))) for M in (ss.A, ss.B, ss.C, ss.D))
     if not np.any(B) and not np.any(C) and not np.any(A):  # how scipy writes a gain
         A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0))
     ports = (Port("u", D.shape[1]),), (Port("y", D.shape[0]),)

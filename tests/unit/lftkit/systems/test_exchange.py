@@ -212,6 +212,36 @@ def test_complex_coefficients_of_scipy_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
+    ("given", "dt"),
+    [
+        (([], [0.98] * 12, 1e-20), 0.01),
+        (signal.butter(15, 0.05, output="zpk"), 0.01),
+        (signal.ellip(9, 0.5, 60.0, 1000.0, analog=True, output="zpk"), 0.0),
+        (([3.0, -1.0], [-2.0, -1.0 + 2.0j, -5.0, -1.0 - 2.0j], -2.5), 0.0),
+        (([0.5 + 0.1j, 0.5 - 0.1j, 0.2], [0.1, 0.2, 0.3], 2.0), 0.01),
+        (([], [], 4.0), 0.0),
+    ],
+    ids=["equal poles", "Butterworth", "elliptic", "real and complex", "as many zeros", "a gain"],
+)
+def test_zeros_and_poles_of_scipy_stay_where_they_are(given: Any, dt: float) -> None:
+    """By the coefficients of a fraction twelve poles at 0.98 came back at up to 1.08, an unstable system."""
+    zeros, poles, gain = given
+    zpk: Any = signal.ZerosPolesGain
+    found = lk.from_scipy(zpk(zeros, poles, gain, **({"dt": dt} if dt else {})))
+    at = np.exp(0.1j) if dt else 800.0j
+    value = gain * np.prod(at - np.asarray(zeros)) / np.prod(at - np.asarray(poles))
+    assert found(at) == pytest.approx(value, rel=1e-10) and found.dt == dt
+    expected = np.sort_complex(np.asarray(poles, dtype=complex))
+    assert np.allclose(np.sort_complex(found.poles()), expected, rtol=1e-9)
+
+
+def test_more_zeros_than_poles_are_refused() -> None:
+    zpk: Any = signal.ZerosPolesGain
+    with pytest.raises(lk.InputError, match=r"^zeros must be at most as many as poles, got 2 and 1$"):
+        lk.from_scipy(zpk([-1.0, -2.0], [-3.0], 1.0))
+
+
+@pytest.mark.parametrize(
     ("field", "value", "message"),
     [
         ("InputDelay", [[0.5]], r"no delays .*, got inputdelay"),

@@ -1,0 +1,87 @@
+"""State space of zeros, poles and a gain, as a chain of sections of second order whose poles are those that are given.
+
+The coefficients of a polynomial lose its roots where they are close: of twelve poles at 0.98 one comes back at 1.08. In
+the chain each section has its own poles on the diagonal of an upper block triangular matrix.
+"""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.errors import InputError
+
+ROUNDING = 1e-12
+"""Part of a root by which it may differ from a real one, or from the conjugate of another one."""
+
+
+def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
+    """Matrices (A, B, C, D) with one input and one output.
+
+    Parameters
+    ----------
+    zeros, poles : array_like
+        Complex ones in conjugate pairs; not more zeros than poles.
+    gain : float
+        Ratio of the leading coefficients.
+
+    Raises
+    ------
+    ValueError
+        More zeros than poles, roots without their conjugates, numbers that are not finite.
+
+    Examples
+    --------
+    >>> A, B, C, D = zeros_poles([-3.0], [-1.0, -2.0], 2.0)
+    >>> (C @ np.linalg.inv(1.0 * np.eye(2) - A) @ B + D).round(9).tolist()
+    [[1.333333333]]
+    """
+    up, down = (_pairs(np.asarray(roots, dtype=complex).ravel()) for roots in (zeros, poles))
+    if sum(map(len, up)) > sum(map(len, down)):
+        raise InputError(f"zeros must be at most as many as poles, got {sum(map(len, up))} and {sum(map(len, down))}")
+    A: FloatArray = np.zeros((0, 0))
+    B: FloatArray = np.zeros((0, 1))
+    C: FloatArray = np.zeros((1, 0))
+    D: FloatArray = np.ones((1, 1))
+    for z, p in zip_longest(up, down, fillvalue=np.zeros(0, complex)):
+        a, b, c, d = _section(z, p)
+        A = np.block([[a, b @ C], [np.zeros((len(A), len(a))), A]])
+        B, C, D = np.vstack([b @ D, B]), np.hstack([c, d @ C]), d @ D
+    return A, B, gain * C, gain * D
+
+
+def _pairs(roots: ComplexArray) -> list[ComplexArray]:
+    """Roots in pairs: conjugate ones, then real ones by falling size, of which the last may be alone."""
+    if not np.isfinite(roots).all():
+        raise InputError("zeros and poles must be finite")
+    whole = np.abs(roots.imag) <= ROUNDING * np.abs(roots)
+    real = roots[whole].real[np.argsort(-np.abs(roots[whole].real), kind="stable")]
+    upper, lower = (np.sort_complex(part) for part in (roots[roots.imag > 0.0], roots[roots.imag < 0.0].conj()))
+    upper, lower = (part[np.abs(part.imag) > ROUNDING * np.abs(part)] for part in (upper, lower))
+    if len(upper) != len(lower) or np.any(np.abs(upper - lower) > ROUNDING * np.abs(upper)):
+        raise InputError("system must have real coefficients, got complex ones")
+    pairs = [np.array([root, root.conjugate()]) for root in upper]
+    return [*pairs, *(real[k : k + 2].astype(complex) for k in range(0, len(real), 2))]
+
+
+def _section(zeros: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """``prod(s - zeros) / prod(s - poles)``, up to two of each and not more zeros than poles."""
+    n = len(poles)
+    numerator = np.zeros(n + 1)
+    numerator[n - len(zeros) :] = np.real(np.poly(zeros))
+    through = numerator[0]
+    rest = (numerator - through * np.real(np.poly(poles)))[1:]  # of lower degree
+    into = np.zeros((n, 1))
+    if n:
+        into[-1] = 1.0
+    if n == 2 and poles[0].imag:
+        sigma, omega = poles[0].real, abs(poles[0].imag)
+        A = np.array([[sigma, omega], [-omega, sigma]])
+        out = np.array([[(rest[1] + rest[0] * sigma) / omega, rest[0]]])
+    else:
+        A = np.diag(poles.real) + np.diag(np.ones(max(n - 1, 0)), 1)
+        out = np.array([[rest[1] + rest[0] * poles[0].real, rest[0]]]) if n == 2 else rest.reshape(1, n)
+    return A, into, out, np.array([[through]])
