@@ -139,7 +139,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
 
     No other bound is looked for where the value is near to the one that is proven.
     """
-    found = _controller_of_least_norm(given, generalised)
+    found = _confirmed(given, generalised, _controller_of_least_norm(given, generalised))
     if found.lower > -np.inf or proven >= (1.0 - CONFIRMED) * found.value:
         return found
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
@@ -152,6 +152,19 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
         return found
     better = _with_weights(given, generalised, of_states=True)
     return bounded(better) if better is not None and better.value < found.value else found
+
+
+def _confirmed(given: StandardPlant, plant: WorkingPlant, found: FullOrderDesign) -> FullOrderDesign:
+    """The design, or a better one where levels below the lowest one have controllers, too."""
+    if not all(plant.full_rank):
+        return found
+    levels = plant.confirmed_level()
+    if levels is None:
+        return replace(found, lower=-np.inf)
+    if levels[0] == found.lower:
+        return found
+    other = _at_levels(given, plant, levels)
+    return other if other is not None and other.value <= found.value else replace(found, lower=-np.inf)
 
 
 def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
@@ -285,8 +298,13 @@ def mixsyn(
 def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
     """The controller with the least norm of those at levels a little above the lowest one; `weight` was added."""
     found = plant.lowest_level()
-    if found is None:
-        return None
+    return None if found is None else _at_levels(given, plant, found, weight)
+
+
+def _at_levels(
+    given: StandardPlant, plant: WorkingPlant, found: tuple[float, float], weight: float = 0.0
+) -> FullOrderDesign | None:
+    """As :func:`_best`, from levels without and with a controller."""
     designs = [_design(given, plant, above * found[1]) for above in ABOVE]
     known = [one for one in designs if one is not None]
     if not known:

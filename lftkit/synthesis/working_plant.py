@@ -20,6 +20,11 @@ from lftkit.tuning.gains.loop import ExtendedPlant
 ROUNDS = 4
 """Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""
 
+BELOW = 1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1
+"""Parts of a level by which others below it are asked for a controller."""
+LEVELS, BISECTIONS = 12, 20
+"""Most levels that turn out to have a controller below, and bisections for each."""
+
 
 @dataclass(frozen=True)
 class WorkingPlant:
@@ -76,6 +81,31 @@ class WorkingPlant:
         """Levels of the H-infinity norm without and with a controller, in the units of the user."""
         found = lowest_level(self.plant)
         return None if found is None else (self.level * found[0], self.level * found[1])
+
+    def confirmed_level(self) -> tuple[float, float] | None:
+        """As :meth:`lowest_level`, with no controller at levels below, either.
+
+        By rounding one level alone may have none: slow modes of weights can make a solution that is zero negative.
+        """
+        found = lowest_level(self.plant)
+        for _ in range(LEVELS):
+            if found is None:
+                break
+            below = [found[0] * (1.0 - part) for part in BELOW]
+            high = next((level for level in below if central(self.plant, level) is not None), None)
+            if high is None:
+                return self.level * found[0], self.level * found[1]
+            found = self._bisected(0.5 * high, high)
+        return None
+
+    def _bisected(self, low: float, high: float) -> tuple[float, float] | None:
+        """Of levels without and with a controller; None where half of the second one has one, too."""
+        if central(self.plant, low) is not None:
+            return None
+        for _ in range(BISECTIONS):
+            middle = float(np.sqrt(low * high))
+            low, high = (low, middle) if central(self.plant, middle) is not None else (middle, high)
+        return low, high
 
     def central(self, level: float) -> FullOrderEstimator | None:
         """Central controller at a level, both in the units of the user."""

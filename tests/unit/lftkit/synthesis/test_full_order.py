@@ -155,6 +155,19 @@ def test_slow_weights_work_and_warn_of_nothing(pole: float, effort: float | None
     assert stable(found.closed) and (effort is None or found.gap < 1e-2)
 
 
+@pytest.mark.parametrize("rate", [1.0, 1e-2])
+def test_a_double_slow_pole_of_a_weight_hides_no_controller(rate: float) -> None:
+    """Of example 2.17 of Skogestad and Postlethwaite (2.21), in units of time.
+
+    One solution is zero there but for rounding of 1e-7, with which no controller below 2.2092 was found.
+    """
+    t = s / rate
+    plant = system(200 / ((10 * t + 1) * (0.05 * t + 1) ** 2))
+    found = mixsyn(plant, system((t / 1.5**0.5 + 10) ** 2 / (t + 0.01) ** 2), 1.0)
+    assert found.lower == pytest.approx(2.20606, rel=1e-4)
+    assert found.lower < found.value < 1.0003 * found.lower
+
+
 def test_weights_of_one_channel_are_those_of_each() -> None:
     plant = System(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), (Port("u", 2),), (Port("y", 2),), "G")
     alone = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)), 0.5, 0.1)
