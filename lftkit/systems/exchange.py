@@ -21,7 +21,7 @@ from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
-from lftkit.systems.zeros_poles import zeros_poles
+from lftkit.systems.zeros_poles import ROUNDING, zeros_poles
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -29,8 +29,6 @@ FORMAT = "lftkit/system"
 VERSION = 1
 MATLAB = b"MATLAB 5.0"
 """First bytes of a .mat file of version 5 to 7.2."""
-ROUNDING = 1e-12
-"""Imaginary parts of a matrix, relative to its largest entry, that count as none."""
 _KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
 
 

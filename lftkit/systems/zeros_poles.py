@@ -15,7 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
 
 ROUNDING = 1e-12
-"""Part of a root by which it may differ from a real one, or from the conjugate of another one."""
+"""Part of a root, or of the largest entry of a matrix, that may be left of what is real or conjugate."""
 
 
 def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
@@ -59,9 +59,14 @@ def _pairs(roots: ComplexArray) -> list[ComplexArray]:
         raise InputError("zeros and poles must be finite")
     whole = np.abs(roots.imag) <= ROUNDING * np.abs(roots)
     real = roots[whole].real[np.argsort(-np.abs(roots[whole].real), kind="stable")]
-    upper, lower = (np.sort_complex(part) for part in (roots[roots.imag > 0.0], roots[roots.imag < 0.0].conj()))
-    upper, lower = (part[np.abs(part.imag) > ROUNDING * np.abs(part)] for part in (upper, lower))
-    if len(upper) != len(lower) or np.any(np.abs(upper - lower) > ROUNDING * np.abs(upper)):
+    upper, lower = roots[~whole & (roots.imag > 0.0)], roots[~whole & (roots.imag < 0.0)].conj()
+    far = np.abs(upper[:, None] - lower)  # equal real parts in rounding have no order: each takes its nearest
+    paired = len(upper) == len(lower)
+    for k in range(len(upper) if paired else 0):
+        nearest = int(far[k].argmin())
+        paired = paired and bool(far[k, nearest] <= ROUNDING * abs(upper[k]))
+        far[:, nearest] = np.inf
+    if not paired:
         raise InputError("system must have real coefficients, got complex ones")
     pairs = [np.array([root, root.conjugate()]) for root in upper]
     return [*pairs, *(real[k : k + 2].astype(complex) for k in range(0, len(real), 2))]

@@ -219,9 +219,10 @@ def test_complex_coefficients_of_scipy_are_refused() -> None:
         (signal.ellip(9, 0.5, 60.0, 1000.0, analog=True, output="zpk"), 0.0),
         (([3.0, -1.0], [-2.0, -1.0 + 2.0j, -5.0, -1.0 - 2.0j], -2.5), 0.0),
         (([0.5 + 0.1j, 0.5 - 0.1j, 0.2], [0.1, 0.2, 0.3], 2.0), 0.01),
+        (([1e-17 + 900.0j, 1e-18 + 500.0j, -900.0j, 1e-16 - 500.0j], [-1.0, -2.0, -3.0, -4.0], 3.0), 0.0),
         (([], [], 4.0), 0.0),
     ],
-    ids=["equal poles", "Butterworth", "elliptic", "real and complex", "as many zeros", "a gain"],
+    ids=["equal poles", "Butterworth", "elliptic", "real and complex", "as many zeros", "zeros on the axis", "a gain"],
 )
 def test_zeros_and_poles_of_scipy_stay_where_they_are(given: Any, dt: float) -> None:
     """By the coefficients of a fraction twelve poles at 0.98 came back at up to 1.08, an unstable system."""
