@@ -139,7 +139,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
 
     No other bound is looked for where the value is near to the one that is proven.
     """
-    found = _confirmed(given, generalised, _controller_of_least_norm(given, generalised))
+    found = _controller_of_least_norm(given, generalised, confirm=True)
     if found.lower > -np.inf or proven >= (1.0 - CONFIRMED) * found.value:
         return found
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
@@ -154,22 +154,11 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
     return bounded(better) if better is not None and better.value < found.value else found
 
 
-def _confirmed(given: StandardPlant, plant: WorkingPlant, found: FullOrderDesign) -> FullOrderDesign:
-    """The design, or a better one where levels below the lowest one have controllers, too."""
-    if not all(plant.full_rank):
-        return found
-    levels = plant.confirmed_level()
-    if levels is None:
-        return replace(found, lower=-np.inf)
-    if levels[0] == found.lower:
-        return found
-    other = _at_levels(given, plant, levels)
-    return other if other is not None and other.value <= found.value else replace(found, lower=-np.inf)
-
-
-def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
+def _controller_of_least_norm(
+    given: StandardPlant, generalised: WorkingPlant, *, confirm: bool = False
+) -> FullOrderDesign:
     """Without a bound where small weights of commands and measurements are needed."""
-    found = _best(given, generalised) if all(generalised.full_rank) else None
+    found = _best(given, generalised, confirm=confirm) if all(generalised.full_rank) else None
     found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
     if found is None:
         raise InputError(
@@ -295,23 +284,23 @@ def mixsyn(
     return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
-def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
-    """The controller with the least norm of those at levels a little above the lowest one; `weight` was added."""
-    found = plant.lowest_level()
-    return None if found is None else _at_levels(given, plant, found, weight)
-
-
-def _at_levels(
-    given: StandardPlant, plant: WorkingPlant, found: tuple[float, float], weight: float = 0.0
+def _best(
+    given: StandardPlant, plant: WorkingPlant, weight: float = 0.0, *, confirm: bool = False
 ) -> FullOrderDesign | None:
-    """As :func:`_best`, from levels without and with a controller."""
-    designs = [_design(given, plant, above * found[1]) for above in ABOVE]
+    """The controller with the least norm of those at levels a little above the lowest one; `weight` was added.
+
+    It has the level as its bound if it is to `confirm` that levels below have no controller, either.
+    """
+    found = plant.lowest_level()
+    sure = plant.confirmed_level(found) if confirm else None
+    low, high = sure or found or (0.0, 0.0)
+    designs = [_design(given, plant, above * high) for above in ABOVE] if high else []
     known = [one for one in designs if one is not None]
     if not known:
         return None
     best = min(known, key=lambda one: one.value)
-    confirmed = not weight and found[0] <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * found[1]
-    return replace(best, lower=found[0] if confirmed else -np.inf, regularised=weight)
+    bounded = sure is not None and low <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * high
+    return replace(best, lower=low if bounded else -np.inf, regularised=weight)
 
 
 def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrderDesign | None:

@@ -14,16 +14,11 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.synthesis.standard_plant import RANK, has_rank
-from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.tuning.full_order import FullOrderEstimator, central, confirmed_level, lowest_level, lqg
 from lftkit.tuning.gains.loop import ExtendedPlant
 
 ROUNDS = 4
 """Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""
-
-BELOW = 1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1
-"""Parts of a level by which others below it are asked for a controller."""
-LEVELS, BISECTIONS = 12, 20
-"""Most levels that turn out to have a controller below, and bisections for each."""
 
 
 @dataclass(frozen=True)
@@ -79,33 +74,15 @@ class WorkingPlant:
 
     def lowest_level(self) -> tuple[float, float] | None:
         """Levels of the H-infinity norm without and with a controller, in the units of the user."""
-        found = lowest_level(self.plant)
-        return None if found is None else (self.level * found[0], self.level * found[1])
+        return self._levels(lowest_level(self.plant), self.level)
 
-    def confirmed_level(self) -> tuple[float, float] | None:
-        """As :meth:`lowest_level`, with no controller at levels below, either.
+    def confirmed_level(self, found: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Such levels from others, with no controller at levels below, either; None where that is open."""
+        return self._levels(confirmed_level(self.plant, self._levels(found, 1.0 / self.level)), self.level)
 
-        By rounding one level alone may have none: slow modes of weights can make a solution that is zero negative.
-        """
-        found = lowest_level(self.plant)
-        for _ in range(LEVELS):
-            if found is None:
-                break
-            below = [found[0] * (1.0 - part) for part in BELOW]
-            high = next((level for level in below if central(self.plant, level) is not None), None)
-            if high is None:
-                return self.level * found[0], self.level * found[1]
-            found = self._bisected(0.5 * high, high)
-        return None
-
-    def _bisected(self, low: float, high: float) -> tuple[float, float] | None:
-        """Of levels without and with a controller; None where half of the second one has one, too."""
-        if central(self.plant, low) is not None:
-            return None
-        for _ in range(BISECTIONS):
-            middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if central(self.plant, middle) is not None else (middle, high)
-        return low, high
+    @staticmethod
+    def _levels(found: tuple[float, float] | None, unit: float) -> tuple[float, float] | None:
+        return None if found is None else (unit * found[0], unit * found[1])
 
     def central(self, level: float) -> FullOrderEstimator | None:
         """Central controller at a level, both in the units of the user."""

@@ -33,6 +33,8 @@ MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
 MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
 LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
+BELOW = 1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1
+"""Parts of a level by which others below it are asked for a controller."""
 ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
 
@@ -182,7 +184,27 @@ def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
         high /= 10.0
     else:
         return None
-    low = high / 10.0
+    return _bisected(plant, high / 10.0, high)
+
+
+def confirmed_level(plant: ExtendedPlant, found: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Levels from those of :func:`lowest_level`, with no controller at several levels below, either; None without any.
+
+    By rounding one level alone may have none: slow modes of weights can make a solution that is zero negative.
+    """
+    for _ in range(LEVELS):
+        if found is None:
+            break
+        below = [found[0] * (1.0 - part) for part in BELOW]
+        high = next((level for level in below if central(plant, level) is not None), None)
+        if high is None:
+            return found
+        found = _bisected(plant, 0.5 * high, high) if central(plant, 0.5 * high) is None else None
+    return None
+
+
+def _bisected(plant: ExtendedPlant, low: float, high: float) -> tuple[float, float]:
+    """Levels without and with a controller, close to each other, from such levels."""
     for _ in range(BISECTIONS):
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if central(plant, middle) is not None else (middle, high)
