@@ -45,25 +45,28 @@ def test_the_resending_thread_has_a_lower_priority_than_the_other_threads():
     assert done.stdout.split("]")[1].split() == ["70", "69"]
 
 
+def code_in_real_time(script):
+    """Exit code of a process that runs `script` at real-time priority; skips the test where that is not permitted."""
+    begin = (
+        "import sys; from los_testbed.run.loop.scheduling import become_real_time\n"
+        "if 'real-time scheduling' in become_real_time(1): sys.exit(77)\n"
+    )
+    code = subprocess.run([sys.executable, "-c", begin + script], capture_output=True, timeout=600).returncode
+    if code == 77:
+        pytest.skip("real-time scheduling is not permitted here")
+    return code
+
+
 def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     """Nobody of lower priority on its processor could end it."""
-    script = (
-        "import sys; from los_testbed.run.loop.scheduling import become_real_time; refused = become_real_time(1)\n"
-        "if 'real-time scheduling' in refused: sys.exit(77)\n"
-        "while True: pass"
-    )
-    runaway = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=600)
-    if runaway.returncode == 77:
-        pytest.skip("real-time scheduling is not permitted here")
-    assert runaway.returncode == -signal.SIGXCPU
+    assert code_in_real_time("while True: pass") == -signal.SIGXCPU
 
 
 def test_a_loop_that_is_late_at_every_tick_is_not_ended_by_the_kernel():
     """On a machine that is too slow for the plant no deadline is waited for; its ticks count as missed."""
     script = (
-        "import sys, time; from los_testbed.run.loop.scheduling import MAX_BUSY_S, become_real_time\n"
+        "import time; from los_testbed.run.loop.scheduling import MAX_BUSY_S\n"
         "from los_testbed.run.loop.tick_clock import TickClock\n"
-        "if 'real-time scheduling' in become_real_time(1): sys.exit(77)\n"
         "clock = TickClock(1_000_000); clock.begin(time.monotonic_ns()); begin = time.process_time()\n"
         "while time.process_time() < begin + 1.5 * MAX_BUSY_S:\n"
         "    end = time.monotonic_ns() + 1_500_000\n"
@@ -71,10 +74,7 @@ def test_a_loop_that_is_late_at_every_tick_is_not_ended_by_the_kernel():
         "    clock.wait()\n"
         "    clock.resume_at(clock.present())\n"
     )
-    late = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=600)
-    if late.returncode == 77:
-        pytest.skip("real-time scheduling is not permitted here")
-    assert late.returncode == 0
+    assert code_in_real_time(script) == 0
 
 
 @pytest.mark.further
