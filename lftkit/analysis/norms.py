@@ -21,7 +21,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle.circle_h2 import discrete_h2
 from lftkit.analysis.circle.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
-from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.frequency_response import FrequencyResponse, PoleError
 from lftkit.analysis.given_system import given_system
 from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
 from lftkit.analysis.hinf.half_plane import HalfPlane
@@ -414,7 +414,10 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
             continue
         except UndecidedError:
             break
-    return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")
+    try:
+        return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")
+    except PoleError:  # a direct solution meets a pole that is on the axis to rounding
+        return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
 
 
 def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
