@@ -39,7 +39,7 @@ from lftkit.tuning.full_order import FullOrderEstimator
 REGULARISED = 1e-6, 1e-5, 1e-4, 1e-3
 """Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and
 with the same weight and noise of every state, which zeros on the imaginary axis need."""
-ABOVE = 1.00002, 1.0002, 1.002, 1.02, 1.1
+ABOVE = 1.00002, 1.00005, 1.0001, 1.0002, 1.0005, 1.001, 1.002, 1.02, 1.1
 """Levels of controllers over the lowest one: nearer to it their poles are faster."""
 NEEDED = (
     "every command must have a weight (D12 of full column rank)",
@@ -294,11 +294,14 @@ def _best(
     found = plant.lowest_level()
     sure = plant.confirmed_level(found) if confirm else None
     low, high = sure or found or (0.0, 0.0)
-    designs = [_design(given, plant, above * high) for above in ABOVE] if high else []
-    known = [one for one in designs if one is not None]
-    if not known:
+    best: FullOrderDesign | None = None
+    for level in (above * high for above in ABOVE if high):
+        design = _design(given, plant, level)
+        best = min((one for one in (best, design) if one is not None), key=lambda one: one.value, default=None)
+        if best is not None and best.value <= (1.0 + REACHED) * level:  # no other one is better by more than its level
+            break
+    if best is None:
         return None
-    best = min(known, key=lambda one: one.value)
     bounded = sure is not None and low <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * high
     return replace(best, lower=low if bounded else -np.inf, regularised=weight)
 
