@@ -68,6 +68,7 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
             for number, (window, limit) in enumerate(marks):
                 name = "_nolegend_" if number else f"limit for {100 * part:.6g} %"
                 _draw_limit(axis, 1e3 * window, limit / RAD_PER_MAS, "v^<>"[k % 4], name)
+        _label_limits(axis, sorted({(1e3 * window, limit / RAD_PER_MAS) for window, limit, _ in asked}))
         axis.set_xlabel("length of the window [ms]")
         axis.set_ylabel("rms RPE of a window [mas]")
         legend_above(figure, axis)
@@ -78,20 +79,28 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
 
 
 def _draw_limit(axis: Axes, window: float, limit: float, mark: str, name: str) -> None:
-    """A limit [mas] at its window [ms]: a mark on a short line, with its value."""
+    """A limit [mas] at its window [ms]: a mark on a short line."""
     axis.plot([window / REACH, window * REACH], [limit, limit], color=LIMIT, lw=1.4)
     axis.plot(window, limit, mark, color=LIMIT, ms=6, label=name)
-    axis.annotate(
-        f"{digits(limit)} mas in {digits(window)} ms",
-        (window / REACH, limit),
-        (-4, 0),
-        textcoords="offset points",
-        ha="right",
-        va="center",
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
-        fontsize=7.5,
-        color=LIMIT,
-    )
+
+
+def _label_limits(axis: Axes, limits: Sequence[tuple[float, float]]) -> None:
+    """Windows [ms] and limits [mas] above their lines, aligned so that no label crosses an edge of the axes."""
+    low, high = np.log(axis.get_xlim())
+    for window, limit in limits:
+        place = (np.log(window) - low) / (high - low)
+        side, start = ("left", 1 / REACH) if place < 0.25 else ("right", REACH) if place > 0.75 else ("center", 1.0)
+        axis.annotate(
+            f"{digits(limit)} mas in {digits(window)} ms",
+            (window * start, limit),
+            (0, 5),
+            textcoords="offset points",
+            ha=side,
+            va="bottom",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
+            fontsize=7.5,
+            color=LIMIT,
+        )
 
 
 def _curve(view: RunView, wanted: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
