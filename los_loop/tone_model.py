@@ -293,7 +293,7 @@ def compare_tones(
         if not np.isfinite(record).all():
             raise InputError("the model of the loop diverges")
         window = exposure_of_run(run)
-        pairs = [lines(values, series.dt, model.omega, window, taper=True) for values in (measured, record)]
+        pairs = [lines(values, series.dt, model.omega, window) for values in (measured, record)]
         expected = {line.omega: line.phasor for line in pairs[1]}
         found = [line for line in pairs[0] if line.omega in expected]
         predicted = np.array([expected[line.omega] for line in found]).reshape(-1, 2)
@@ -333,7 +333,7 @@ def compare_settled(
     """
     series = performance_error(run, transient)
     with one_thread():
-        fitted = lines(series.values, series.dt, omega, exposure_of_run(run), taper=True)
+        fitted = lines(series.values, series.dt, omega, exposure_of_run(run))
         found = [line for line in fitted if line.merged == 1]
         predicted = np.array([settled[:, np.argmin(np.abs(omega - line.omega))] for line in found]).reshape(-1, 2)
         noise = background(series.values, series.dt, [line.omega for line in found], predicted)

@@ -37,6 +37,7 @@ from pointing_analysis.requirements.rows import (
 )
 from pointing_analysis.requirements.summary import UNKNOWN, Summary
 from pointing_analysis.spectra.line_search import FALSE_LINES
+from pointing_analysis.spectra.spectra import CLEAR
 
 LEADING = ("time", "psd", "rpe-over-exposure")
 """Pictures that stand first; behind them the star where a requirement is on the image, else the trajectory."""
@@ -202,8 +203,8 @@ def _requirements(rows: Sequence[RequirementRow], several: bool, unknown: bool, 
     note = (
         "The value is the quantile at the required probability; its bound holds at the stated confidence without "
         "assuming a distribution. A proven bound is one of the loop, for every telescope of the family, with its tone "
-        "and noise. Correlated samples count as the smaller number of independent ones shown; for the RPE at most one "
-        "per exposure counts."
+        "and noise. Correlated samples are equivalent to the number of independent samples shown; for the RPE at most "
+        "one per exposure."
     )
     table = _of_runs(requirement_table(rows, several), names, several)
     stated = ReportPart("Requirements as stated", definition_table(rows))
@@ -218,22 +219,28 @@ def _lines(views: Sequence[RunView], several: bool) -> ReportSection:
     parts = []
     for k, view in enumerate(views):
         title = f"{view.label}: contribution of each line to the RPE"
-        table = line_table(view, _file("lines", k, several)) if view.tones else None
+        table = line_table(view, _file("lines", k, several)) if view.tones or view.within_noise else None
         parts.append(ReportPart(title, table, tuple(_about_lines(view)), k, not several))
     return ReportSection("lines", "Disturbance lines", tuple(parts))
 
 
 def _about_lines(view: RunView) -> Iterator[str]:
-    if not view.tones and motion_of(view.run) is not None:
+    shown = len(view.tones) + len(view.within_noise)
+    if not shown and motion_of(view.run) is not None:
         yield (
             "Wheels or arrays move during this run: see the waterfall, the Campbell diagram and the relative error "
             "over time."
         )
-    elif not view.tones:
+    elif not shown:
         who = "The bag" if view.run.kind == "bag" else "The data"
         yield f"{who} names no lines that this run can resolve, and none is above the noise."
-    if len(view.tones) > LINES_SHOWN:
-        yield f"The {LINES_SHOWN} largest of {len(view.tones)} lines."
+    if shown > LINES_SHOWN:
+        yield f"The {LINES_SHOWN} largest of {shown} lines."
+    if view.within_noise:
+        yield (
+            f"In noise: a line that the recording names, less than {CLEAR:g} times the rms amplitude of the noise "
+            "beside it."
+        )
     if any(line.found for line in view.tones):
         yield (
             "Known from the spectrum: sinusoids that stand out of the noise beside them, although the recording does "
@@ -266,9 +273,9 @@ def _predictions(names: Sequence[str], model: ModelResults, several: bool) -> Re
     note = (
         "Amplitude of the line of sight at each tone of the disturbance, norm of both axes. The prediction is the loop "
         "as implemented (sampled plant, one tick of delay, camera held between frames, commands limited), run from the "
-        "same start. That of a rig is the mean of settled loops with the delays that the run has measured. It uses "
-        "only the tones of the record. Ratio: measured over predicted, ± two standard deviations by noise; "
-        "“in noise”: neither amplitude is above it."
+        "same start. For a rig it is the mean over loops in steady state, with the delays measured in the run. Only "
+        "the tones named in the recording are compared. Ratio: measured over predicted, ± two standard deviations "
+        "due to noise; “in noise”: neither amplitude is above the noise."
     )
     parts = []
     for k, (name, found) in enumerate(zip(names, model.predictions)):

@@ -68,7 +68,10 @@ class RunView:
     series: ErrorSeries
     spectrum: Spectrum | None
     tones: tuple[SpectralLine, ...]
+    """Lines above the noise."""
     window: float
+    within_noise: tuple[SpectralLine, ...] = ()
+    """Lines that the recording names and that the run does not show."""
 
 
 def windows_text(views: Sequence[RunView]) -> str:

@@ -65,7 +65,7 @@ def tones_of(run: Recording) -> FloatArray:
     for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
-        found += [float(x) for x in value if is_number(x)]
+        found += [abs(float(x)) for x in value if is_number(x)]  # a wheel's line has no sign
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
@@ -85,8 +85,9 @@ def view(
         spectrum = None  # too short or too many gaps: the page has a note instead of the curve
     named = spectra.lines(series.values, series.dt, tones_of(run), window)
     more = spectra.found_lines(found, named, series.duration, window, series.dt)
+    named, within_noise = spectra.above_noise(named, series.values, series.dt)
     tones = sorted((*named, *more), key=lambda line: -line.rpe)
-    return RunView(label, run, series, spectrum, tuple(tones), window)
+    return RunView(label, run, series, spectrum, tuple(tones), window, within_noise)
 
 
 def _authority(runs: Sequence[Recording]) -> dict[str, float]:

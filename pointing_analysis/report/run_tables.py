@@ -39,14 +39,14 @@ def _metrics(summary: Summary) -> dict[str, str]:
 
 
 def line_table(view: RunView, name: str = "lines") -> TextTable:
-    """The largest disturbance lines of a run; amplitudes of found ones with the larger distance of their bounds."""
+    """The largest disturbance lines of a run; amplitudes of found ones with the larger distance of their bounds.
+
+    Lines that the recording names and that are not above the noise stand at the end, without figures.
+    """
     total = math.fsum(line.rpe**2 for line in view.tones)
     rows = [
         (
-            f"{line.omega / (2 * math.pi):.3f}",
-            _frequency(line.omega, line.merged),
-            likely_source(view, line) or ABSENT,
-            origin(line),
+            *_line(view, line),
             _amplitude(line, 0),
             _amplitude(line, 1),
             digits(line.rpe / RAD_PER_MAS),
@@ -54,12 +54,20 @@ def line_table(view: RunView, name: str = "lines") -> TextTable:
         )
         for line in view.tones[:LINES_SHOWN]
     ]
+    quiet = sorted(view.within_noise, key=lambda line: line.omega)
+    rows += [(*_line(view, line), *2 * ("in noise",), ABSENT, ABSENT) for line in quiet[: LINES_SHOWN - len(rows)]]
     heads = (
         *numbers("Hz", "rad/s"),
         *texts("likely source", "known from"),
         *numbers("x [mas]", "y [mas]", "RPE rms [mas]", "share of all lines"),
     )
     return TextTable.of(heads, rows, "Disturbance lines", name=name)
+
+
+def _line(view: RunView, line: SpectralLine) -> tuple[str, str, str, str]:
+    """Frequency in both units, likely source and origin."""
+    hertz = f"{line.omega / (2 * math.pi):.3f}"
+    return hertz, _frequency(line.omega, line.merged), likely_source(view, line) or ABSENT, origin(line)
 
 
 def _frequency(omega: float, merged: int) -> str:

@@ -43,7 +43,7 @@ class Conditions:
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Label and text of each line for screen and page."""
-        found = ("acts", "; ".join(self.acting)), ("member", self.member)
+        found = ("sources", "; ".join(self.acting)), ("member", self.member)
         return tuple((label, text) for label, text in found if text)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-CLEAR = 3.0
-"""A tone is resolved if its amplitude is at least this many times that of the noise."""
+from pointing_analysis.spectra.spectra import CLEAR
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,7 @@ NAMED = 2.0
 """Lines so close to a named tone, in 1 / T, are what its fit leaves of it."""
 
 
-def unnamed_lines(
-    error: FloatArray, dt: float, named: FloatArray, taper: bool = False
-) -> tuple[tuple[FoundLine, ...], FloatArray]:
+def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tuple[FoundLine, ...], FloatArray]:
     """Lines of unknown frequencies, the lowest first, and the record without them and the named tones.
 
     Of a record that is searched in parts each line has its root mean square over the parts, and the bounds likewise.
@@ -39,9 +37,8 @@ def unnamed_lines(
     error : (n, 2), NaN where a sample is missing
     dt : [s]
     named : (k,) frequencies of the named tones [rad/s]
-    taper : of the fit of the named tones (:func:`pointing_analysis.spectra.spectra.lines`)
     """
-    rest = without_lines(error, dt, named, taper) if np.size(named) else error
+    rest = without_lines(error, dt, named) if np.size(named) else error
     step = max(1, len(error) // LONGEST)
     if np.size(named) and np.nanstd(_thinned(rest, step)) <= LEAST * np.nanstd(_thinned(error, step)):
         return (), rest

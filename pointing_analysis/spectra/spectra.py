@@ -5,6 +5,7 @@ Nothing is detrended: an offset is part of the APE and stays in the spectrum at 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.errors import InputError
-from pointing_analysis.arrays import ComplexArray, FloatArray, IntArray
+from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
@@ -22,6 +23,8 @@ from pointing_analysis.spectra.sidebands import FoundLine
 NEIGHBOURS = np.arange(2, 8)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time
 MEDIAN = np.log(2.0)  # median over mean of the square of one complex component of noise, exponential
+CLEAR = 3.0
+"""A line is above the noise if its amplitude is at least this many times that of the noise beside it."""
 LEAK = 1.05
 """Ratio of the RPE of the parts of a record, tones and rest, to that of the record: above it the fit has taken a drift
 or a pulse for tones. Parts that are independent differ from the whole by their scatter alone, some 2 % in short runs.
@@ -152,7 +155,7 @@ def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
 def background(error: ArrayLike, dt: float, omegas: ArrayLike, phasors: ArrayLike) -> FloatArray:
     """Amplitude that a fit of a tone finds where there is none: noise and drift, rms, along and across the tone.
 
-    For tapered fits (`lines`). From the medians over frequencies that lie two to seven whole periods in the run below
+    From the medians over frequencies that lie two to seven whole periods in the run below
     and above the tone, where the tone itself adds nothing; their geometric mean. Along the tone is the component of the
     noise's phasors of both axes in the direction of the tone's, across is the other one: noise that acts on one axis
     does not disturb a tone on the other to first order.
@@ -179,23 +182,38 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike, phasors: ArrayLik
     e = np.asarray(error, dtype=float)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
     along = _directions(np.asarray(phasors, dtype=complex).reshape(-1, 2))
-    present = ~np.isnan(e).any(axis=1)
+    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
     n = len(e)
     if n <= 2 * NEIGHBOURS[-1] or not present.any():
         return np.full((tones.size, 2), np.nan)
-    w = np.where(present, _taper(n, np.arange(n)), 0.0)
-    e = np.where(present[:, None], e, 0.0)
-    e = w[:, None] * (e - w @ e / w.sum())
-    found = np.empty((tones.size, 2))
+    offsets = 2 * np.pi / (dt * n) * np.concatenate([-NEIGHBOURS, NEIGHBOURS])
+    spectra, weight = _transforms(e, dt, tones[:, None] + offsets, present)
+    found = np.full((tones.size, 2), np.nan)
     for i, omega in enumerate(tones):
-        spectrum = np.fft.fft(e * np.exp(-1j * omega * dt * np.arange(n))[:, None], axis=0)
         across = np.array([-along[i, 1], along[i, 0]])  # conjugate of the vector that is orthogonal to the tone's
-        parts = np.column_stack([spectrum @ along[i].conj(), spectrum @ across])
-        power = np.square(2 * np.abs(parts) / w.sum()) / MEDIAN
-        below = -NEIGHBOURS[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
-        beside = np.median(power[below], axis=0) * np.median(power[NEIGHBOURS], axis=0) if below.size else np.nan
-        found[i] = np.power(beside, 0.25)
+        components = np.column_stack([spectra[i] @ along[i].conj(), spectra[i] @ across])
+        lower, upper = np.split(np.square(2 * np.abs(components) / weight) / MEDIAN, 2)
+        lower = lower[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
+        if len(lower):
+            found[i] = np.power(np.median(lower, axis=0) * np.median(upper, axis=0), 0.25)
     return found
+
+
+def _transforms(e: FloatArray, dt: float, omegas: FloatArray, present: BoolArray) -> tuple[ComplexArray, float]:
+    """Tapered transforms (k, m, 2) at frequencies (k, m), the mean removed, and the sum of the weights."""
+    found, means = np.zeros((*omegas.shape, 2), complex), np.zeros(omegas.shape, complex)
+    total, weight = np.zeros(2), 0.0
+    for part in _fit_parts(len(e)):
+        index = part.start + np.flatnonzero(present[part])
+        w, rows = _taper(len(e), index), e[index]
+        total += w @ rows
+        weight += float(w.sum())
+        for i, row in enumerate(omegas):
+            turning = np.exp(np.outer(row, -1j * dt * index)) * w
+            found[i] += turning @ rows
+            means[i] += turning.sum(axis=1)
+    found -= means[..., None] * (total / weight)
+    return found, weight
 
 
 def _directions(phasors: ComplexArray) -> ComplexArray:
@@ -241,12 +259,11 @@ def exceeds(error: ArrayLike, rest: ArrayLike, powers: Sequence[float], dt: floa
     return left + sum(powers) > LEAK**2 * whole
 
 
-def lines(
-    error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool | None = None
-) -> tuple[SpectralLine, ...]:
+def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tuple[SpectralLine, ...]:
     """Least-squares amplitudes of known tones in the error, and the RPE each causes.
 
-    All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
+    All tones are fitted together with a constant, with Hann weights: a drift or a pulse stays out of them. Tones that
+    the run is too short to tell apart are fitted as one.
 
     Parameters
     ----------
@@ -255,8 +272,6 @@ def lines(
     omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
         left out
     window : RPE window [s]
-    taper : fit with Hann weights: a drift, too, then stays out of the tones, at a lower resolution; by
-        default only where the parts of the other fit exceed the record (`exceeds`)
 
     Returns
     -------
@@ -270,15 +285,7 @@ def lines(
     array([3., 0.])
     """
     e = np.asarray(error, dtype=float)
-    duration = dt * len(e)
-    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
-    tones = tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)]
-    if taper is None:
-        found = lines(e, dt, tones, window, taper=False)
-        powers = [line.rpe**2 for line in found]
-        leak = bool(found) and exceeds(e, without_lines(e, dt, tones), powers, dt, window)
-        return lines(e, dt, tones, window, taper=True) if leak else found
-    groups, centre, solution = _fit(e, dt, tones, taper)
+    groups, centre, solution = _fit(e, dt, omegas)
     if not groups:
         return ()
     m = len(centre)
@@ -290,6 +297,32 @@ def lines(
         SpectralLine(float(centre[i]), read_only(phasor[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
         for i in order
     )
+
+
+def above_noise(
+    found: Sequence[SpectralLine], error: ArrayLike, dt: float
+) -> tuple[tuple[SpectralLine, ...], tuple[SpectralLine, ...]]:
+    """Known lines that are above the noise beside them, by `CLEAR`, and those that are not.
+
+    Parameters
+    ----------
+    found : by `lines`; one with less than 2.5 periods in the run, whose noise is not known, counts as above
+    error : (n, 2), rows with NaN are left out
+    dt : [s]
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(4).standard_normal((5000, 2))
+    >>> tone = np.sin(0.1 * np.arange(5000))[:, None] + noise
+    >>> above, within = above_noise(lines(tone, 1e-3, [100.0, 200.0], window=0.02), tone, 1e-3)
+    >>> [line.omega for line in above], [line.omega for line in within]
+    ([100.0], [200.0])
+    """
+    omegas = [line.omega for line in found]
+    noise = background(without_lines(error, dt, omegas), dt, omegas, [line.phasor for line in found])
+    sizes = np.array([linalg.norm(line.phasor) for line in found])
+    within = sizes < CLEAR * np.hypot(*noise.T)
+    return tuple(itertools.compress(found, np.logical_not(within))), tuple(itertools.compress(found, within))
 
 
 def found_lines(
@@ -322,10 +355,13 @@ def _turned(line: FoundLine, run: float, dt: float) -> complex:
     return complex(np.exp(-0.5j * line.omega * (run - dt)))
 
 
-def _fit(e: FloatArray, dt: float, tones: FloatArray, taper: bool) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+def _fit(e: FloatArray, dt: float, omegas: ArrayLike) -> tuple[list[FloatArray], FloatArray, FloatArray]:
     """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
+    duration = dt * len(e)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = tones[np.isfinite(tones) & (tones * duration > 2 * np.pi) & (tones < np.pi / dt)]
     present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
-    groups = _resolved(np.unique(tones), dt * len(e))
+    groups = _resolved(np.unique(tones), duration)
     if not groups or present.sum() < 4 * len(groups) + 2:
         return [], np.empty(0), np.empty((0, 2))
     centre = np.array([g.mean() for g in groups])
@@ -334,7 +370,7 @@ def _fit(e: FloatArray, dt: float, tones: FloatArray, taper: bool) -> tuple[list
     for part in _fit_parts(len(e)):
         index = part.start + np.flatnonzero(present[part])
         basis = _basis(index, dt, centre)
-        weighted = basis.T * _taper(len(e), index) if taper else basis.T
+        weighted = basis.T * _taper(len(e), index)
         gram += weighted @ basis
         right += weighted @ e[index]
     return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
@@ -345,28 +381,24 @@ def _basis(rows: IntArray, dt: float, omegas: FloatArray) -> FloatArray:
     return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
 
 
-def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike, taper: bool = False) -> FloatArray:
-    """The error without the tones that are fitted to it: noise and what else there is.
+def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
+    """The error without the tones that are fitted to it (`lines`): noise and what else there is.
 
     Parameters
     ----------
     error : (n, 2), rows with NaN are left out of the fit and stay NaN
     dt : [s]
-    omegas : tone frequencies [rad/s], also those slower than one period in the run
-    taper : fit with Hann weights, see `lines`; tones slower than one period in the run stay then
+    omegas : tone frequencies [rad/s]; those slower than one period in the run stay
 
     Examples
     --------
     >>> t = 1e-3 * np.arange(5000)
-    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.cos(0.3 * t)])
-    >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 0.3])).max() < 1e-9)
+    >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.cos(4 * t)])
+    >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 4.0])).max() < 1e-9)
     True
     """
     e = np.asarray(error, dtype=float)
-    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
-    slowest = 2 * np.pi / (dt * len(e)) if taper and len(e) else 0.0
-    tones = tones[np.isfinite(tones) & (tones > slowest) & (tones < np.pi / dt)]
-    groups, centre, solution = _fit(e, dt, tones, taper)
+    groups, centre, solution = _fit(e, dt, omegas)
     rest = empty(e.shape)
     for part in _fit_parts(len(e)):
         fitted = _basis(np.arange(part.start, part.stop), dt, centre) @ solution if groups else 0.0

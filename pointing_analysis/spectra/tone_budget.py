@@ -4,7 +4,7 @@ Tones are those that the recording names and those that stand out of its noise
 (:mod:`pointing_analysis.spectra.line_search`), whatever they come from.
 
 A limit of the relative error is asked of 99.7 % of the windows, noise and tones together. A tone of amplitude a along
-one axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 1.7 r <= L``. Slow tones are
+one axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 2 r <= L``. Slow tones are
 those on which the proof-mass actuators have no effect.
 """
 
@@ -99,8 +99,7 @@ def named_tones(run: Recording) -> FloatArray:
 def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
     """Budget of a run; without tones all of the error is noise.
 
-    Where the parts exceed the whole (:func:`pointing_analysis.spectra.spectra.exceeds`), a drift or a pulse is in the
-    fit of the tones; they are fitted with a taper then. Where the parts still exceed the whole they are NaN.
+    Where the parts exceed the whole (:func:`pointing_analysis.spectra.spectra.exceeds`), they are NaN.
 
     Parameters
     ----------
@@ -117,16 +116,13 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
     allowed = {part: allowances[part] for part in PARTS if part in allowances}
-    for taper in (False, True):
-        named = spectra.lines(series.values, series.dt, omegas, window, taper)
-        found, rest = unnamed_lines(series.values, series.dt, omegas, taper)
-        samples = metrics.samples_or_one(window, series.dt)
-        factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
-        powers = [(line.omega, line.rpe**2) for line in named]
-        powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
-        if not spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
-            break
-    else:
+    named = spectra.lines(series.values, series.dt, omegas, window)
+    found, rest = unnamed_lines(series.values, series.dt, omegas)
+    samples = metrics.samples_or_one(window, series.dt)
+    factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
+    powers = [(line.omega, line.rpe**2) for line in named]
+    powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
+    if spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
         return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=found)
     noise, noise_error = _rms(metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2)
     slow, fast = (

@@ -185,7 +185,7 @@ def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
     acts = f"worst_case (tone of {tone.omega / (2 * np.pi):.4g} Hz, worst for the RPE)"
     values = json.loads(shown.out)
     assert values["acting"] == [acts] and values["member"].startswith("arrays at ")
-    assert f"acts    {acts}" in shown.err and f"member  {values['member']}" in shown.err
+    assert f"sources {acts}" in shown.err and f"member  {values['member']}" in shown.err
     page = Path("a/report.html").read_text()
     assert acts in page and values["member"] in page
     assert app.main([*line, "--scenario", "unit_norm", "--no-report", "--output", "b"]) == 0

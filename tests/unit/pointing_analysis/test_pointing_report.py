@@ -199,7 +199,7 @@ def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
         tmp_path / "bag", "fsm", 5.0, wheel_speed=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
     )
     seen = view(Run.open(path), "fsm")
-    names = {round(line.omega): likely_source(seen, line) for line in seen.tones}
+    names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
     assert names == {70: "wheel 1", 88: "wheel 2", 210: "3 × wheel 1", 301: "imbalance"}
     nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
     found = replace(seen.tones[0], omega=333.0, found=nobody)

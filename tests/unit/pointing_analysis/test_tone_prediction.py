@@ -18,7 +18,7 @@ def comparison(seed, axes, pole, phasor):
     noise = signal.lfilter([1.0 - pole], [1.0, -pole], white, axis=0)[3000:]
     turning = np.exp(1j * (OMEGA * DT * np.arange(TICKS) + rng.uniform(0.0, 2.0 * np.pi)))
     record = noise + np.outer(turning, phasor).real
-    line = lines(record, DT, [OMEGA], 0.02, taper=True)[0]
+    line = lines(record, DT, [OMEGA], 0.02)[0]
     beside = background(noise, DT, [OMEGA], [phasor])[0]
     return ToneComparison(OMEGA, 1, float(np.linalg.norm(phasor)), float(np.hypot(*line.amplitude)), *beside)
 
