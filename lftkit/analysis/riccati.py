@@ -15,6 +15,8 @@ RESIDUAL, REFINED = 1e-6, 1e-12
 NEWTON_STEPS, NEWTON_GAIN = 4, 1e-2
 """Steps of refinement, and the part of the residual that each must leave at most: near to a solution whose closed loop
 has poles on the axis, which is none here, a step leaves a quarter."""
+ZERO = 1e-13
+"""Of the difference of two matrices, relative to the larger one: what is zero but for rounding."""
 DOUBLINGS = 64
 UNBOUNDED = "the discrete Riccati equation has no bounded solution"
 EPS = float(np.finfo(float).eps)
@@ -29,18 +31,51 @@ def riccati(
     nothing, depending on rounding: the residual and the closed loop are checked. Where the solver loses digits, as with
     inputs and outputs in units of very different size, Newton's method restores them (Kleinman, IEEE TAC 13, 1968).
     LAPACK's reordering of eigenvalues can fail on an equation that has a solution; it is then solved without balancing.
+    Stable modes that cost nothing, of which the solution is zero, are taken out first: slow ones, as those of weights,
+    magnify the rounding of the solver until its solution is indefinite or none.
     """
-    free = np.asarray(linalg.eigvals(A), dtype=complex)
-    if not Q.any() and (S is None or not S.any()) and bool(np.all(free.real < 0.0)):
-        return np.zeros_like(A)  # the solver's is rounding, which solves nothing to a part of its own size
+    if not len(A):
+        return np.zeros_like(A)
     with warnings.catch_warnings():
         for kind in (linalg.LinAlgWarning, RuntimeWarning):  # judged by the residual, as is what Newton's method adds
             warnings.simplefilter("ignore", kind)
         try:
-            X = _solution(A, B, Q, R, S)
-            return _confirmed(A, B, Q, R, S, X)
+            through = np.zeros_like(B.T) if S is None else regular_solve(R, S.T)
+            rest, square = A - B @ through, np.zeros_like(Q) if S is None else S @ through
+            least = ZERO * max(float(np.abs(M).max(initial=0.0)) for M in (Q, square))
+            free = _free_modes(rest, Q - square, least)
+            if not free.size:
+                return _confirmed(A, B, Q, R, S, _solution(A, B, Q, R, S))
+            W = linalg.qr(free)[0][:, free.shape[1] :]
+            if not W.size:
+                return np.zeros_like(A)
+            cost = W.T @ (Q - square) @ W
+            reduced = W.T @ rest @ W, W.T @ B, np.where(np.abs(cost) > least, cost, 0.0), R, None
+            X = _confirmed(*reduced, _solution(*reduced))
+            return None if X is None else W @ X @ W.T
         except (linalg.LinAlgError, ValueError):
             return None
+
+
+def _free_modes(A: FloatArray, Q: FloatArray, least: float) -> FloatArray:
+    """Orthonormal basis (n, k) of the stable modes of A that Q sees by less than `least`."""
+    basis = _kernel(Q, least)
+    while basis.size:
+        image = A @ basis
+        kept = _kernel(image - basis @ (basis.T @ image), ZERO * float(linalg.norm(A)))
+        if kept.shape[1] == basis.shape[1]:
+            break
+        basis = basis @ kept
+    if not basis.size:
+        return basis
+    _, vectors, count = linalg.schur(basis.T @ A @ basis, sort="lhp")
+    return np.asarray(basis @ vectors[:, :count])
+
+
+def _kernel(matrix: FloatArray, least: float) -> FloatArray:
+    """Orthonormal basis of what a matrix maps to less than `least` of its own size."""
+    _, sizes, V = linalg.svd(matrix)
+    return np.asarray(V[np.count_nonzero(sizes > least) :].T)
 
 
 def _confirmed(

@@ -11,6 +11,7 @@ Sources: Doyle, Glover, Khargonekar and Francis, IEEE TAC 34 (1989); Safonov, Li
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,7 +37,7 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import FullOrderEstimator
 
-REGULARISED = 1e-6, 1e-5, 1e-4, 1e-3
+REGULARISED = 1e-7, 1e-6, 1e-5, 1e-4, 1e-3
 """Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and
 with the same weight and noise of every state, which zeros on the imaginary axis need."""
 ABOVE = 1.00002, 1.00005, 1.0001, 1.0002, 1.0005, 1.001, 1.002, 1.02, 1.1
@@ -139,7 +140,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
 
     No other bound is looked for where the value is near to the one that is proven.
     """
-    found = _controller_of_least_norm(given, generalised, confirm=True)
+    found = _controller_of_least_norm(given, generalised)
     if found.lower > -np.inf or proven >= (1.0 - CONFIRMED) * found.value:
         return found
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
@@ -154,11 +155,9 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
     return bounded(better) if better is not None and better.value < found.value else found
 
 
-def _controller_of_least_norm(
-    given: StandardPlant, generalised: WorkingPlant, *, confirm: bool = False
-) -> FullOrderDesign:
+def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
     """Without a bound where small weights of commands and measurements are needed."""
-    found = _best(given, generalised, confirm=confirm) if all(generalised.full_rank) else None
+    found = _best(given, generalised) if all(generalised.full_rank) else None
     found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
     if found is None:
         raise InputError(
@@ -284,16 +283,12 @@ def mixsyn(
     return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
-def _best(
-    given: StandardPlant, plant: WorkingPlant, weight: float = 0.0, *, confirm: bool = False
-) -> FullOrderDesign | None:
-    """The controller with the least norm of those at levels a little above the lowest one; `weight` was added.
+def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
+    """The controller with the least norm of those at levels a little above the lowest one, which is its bound.
 
-    It has the level as its bound if it is to `confirm` that levels below have no controller, either.
+    It has no bound where a `weight` was added, or where its norm is far above the level.
     """
-    found = plant.lowest_level()
-    sure = plant.confirmed_level(found) if confirm else None
-    low, high = sure or found or (0.0, 0.0)
+    low, high = plant.lowest_level() or (0.0, 0.0)
     best: FullOrderDesign | None = None
     for level in (above * high for above in ABOVE if high):
         design = _design(given, plant, level)
@@ -302,7 +297,7 @@ def _best(
             break
     if best is None:
         return None
-    bounded = sure is not None and low <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * high
+    bounded = not weight and low <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * high
     return replace(best, lower=low if bounded else -np.inf, regularised=weight)
 
 
@@ -328,13 +323,12 @@ def norm_of_loop(closed: System) -> float:
 
 
 def _at_level(given: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:
-    found = _design(given, generalised, level) if all(generalised.full_rank) else None
-    for weight in () if found is not None else REGULARISED:
-        for states in (0.0, weight):
-            found = found or _design(given, generalised.weighted(weight, states), level)
-    if found is None or found.value > (1.0 + REACHED) * level:
-        raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
-    return found
+    changed = (generalised.weighted(w, states) for w in REGULARISED for states in (0.0, w))
+    for plant in itertools.chain([generalised] if all(generalised.full_rank) else [], changed):
+        found = _design(given, plant, level)
+        if found is not None and found.value <= (1.0 + REACHED) * level:
+            return found
+    raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
 
 
 def _generalised(given: StandardPlant) -> WorkingPlant:

@@ -22,7 +22,7 @@ Names = str | Sequence[str]
 
 RANK = 1e-9
 """Smallest singular value of D12 and D21, relative to the largest one or to 1, that counts as rank."""
-AXIS = 1e-9
+AXIS = 1e-11
 """Real part of a mode, relative to the norm of A, above which it must be reached and seen."""
 UNREACHED = 1e-10
 """Smallest singular value of the Popov, Belevitch and Hautus matrix, rows of size 1, of a mode that is not reached."""

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.synthesis.standard_plant import RANK, has_rank
-from lftkit.tuning.full_order import FullOrderEstimator, central, confirmed_level, lowest_level, lqg
+from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.tuning.gains.loop import ExtendedPlant
 
 ROUNDS = 4
@@ -57,32 +57,29 @@ class WorkingPlant:
         return has_rank(D12, D12.shape[1]), has_rank(D21, len(D21))
 
     def weighted(self, weight: float, states: float) -> WorkingPlant:
-        """With a small weight of each command and state, and a small noise of each measurement and state."""
+        """With a small weight of each command and state, and a small noise of each measurement and state.
+
+        Where only commands lack a weight, or only measurements a noise, the other side stays as it is.
+        """
         plant = self.plant
         (n, nu), ny = plant.B2.shape, len(plant.C2)
         of_states = states * np.eye(n if states else 0, n)
         more = len(of_states)
+        effort, noise = (0.0 if own and not other else weight for own, other in (self.full_rank, self.full_rank[::-1]))
         changed = replace(
             plant,
             B1=np.hstack([plant.B1, np.zeros((n, ny)), of_states.T]),
             C1=np.vstack([plant.C1, np.zeros((nu, n)), of_states]),
             D11=linalg.block_diag(plant.D11, np.zeros((nu + more, ny + more))),
-            D12=np.vstack([plant.D12, weight * np.eye(nu), np.zeros((more, nu))]),
-            D21=np.hstack([plant.D21, weight * np.eye(ny), np.zeros((ny, more))]),
+            D12=np.vstack([plant.D12, effort * np.eye(nu), np.zeros((more, nu))]),
+            D21=np.hstack([plant.D21, noise * np.eye(ny), np.zeros((ny, more))]),
         )
         return replace(self, plant=changed)
 
     def lowest_level(self) -> tuple[float, float] | None:
         """Levels of the H-infinity norm without and with a controller, in the units of the user."""
-        return self._levels(lowest_level(self.plant), self.level)
-
-    def confirmed_level(self, found: tuple[float, float] | None) -> tuple[float, float] | None:
-        """Such levels from others, with no controller at levels below, either; None where that is open."""
-        return self._levels(confirmed_level(self.plant, self._levels(found, 1.0 / self.level)), self.level)
-
-    @staticmethod
-    def _levels(found: tuple[float, float] | None, unit: float) -> tuple[float, float] | None:
-        return None if found is None else (unit * found[0], unit * found[1])
+        found = lowest_level(self.plant)
+        return None if found is None else (self.level * found[0], self.level * found[1])
 
     def central(self, level: float) -> FullOrderEstimator | None:
         """Central controller at a level, both in the units of the user."""

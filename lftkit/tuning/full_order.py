@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.norms import is_stable
 from lftkit.analysis.riccati import riccati
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.reduction.balancing import truncated
@@ -33,8 +34,6 @@ MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
 MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
 LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
-BELOW = 1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 5e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1
-"""Parts of a level by which others below it are asked for a controller."""
 ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
 
@@ -184,27 +183,7 @@ def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
         high /= 10.0
     else:
         return None
-    return _bisected(plant, high / 10.0, high)
-
-
-def confirmed_level(plant: ExtendedPlant, found: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Levels from those of :func:`lowest_level`, with no controller at several levels below, either; None without any.
-
-    By rounding one level alone may have none: slow modes of weights can make a solution that is zero negative.
-    """
-    for _ in range(LEVELS):
-        if found is None:
-            break
-        below = [found[0] * (1.0 - part) for part in BELOW]
-        high = next((level for level in below if central(plant, level) is not None), None)
-        if high is None:
-            return found
-        found = _bisected(plant, 0.5 * high, high) if central(plant, 0.5 * high) is None else None
-    return None
-
-
-def _bisected(plant: ExtendedPlant, low: float, high: float) -> tuple[float, float]:
-    """Levels without and with a controller, close to each other, from such levels."""
+    low = high / 10.0
     for _ in range(BISECTIONS):
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if central(plant, middle) is not None else (middle, high)
@@ -233,14 +212,15 @@ def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     X, Y = riccati(A, B, C1.T @ C1, R, C1.T @ D1), riccati(A.T, C.T, B1 @ B1.T, S, B1 @ D2.T)
     if X is None or Y is None:
         return None
-    product = X @ Y / level**2
-    sizes = [max(1.0, float(np.abs(M).max(initial=0.0))) for M in (X, Y)]
-    least = min(float(linalg.eigvalsh(M).min(initial=0.0)) / size for M, size in zip((X, Y), sizes))
-    if least < -1e-7 or float(np.abs(linalg.eigvals(product)).max(initial=0.0)) >= 1.0:
-        return None
     F = -regular_solve(R, B.T @ X + D1.T @ C1)
-    L = -regular_solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
-    ZL = regular_solve(np.eye(len(X)) - product.T, L)
+    L = -regular_solve(S, C @ Y + D2 @ B1.T).T
+    # X and Y are positive semidefinite exactly where these are stable, which rounding of X and Y hardly touches
+    if not (is_stable(A + B2 @ F[nw:]) and is_stable(A + L[:, nz:] @ C2)):
+        return None
+    product = X @ Y / level**2
+    if float(np.abs(linalg.eigvals(product)).max(initial=0.0)) >= 1.0:
+        return None
+    ZL = regular_solve(np.eye(len(X)) - product.T, L[:, nz:])
     seen = C2 + shifted.D21 @ F[:nw]
     into = B2 + ZL @ shifted.D22
     return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
