@@ -25,8 +25,10 @@ from lftkit.proofs import (
     stability_profile,
     worst_case_gain,
 )
-from lftkit.proofs.state_space.bounds import smallest_unstable
-from lftkit.proofs.state_space.disks import dynamics_with
+from lftkit.proofs.state_space.bounds import named_member, smallest_unstable
+from lftkit.proofs.state_space.cover import WHOLE
+from lftkit.proofs.state_space.disk_search import DiskSearch
+from lftkit.proofs.state_space.disks import dynamics_with, real_first
 from lftkit.proofs.trusted.cells import digest
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
@@ -248,6 +250,17 @@ def test_real_and_complex_numbers_keep_a_gain_by_hand() -> None:
     assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-6)
     assert bounds.upper <= 1.05 * bounds.lower and check_proof(bounds.proof).level == 2.0
     assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("corner", [1.0, 1e-10])
+def test_the_gain_that_a_frequency_is_said_to_have_is_reached_there(corner: float) -> None:
+    """(1 - f^2) / (s / corner + 1), |f| <= 1/2: 5/4 is approached, for f = j / 2, next to zero; at zero f is real."""
+    f = dynamic("f", bound=0.5)
+    system = ((1 + f) * (1 - f) / (s / corner + 1)).system("u", "y")
+    found = DiskSearch(real_first(system), [], WHOLE, 0).largest_gain()
+    values = named_member(system, found)
+    assert found.gain == pytest.approx(1.25, rel=1e-5) and found.frequency > 0.0
+    assert abs(system.at(values).response([found.frequency])[0, 0, 0]) == pytest.approx(found.gain, rel=1e-9)
 
 
 @pytest.mark.parametrize("phase", [2e-9, 1e-3, 2.0, np.pi - 1e-7])
