@@ -20,7 +20,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_piece
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.cover import WHOLE
@@ -118,14 +118,14 @@ class _Axis:
         return cls(proof, model, disks, pieces)
 
     def prove(self, level: float, until: float, seed: int) -> bool:
-        """Prove the pieces that are left; True if none is left now."""
-        waiting, self.pieces = self.pieces, []
+        """Prove the pieces that are left, those of one band together; True if none is left now."""
+        waiting, self.pieces = _together(self.pieces), []
         options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_level(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
+            found = prove_piece(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
@@ -284,6 +284,19 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     if singular or not 1.0 / linalg.norm(inverse, 2) > BASIS:
         raise InputError(SEPARATE)
     return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
+
+
+def _together(pieces: Sequence[Piece]) -> list[Piece]:
+    """Pieces that contain those given, one for all whose bands overlap: what a raised level needs is less bisected."""
+    found: list[Piece] = []
+    for beyond, box, (low, high) in sorted(pieces, key=lambda piece: (piece[0], piece[2])):
+        if found and found[-1][0] == beyond and low < found[-1][2][1]:
+            _, before, (first, last) = found[-1]
+            hull = tuple((min(a, c), max(b, d)) for (a, b), (c, d) in zip(before, box))
+            found[-1] = beyond, hull, (first, max(last, high))
+        else:
+            found.append((beyond, box, (low, high)))
+    return found
 
 
 def _widened(ends: Interval, width: float) -> Interval:
