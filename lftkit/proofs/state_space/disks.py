@@ -15,7 +15,6 @@ from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
-from lftkit.systems.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
 from lftkit.uncertainty.parameters import RealParameter
@@ -156,20 +155,20 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     least = max(REAL, 2.0 * clear * max(at, 1.0 / at))
     given = np.atleast_2d(np.asarray(matrix, complex))
     left, sizes, right = linalg.svd(given)
-    (A, B, C, D), (E, F, G, H) = (_all_passes(side, at / half, least) for side in (left[:, 0], right[0]))
+    (A, B, C, D), (E, F, G, H) = (_all_passes(side, at / half, least, dt) for side in (left[:, 0], right[0]))
     # b(s)' with an input for each entry, then a(s) with one
     first = E, G.T, F.T, H[None, :]
     dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
     into, out = np.vstack([first[1], B @ first[3]]), np.hstack([D[:, None] @ first[2], C])
     whole = dynamics, into, sizes[0] * out, sizes[0] * D[:, None] @ first[3]
-    member = System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics")
-    return discretise(member, dt) if dt else member
+    return System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics", dt=dt)
 
 
-def _all_passes(values: ComplexArray, omega: float, least: float) -> Matrices:
+def _all_passes(values: ComplexArray, omega: float, least: float, dt: float) -> Matrices:
     """All-pass systems (k,) of one input with values of these phases at a frequency, times their magnitudes.
 
-    Phases below `least` [rad] count as zero.
+    Phases below `least` [rad] count as zero. With a period they are images of the bilinear map, at whose axis `omega`
+    is, formed from their poles: next to 1 the gain is that of the poles as they are rounded.
     """
     size, phase = np.abs(values), np.angle(values)
     real = np.minimum(np.abs(phase), np.pi - np.abs(phase)) < least
@@ -178,6 +177,9 @@ def _all_passes(values: ComplexArray, omega: float, least: float) -> Matrices:
     turned = np.where(phase > 0.0, phase, phase + np.pi)[~real]
     corner = omega / np.tan(0.5 * (np.pi - turned))
     own, gain = np.flatnonzero(~real), sign * size
-    out = np.zeros((len(values), len(own)))
-    out[own, np.arange(len(own))] = -2.0 * corner * gain[own]
-    return np.diag(-corner), np.ones((len(own), 1)), out, gain
+    # in discrete time it is (a z - 1) / (z - a)
+    pole = (1.0 - 0.5 * dt * corner) / (1.0 + 0.5 * dt * corner) if dt else -corner
+    out, through = np.zeros((len(values), len(own))), gain.copy()
+    out[own, np.arange(len(own))] = gain[own] * (-(1.0 - pole) * (1.0 + pole) if dt else -2.0 * corner)
+    through[own] *= pole if dt else 1.0
+    return np.diag(pole), np.ones((len(own), 1)), out, through

@@ -271,6 +271,8 @@ def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, 
     member = dynamics_with(np.array([[value]]), end * np.pi / dt, dt)
     assert np.abs(member.poles()).max(initial=0.0) < 1.0 - 1e-13
     assert hinf_norm(*member.matrices, dt=dt).value == pytest.approx(0.4, rel=1e-9)
+    for z in (1.0, -1.0):  # the poles are next to one of them, 1e-5 of the gain had been lost
+        assert abs(member(z)) == pytest.approx(0.4, rel=1e-12)
     near = abs(end * np.pi - 2e-6) / dt  # tan(omega dt / 2) is 1e-6, or one over it
     assert abs(member.response([near])[0, 0, 0] - value) < 0.4 * 1.1e-5
 
