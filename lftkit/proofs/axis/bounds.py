@@ -22,7 +22,7 @@ from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_piece
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
-from lftkit.proofs.state_space.cells import NARROW, Cell
+from lftkit.proofs.state_space.cells import NARROW, NO_SCALE, Cell
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
@@ -109,7 +109,7 @@ class _Axis:
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.system.nominal_stable():
             raise InputError(SEPARATE)
-        widths = [p.upper - p.lower for p in system.parameters]
+        widths = [p.upper - p.lower or NO_SCALE for p in system.parameters]
         whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
@@ -301,5 +301,5 @@ def _together(pieces: Sequence[Piece]) -> list[Piece]:
 
 def _widened(ends: Interval, width: float) -> Interval:
     """Deviations that contain those given, wide enough for scalings."""
-    least = NARROW * max(width, 1e-300)
+    least = NARROW * width
     return (min(ends[0], -least), max(ends[1], least)) if ends[1] - ends[0] < least else ends
