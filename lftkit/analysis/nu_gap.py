@@ -22,6 +22,9 @@ from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
 from lftkit.systems.system import System
 
+FLOOR = 1e-12
+"""Gain beside that of the difference of two systems, whose own may be rounding alone."""
+
 
 @dataclass(frozen=True)
 class NuGap:
@@ -83,7 +86,7 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     flipped = right_coprime_factors(_transposed(_continuous(two, dt)), two.name)
     p, m = one.D.shape
     left = _transposed(flipped)
-    norm = hinf_norm(*_difference(left, right, p, m))
+    norm = hinf_norm(*_beside_floor(_difference(left, right, p, m)))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
     value = min(_chordal_distance(left, right, norm.omega), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
@@ -111,6 +114,13 @@ def _difference(left: Matrices, right: Matrices, p: int, m: int) -> Matrices:
     into, through = b @ swap, d @ swap
     whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
     return whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D
+
+
+def _beside_floor(system: Matrices) -> Matrices:
+    """The system with further outputs of gain :data:`FLOOR`: of equal systems the difference is rounding alone."""
+    A, B, C, D = system
+    m = D.shape[1]
+    return A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)])
 
 
 def _chordal_distance(left: Matrices, right: Matrices, omega: float) -> float:
