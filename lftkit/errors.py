@@ -12,6 +12,9 @@ class InputError(ValueError):
     message says what was expected and what came, with file, line or key where there is one.
     """
 
+    def __init__(self, *parts: object) -> None:  # what came may be a text of several lines
+        super().__init__(*(" ".join(map(str.strip, p.splitlines())) if isinstance(p, str) else p for p in parts))
+
     @classmethod
     def of_file(cls, path: str | os.PathLike[str], error: Exception) -> InputError:
         """The same message with the file named, once.

@@ -46,7 +46,7 @@ def right_coprime_factors(plant: Matrices, name: str = "system") -> Matrices:
     X = riccati(A, B, C.T @ C, S, C.T @ D) if len(A) else A
     Y = riccati(A.T, C.T, B @ B.T, np.eye(len(C)) + D @ D.T, B @ D.T) if len(A) else A
     if X is None or Y is None:  # without Y the factors have a common zero that is not stable
-        raise InputError(f"{name}: the system must be stabilisable and detectable, got one that is not")
+        raise InputError(f"{name}: the system must be stabilisable and detectable to rounding, got one that is not")
     F = -linalg.solve(S, D.T @ C + B.T @ X)
     into = linalg.inv(_root(S))
     return A + B @ F, B @ into, np.vstack([C + D @ F, F]), np.vstack([D @ into, into])

@@ -5,6 +5,7 @@ Source: Vinnicombe, Uncertainty and Feedback (2001), and IEEE TAC 38 (1993).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -15,12 +16,16 @@ from scipy import linalg
 from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
-from lftkit.arrays import Matrices
+from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
 from lftkit.systems.system import System
+
+EPS = float(np.finfo(float).eps)
+FLOOR = 1e-12
+"""Gain beside that of the difference of two systems, whose own may be rounding alone."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +35,9 @@ class NuGap:
     Attributes
     ----------
     value, upper : float
-        ``value <= nu-gap <= upper``, of at most 1; both are 1 where the winding number is another. The upper side has
-        the rounding of the normalised factors, which is estimated at their poles and between them: with gains of 1e6
-        and more the sides are farther apart than 1e-7 of the value.
+        ``value <= nu-gap <= upper``, of at most 1; both are 1 where the winding number is another, and `upper` where
+        rounding leaves it open. The upper side has the rounding of the normalised factors, which is estimated at their
+        poles and between them: with gains of 1e6 and more the sides are farther apart than 1e-7 of the value.
     omega : float
         Frequency of the largest chordal distance [rad/s].
     same_winding : bool
@@ -79,17 +84,18 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     if one.D.shape != two.D.shape:
         raise InputError(f"systems must have the same size, got {one.D.shape} and {two.D.shape}")
     dt = common_period([one, two])
-    right, other = (right_coprime_factors(_continuous(system, dt), system.name) for system in (one, two))
-    flipped = right_coprime_factors(_transposed(_continuous(two, dt)), two.name)
+    plants = [_continuous(system, dt) for system in (one, two)]
+    right = right_coprime_factors(plants[0], one.name)
+    flipped = right_coprime_factors(_transposed(plants[1]), two.name)
     p, m = one.D.shape
     left = _transposed(flipped)
-    norm = hinf_norm(*_difference(left, right, p, m))
+    norm = hinf_norm(*_beside_floor(_difference(left, right, p, m)))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
-    value = min(_chordal_distance(left, right, norm.omega), 1.0)
+    value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
     upper = max(norm.upper / sqrt(remains), value) if remains > 0.0 else 1.0
-    same = _same_winding(right, other)
-    if not upper < 1.0:
+    same, certain = _same_winding(*plants)
+    if not (certain and upper < 1.0):
         return NuGap(value, 1.0, omega, same)
     return NuGap(value, upper, omega, True) if same else NuGap(1.0, 1.0, omega, False)
 
@@ -113,9 +119,24 @@ def _difference(left: Matrices, right: Matrices, p: int, m: int) -> Matrices:
     return whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D
 
 
-def _chordal_distance(left: Matrices, right: Matrices, omega: float) -> float:
-    """Of left factors ``[N2, M2]`` and right ones ``[N1; M1]`` at a frequency, normalised there."""
-    graph, other = refined_response(*right, omega), refined_response(*left, omega)
+def _beside_floor(system: Matrices) -> Matrices:
+    """The system with further outputs of gain :data:`FLOOR`: of equal systems the difference is rounding alone."""
+    A, B, C, D = system
+    m = D.shape[1]
+    return A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)])
+
+
+def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omega: float) -> list[ComplexArray]:
+    """``[G1; 1]`` and ``[G2, 1]`` at a frequency; the factors, with their rounding, where it is a pole of one."""
+    try:
+        first, second = (refined_response(*plant, omega) for plant in plants)
+    except ValueError:
+        return [refined_response(*factor, omega) for factor in factors]
+    return [np.vstack([first, np.eye(first.shape[1])]), np.hstack([second, np.eye(len(second))])]
+
+
+def _chordal_distance(graph: ComplexArray, other: ComplexArray) -> float:
+    """Of right factors ``[N1; M1]`` and left ones ``[N2, M2]`` at a frequency, normalised here."""
     p = len(other)
     swapped = np.hstack([-other[:, -p:], other[:, :-p]])
     inner, outer = linalg.qr(graph, mode="r")[0], linalg.qr(other.conj().T, mode="r")[0]
@@ -136,14 +157,28 @@ def _defect(factors: Matrices) -> float:
     return 2.0 * max(float(linalg.norm(U.conj().T @ U - unit, 2)) for U in responses)
 
 
-def _same_winding(first: Matrices, second: Matrices) -> bool:
-    """Whether ``[N2; M2]~ [N1; M1]``, regular on the axis, has as many zeros as poles in the right half-plane."""
+def _same_winding(first: Matrices, second: Matrices) -> tuple[bool, bool]:
+    """Whether ``[N2; M2]~ [N1; M1]``, regular on the axis, has as many zeros as poles in the right half-plane.
+
+    Its zeros are those of ``1 + G2~ G1``, whose matrix is formed without the factors and without a difference of large
+    numbers: of gains of 1e6 and more they leave no digits. The second value tells whether rounding leaves all zeros on
+    their side of the axis.
+    """
     A1, B1, C1, D1 = first
     A2, B2, C2, D2 = second
-    A = np.block([[A1, np.zeros((len(A1), len(A2)))], [C2.T @ C1, -A2.T]])
-    B, C, D = np.vstack([B1, C2.T @ D1]), np.hstack([D2.T @ C1, -B2.T]), D2.T @ D1
-    sizes = linalg.svdvals(D)
-    if not sizes[-1] > np.finfo(float).eps * sizes[0]:
-        return False
-    zeros = np.asarray(linalg.eigvals(A - B @ linalg.solve(D, C)) if len(A) else [], dtype=complex)
-    return bool(np.sum(zeros.real > 0.0) == len(A2))
+    inner = np.eye(D1.shape[1]) + D2.T @ D1
+    sizes = linalg.svdvals(inner)
+    if not sizes[-1] > EPS * sizes[0]:
+        return False, True
+    if not len(A1) + len(A2):
+        return True, True
+    by_states = linalg.solve(inner, np.hstack([D2.T @ C1, B2.T]))
+    mixed = C2.T @ linalg.solve(np.eye(len(D1)) + D1 @ D2.T, C1)
+    own, other = by_states[:, : len(A1)], by_states[:, len(A1) :]
+    matrix = np.block([[A1 - B1 @ own, -B1 @ other], [-mixed, C2.T @ D1 @ other - A2.T]])
+    matrix = linalg.matrix_balance(matrix, permute=False)[0]
+    found: Any = linalg.eig(matrix, left=True)
+    zeros, left, right = found
+    moved = np.sum(np.abs(left) * (np.abs(matrix) @ np.abs(right)), axis=0)
+    certain = np.all(np.abs(zeros.real * np.sum(left.conj() * right, axis=0)) > len(matrix) * EPS * moved)
+    return bool(np.sum(zeros.real > 0.0) == len(A2)), bool(certain)

@@ -176,7 +176,8 @@ def gain_profile(
         for w in frequencies:
             M = _response(unit, float(w))
             if search.disks:
-                gain, (values, _) = search.gain_of(_response(chosen, float(w)), samples)
+                at_end = float(w) in (0.0, math.inf, math.pi / chosen.dt if chosen.dt else math.inf)
+                gain, (values, _) = search.gain_of(_response(chosen, float(w)), samples, at_end)
             else:
                 gain, point = _worst_at(M, sizes, rng, samples)
                 values = [p.from_normalised(v) for p, v in zip(chosen.parameters, point)]

@@ -156,9 +156,16 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
 
 
 def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
-    """Without a bound where small weights of commands and measurements are needed."""
+    """Without a bound where small weights of commands and measurements are needed.
+
+    No controller is better than none where the plant has no gain; where the equations have no solution it is the best.
+    """
+    idle = _idle(given)
+    if idle is not None and idle.value == 0.0:
+        return replace(idle, lower=0.0)
     found = _best(given, generalised) if all(generalised.full_rank) else None
     found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
+    found = found or idle
     if found is None:
         raise InputError(
             f"{given.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
@@ -310,6 +317,16 @@ def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrde
         closed = given.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
+    value = norm_of_loop(closed)
+    return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
+
+
+def _idle(given: StandardPlant) -> FullOrderDesign | None:
+    """The controller without gain and states; None where its loop is not stable."""
+    shape = sum(port.size for port in given.commanded), sum(port.size for port in given.measured)
+    nothing = np.zeros((0, 0)), np.zeros((0, shape[1])), np.zeros((shape[0], 0)), np.zeros(shape)
+    controller = System(*nothing, given.measured, given.commanded, "K", dt=given.system.dt)
+    closed = given.closed(controller)
     value = norm_of_loop(closed)
     return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
 

@@ -122,6 +122,7 @@ def to_scipy(system: System) -> Any:
     """
     from scipy import signal
 
+    system = as_system(system)
     return signal.StateSpace(*system.matrices, **({"dt": system.dt} if system.dt else {}))
 
 
@@ -160,7 +161,7 @@ def as_sampled(system: System) -> SampledSystem:
 
 def to_json(system: System) -> str:
     """Text with everything of a system, its elements too, to the last bit: :func:`from_json` reads it."""
-    kinds = {cls: kind for kind, cls in _KINDS.items()}
+    system, kinds = as_system(system), {cls: kind for kind, cls in _KINDS.items()}
     content = {
         "format": FORMAT,
         "version": VERSION,

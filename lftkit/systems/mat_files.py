@@ -147,20 +147,33 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
             units = _texts(lower.get(f"{kind}unit"))
             if not any(labels):
                 labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
+            if len(labels) != count:  # labels of fewer signals would leave out columns or rows
+                raise InputError(f"{kind.capitalize()}Name must have {count} names, got {len(labels)}")
             ports, order = ports_of_labels([zero_based(x) for x in labels], None, kind)
             unit = _unit_of_ports([zero_based(x).partition("[")[0] for x in labels], units)
             sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
         (inputs, columns), (outputs, rows) = sides
-        dt = float(np.asarray(lower.get("ts", 0.0)).flat[0])
+        dt = _number(lower.get("ts", 0.0), "Ts")
         title = "".join(_texts(lower.get("name"))) or name
         right, below = (np.r_[np.arange(q), q + np.asarray(order)] for order in (columns, rows))
         matrices = A, B[:, right], C[below], D[np.ix_(below, right)]
         system = System(*matrices, inputs, outputs, title, dt, channels, elements)
-        return _in_own_units(system, elements) if np.all(lower.get("normalized", 1.0)) else system
+        normalised = _number(lower.get("normalized", 1.0), "Normalized")
+        if normalised not in (0.0, 1.0):
+            raise InputError(f"Normalized must be 0 or 1, got {normalised:g}")
+        return _in_own_units(system, elements) if normalised else system
     except (IndexError, TypeError) as error:
         raise InputError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _number(value: Any, key: str) -> float:
+    """The only entry of a field."""
+    entries = np.ravel(value)
+    if entries.size != 1 or entries.dtype.kind not in "biuf":
+        raise InputError(f"{key} must be a number, got {', '.join(map(str, entries[:3])) or 'none'}")
+    return float(entries[0])
 
 
 def _require_explicit(fields: Mapping[str, Any], name: str) -> None:

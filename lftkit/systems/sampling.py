@@ -43,10 +43,12 @@ def sampled(
     Raises
     ------
     ValueError
-        Unknown method, or a period that is not positive.
+        Unknown method, a period that is not positive, or a provenance that is no mapping.
     """
     s = _continuous(system, dt, method).nominal()
     matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
+    if provenance is not None and not isinstance(provenance, Mapping):
+        raise InputError(f"provenance must be a mapping, got {type(provenance).__name__}")
     return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,7 +92,12 @@ class System(Arithmetic):
             raise InputError(f"name must be text (channels= and elements= go by keyword), got {self.name!r}")
         for side in ("inputs", "outputs"):
             object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
-        object.__setattr__(self, "channels", tuple(self.channels))
+        for key, kind in (("channels", str), ("elements", Element)):
+            given = getattr(self, key)
+            if not isinstance(given, Iterable) or not all(isinstance(one, kind) for one in given):
+                what = "names" if kind is str else "elements"
+                raise InputError(f"{self.name}: {key} must be a sequence of {what}, got {given!r}"[:300])
+            object.__setattr__(self, key, tuple(given))
         object.__setattr__(self, "dt", as_number(self.dt, f"{self.name}: dt"))
         if not (np.isfinite(self.dt) and self.dt >= 0):
             raise InputError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
@@ -208,8 +213,16 @@ class System(Arithmetic):
         return np.asarray(linalg.eigvals(self.A), dtype=complex) if self.order else np.zeros(0, dtype=complex)
 
     def __call__(self, point: complex) -> Any:
-        """Transfer matrix (p, m) of the nominal system at s or z; of one input and one output a number."""
+        """Transfer matrix (p, m) of the nominal system at s or z; of one input and one output a number.
+
+        Raises
+        ------
+        ValueError
+            A point that is no finite number, or a pole.
+        """
         q = len(self.channels)
+        if not (isinstance(point, (complex, SupportsFloat)) and np.ndim(point) == 0 and np.isfinite(point)):
+            raise InputError(f"point must be a finite number, got {point!r}"[:200])
         value = lft.response((self.A, self.B[:, q:], self.C[q:], self.D[q:, q:]), point)
         return complex(value[0, 0]) if value.shape == (1, 1) else value
 
@@ -385,7 +398,9 @@ class System(Arithmetic):
 
     def sorted_channels(self, order: Sequence[str] | None = None) -> System:
         """The same LFT with the channels of each element adjacent, in the order of `order` (default: as stored)."""
-        names = list(order) if order is not None else [e.name for e in self.elements]
+        names = [e.name for e in self.elements] if order is None else list(order) if isinstance(order, Iterable) else []
+        if not set(self.channels) <= {name for name in names if isinstance(name, str)}:
+            raise InputError(f"order must name {', '.join(sorted(set(self.channels)))}, got {order!r}"[:300])
         q = len(self.channels)
         rank = {name: i for i, name in enumerate(names)}
         permutation = np.array(sorted(range(q), key=lambda i: rank[self.channels[i]]), dtype=int)

@@ -20,9 +20,9 @@ from lftkit.errors import InputError
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_piece
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
-from lftkit.proofs.state_space.cells import NARROW, Cell
+from lftkit.proofs.state_space.cells import NARROW, NO_SCALE, Cell
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
@@ -109,7 +109,7 @@ class _Axis:
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.system.nominal_stable():
             raise InputError(SEPARATE)
-        widths = [p.upper - p.lower for p in system.parameters]
+        widths = [p.upper - p.lower or NO_SCALE for p in system.parameters]
         whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
@@ -118,14 +118,14 @@ class _Axis:
         return cls(proof, model, disks, pieces)
 
     def prove(self, level: float, until: float, seed: int) -> bool:
-        """Prove the pieces that are left; True if none is left now."""
-        waiting, self.pieces = self.pieces, []
+        """Prove the pieces that are left, those of one band together; True if none is left now."""
+        waiting, self.pieces = _together(self.pieces), []
         options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_level(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
+            found = prove_piece(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
@@ -286,7 +286,20 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
 
 
+def _together(pieces: Sequence[Piece]) -> list[Piece]:
+    """Pieces that contain those given, one for all whose bands overlap: what a raised level needs is less bisected."""
+    found: list[Piece] = []
+    for beyond, box, (low, high) in sorted(pieces, key=lambda piece: (piece[0], piece[2])):
+        if found and found[-1][0] == beyond and low < found[-1][2][1]:
+            _, before, (first, last) = found[-1]
+            hull = tuple((min(a, c), max(b, d)) for (a, b), (c, d) in zip(before, box))
+            found[-1] = beyond, hull, (first, max(last, high))
+        else:
+            found.append((beyond, box, (low, high)))
+    return found
+
+
 def _widened(ends: Interval, width: float) -> Interval:
     """Deviations that contain those given, wide enough for scalings."""
-    least = NARROW * max(width, 1e-300)
+    least = NARROW * width
     return (min(ends[0], -least), max(ends[1], least)) if ends[1] - ends[0] < least else ends

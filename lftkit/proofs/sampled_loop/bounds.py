@@ -148,6 +148,20 @@ def prove_level(
         The box does not contain zero, the nominal member: a proof of it would be refused.
     """
     require_box(box)
+    return prove_piece(model, box, band, level, until=until, known=known, options=options)
+
+
+def prove_piece(
+    model: SearchedResponses,
+    box: Sequence[Interval],
+    band: Interval,
+    level: float,
+    *,
+    until: float = math.inf,
+    known: Sequence[Strip] = (),
+    options: BisectionOptions | None = None,
+) -> LoopBounds:
+    """As :func:`prove_level`, of a piece that an earlier attempt left; it need not contain the nominal member."""
     start, options = time.process_time(), options or BisectionOptions()
     slow, rng = SLOW * model.slowest, np.random.default_rng(options.seed)
     state = _State(model, level, until, options, rng, LoopBounds(), slow, Branching(model, level, until))

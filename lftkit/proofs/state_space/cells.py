@@ -24,6 +24,8 @@ from lftkit.systems.system import System
 
 NARROW = 1e-7
 """Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
+NO_SCALE = 1e-20
+"""Range, in the optimisation, of a parameter that has one value; in any unit it is without influence."""
 FREE, BOUND = 1e6, 1e-6
 """Entries of G above which it has run away in a direction that costs nothing, and the penalty that then holds it: where
 a parameter sees no state, or the states nothing, responses are real and their part of G has no effect."""
@@ -208,7 +210,7 @@ class CellTest:
     def _parameter_intervals(self, cell: Cell) -> tuple[FloatArray, FloatArray]:
         """Centres of (value - nominal) and half widths; of a disk zero and its radius."""
         ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
-        ranges = np.array([max(p.upper - p.lower, abs(p.nominal), 1e-300) for p in self.system.parameters])
+        ranges = np.array([p.upper - p.lower or NO_SCALE for p in self.system.parameters])
         widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
         centres = 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal)
         radii = [disk.radius for disk in self.disks]

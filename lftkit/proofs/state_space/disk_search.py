@@ -24,6 +24,7 @@ from lftkit.proofs.state_space.search import Member, member_gain
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
+from lftkit.uncertainty.elements import DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
 
 sl_optimize: Any = optimize
@@ -36,6 +37,9 @@ CLOSE = 0.5
 """Frequencies of the grid at which no element of less than twice the size asked for makes the loop singular are left
 out of the search; about others there may be one between the frequencies of the grid."""
 EVALUATIONS = 12
+NEAR, REAL_AT_ENDS = 1e-3, 1e-9
+"""Least frequency above zero over that of the slowest pole, and that of the fastest over the largest finite one; phase
+[rad] that counts as zero at the ends of the axis, where dynamics are real."""
 GAIN_STARTS = (2, 8)
 """Members with which the search for a gain at a frequency begins: on the grid, and at the best frequency."""
 FIRST, LATER = (1, 40), (4, 200)
@@ -101,7 +105,14 @@ class DiskSearch:
         poles = self.system.poles()
         (least, most), (low, high) = pole_range(poles, zero=0.0), self.band
         grid = frequency_grid(poles, 0.1 * least, 10.0 * most, points=GRID, offsets=(0.0,))
-        return np.asarray(np.unique([low, *grid[(grid >= low) & (grid <= high)], high]))
+        near = ([NEAR * min(least, high)] if low == 0.0 else []) + ([max(most, low) / NEAR] if high == np.inf else [])
+        grid = np.unique([low, *near, *grid[(grid >= low) & (grid <= high)], high])
+        return np.asarray(grid)
+
+    def _real_dynamics(self, values: Mapping[str, ComplexArray]) -> bool:
+        """Whether dynamics may have these values at an end of the axis."""
+        dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
+        return all(linalg.norm(value.imag) <= REAL_AT_ENDS * linalg.norm(value) for value in dynamics)
 
     def worst(
         self,
@@ -171,6 +182,8 @@ class DiskSearch:
         if found is None:
             return 0.0, None
         real, values = self._values(found)
+        if _at_end(omega) and not self._real_dynamics(values):
+            return 0.0, None
         nominal = np.array([p.nominal for p in self.system.parameters])
         return value, (nominal + real, values)
 
@@ -211,10 +224,10 @@ class DiskSearch:
         """Member of the box with the largest gain found."""
 
         def first(omega: float) -> tuple[float, Any]:
-            return self.gain_of(self.response(omega), GAIN_STARTS[0])
+            return self.gain_of(self.response(omega), GAIN_STARTS[0], _at_end(omega))
 
         value, omega, found = self.worst(first, lambda w, member: self._climbed_to(w, *member))
-        closely = self.gain_of(self.response(omega), GAIN_STARTS[1])
+        closely = self.gain_of(self.response(omega), GAIN_STARTS[1], _at_end(omega))
         value, found = max((value, found), closely, key=lambda pair: pair[0])
         return DiskMember(value, found[0], omega, found[1])
 
@@ -248,22 +261,26 @@ class DiskSearch:
 
     def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
         """That of an ascent from a member's real elements at one frequency."""
-        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks())
+        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks(_at_end(omega)))
         return DiskMember(value, found[0], omega, found[1])
 
-    def gain_of(self, M: ComplexArray, starts: int) -> tuple[float, Any]:
-        """Largest gain found from the response `M` of all channels, and the member: parameters (p,) and disks."""
+    def gain_of(self, M: ComplexArray, starts: int, at_end: bool = False) -> tuple[float, Any]:
+        """Largest gain found from the response `M` of all channels, and the member: parameters (p,) and disks.
+
+        `at_end`: M is that at an end of the axis, and so real; only members with real values are looked for.
+        """
         rng = np.random.default_rng(self.seed)
         points = [self.deviations.mean(axis=1)]
         points += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(starts - 1)]
-        found = [self._ascent(M, point, self._random_disks(rng)) for point in points]
+        found = [self._ascent(M, point, self._random_disks(at_end, rng)) for point in points]
         return max(found, key=lambda pair: pair[0])
 
-    def _random_disks(self, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
+    def _random_disks(self, at_end: bool, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
+        """Values of rank one on the surface; real ones at an end of the axis, and ascents from them stay real."""
         rng = rng or np.random.default_rng(self.seed)
         values = {}
         for disk in self.disks:
-            u, v = (rng.normal(size=n) + 1j * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
+            u, v = (rng.normal(size=n) + 1j * (not at_end) * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
             values[disk.name] = np.asarray(disk.radius * np.outer(u, v) / (linalg.norm(u) * linalg.norm(v)), complex)
         return values
 
@@ -336,6 +353,11 @@ class DiskSearch:
             else:
                 delta[own, own] = values[disk.name][0, 0]
         return delta
+
+
+def _at_end(omega: float) -> bool:
+    """Whether a frequency is an end of the axis, where the response and dynamics are real."""
+    return omega == 0.0 or math.isinf(omega)
 
 
 def about(system: System, point: FloatArray) -> System:

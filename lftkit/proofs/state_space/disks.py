@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -14,16 +15,19 @@ from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
-from lftkit.systems.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
 from lftkit.uncertainty.parameters import RealParameter
 
-REAL, REAL_AT_ENDS = 1e-9, 1e-5
-"""Phase [rad] that counts as zero, and at the ends of the axis, where dynamics are real."""
-NEAR, NEAR_OF_SAMPLES = 1e-9, 1e-6
-"""Frequency [rad/s] in the place of zero, and one over that of infinity; the same times half the period of samples,
-where poles must differ from z = 1 and -1."""
+REAL = 1e-9
+"""Phase [rad] that counts as zero."""
+CLEAR = 1e-12
+"""Distance of poles of sampled dynamics from z = 1 and -1; phases that would need a smaller one count as zero."""
+AT_ENDS = 1e-6
+"""Frequency [rad/s] in the place of zero, and one over that of infinity, where dynamics are real; of samples that times
+half the period."""
+NEAREST = 1e-9
+"""Least frequency of samples, times half the period, at which dynamics have a value; and one over the largest."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,8 @@ def scaled_radii(system: System, factor: float) -> dict[str, float]:
 def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System:
     """Stable dynamics of the same largest gain at all frequencies whose value at one of them is a matrix of rank one.
 
-    ``u v*`` becomes ``a(s) b(s)'``, the entries of a and b all-pass systems ``g (s - c) / (s + c)``.
+    ``u v*`` becomes ``a(s) b(s)'``, the entries of a and b all-pass systems ``g (s - c) / (s + c)``. At the ends of the
+    axis, where dynamics are real, a value that is not real is that nearby.
 
     Parameters
     ----------
@@ -141,33 +146,40 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     (True, 1)
     """
     where = warped_frequency(omega, dt) if dt else omega
-    ends = (2.0 / dt * NEAR_OF_SAMPLES, 2.0 / dt / NEAR_OF_SAMPLES) if dt else (NEAR, 1.0 / NEAR)
+    half = 0.5 * dt or 1.0
+    at, clear = half * abs(where), CLEAR if dt else 0.0
+    if not 0.0 < at < math.inf:
+        at = AT_ENDS if at == 0.0 else 1.0 / AT_ENDS
+    elif dt:
+        at = min(max(at, NEAREST), 1.0 / NEAREST)
+    least = max(REAL, 2.0 * clear * max(at, 1.0 / at))
     given = np.atleast_2d(np.asarray(matrix, complex))
     left, sizes, right = linalg.svd(given)
-    (A, B, C, D), (E, F, G, H) = _all_passes(left[:, 0], where, ends), _all_passes(right[0], where, ends)
+    (A, B, C, D), (E, F, G, H) = (_all_passes(side, at / half, least, dt) for side in (left[:, 0], right[0]))
     # b(s)' with an input for each entry, then a(s) with one
     first = E, G.T, F.T, H[None, :]
     dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
     into, out = np.vstack([first[1], B @ first[3]]), np.hstack([D[:, None] @ first[2], C])
     whole = dynamics, into, sizes[0] * out, sizes[0] * D[:, None] @ first[3]
-    member = System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics")
-    return discretise(member, dt) if dt else member
+    return System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics", dt=dt)
 
 
-def _all_passes(values: ComplexArray, omega: float, ends: tuple[float, float]) -> Matrices:
+def _all_passes(values: ComplexArray, omega: float, least: float, dt: float) -> Matrices:
     """All-pass systems (k,) of one input with values of these phases at a frequency, times their magnitudes.
 
-    At the `ends` of the axis and beyond, where they are real, phases are those of the frequency there.
+    Phases below `least` [rad] count as zero. With a period they are images of the bilinear map, at whose axis `omega`
+    is, formed from their poles: next to 1 the gain is that of the poles as they are rounded.
     """
     size, phase = np.abs(values), np.angle(values)
-    at = min(max(abs(omega), ends[0]), ends[1])
-    least = REAL if ends[0] < at < ends[1] else REAL_AT_ENDS
     real = np.minimum(np.abs(phase), np.pi - np.abs(phase)) < least
     sign = np.where(real, np.where(np.abs(phase) < 1.0, 1.0, -1.0), np.where(phase > 0.0, 1.0, -1.0))
     # the phase of (s - c) / (s + c) is pi - 2 atan(omega / c)
     turned = np.where(phase > 0.0, phase, phase + np.pi)[~real]
-    corner = at / np.tan(0.5 * (np.pi - turned))
+    corner = omega / np.tan(0.5 * (np.pi - turned))
     own, gain = np.flatnonzero(~real), sign * size
-    out = np.zeros((len(values), len(own)))
-    out[own, np.arange(len(own))] = -2.0 * corner * gain[own]
-    return np.diag(-corner), np.ones((len(own), 1)), out, gain
+    # in discrete time it is (a z - 1) / (z - a)
+    pole = (1.0 - 0.5 * dt * corner) / (1.0 + 0.5 * dt * corner) if dt else -corner
+    out, through = np.zeros((len(values), len(own))), gain.copy()
+    out[own, np.arange(len(own))] = gain[own] * (-(1.0 - pole) * (1.0 + pole) if dt else -2.0 * corner)
+    through[own] *= pole if dt else 1.0
+    return np.diag(pole), np.ones((len(own), 1)), out, through

@@ -129,8 +129,11 @@ def positive(matrix: ComplexArray | FloatArray, rest: FloatArray, factor: float 
         return bool(INFLATE * wrong + TINY < shift)
 
 
-def definite_ratio(matrix: Ball) -> float:
-    """Margin of positive definiteness over the bound of all rounding, as a power of two; 0 if it is not certain."""
+def definite_ratio(matrix: Ball, enough: float = 2.0**58) -> float:
+    """Margin of positive definiteness over the bound of all rounding, as a power of two; 0 if it is not certain.
+
+    No margin above `enough` is looked for.
+    """
     n, diagonal = len(matrix.mid), np.diag(matrix.mid)
     if n == 0:
         return math.inf
@@ -139,6 +142,6 @@ def definite_ratio(matrix: Ball) -> float:
     scale = np.exp2(-np.round(0.5 * np.log2(diagonal)))  # powers of two: exact, but for what gets too small
     mid, rad = (part * scale[:, None] * scale for part in (matrix.mid, matrix.rad))
     rad, factor = rad + UNIT * np.abs(mid) + TINY, 1.0
-    while factor < 2.0**60 and positive(mid, rad, factor):
+    while factor <= enough and positive(mid, rad, factor):
         factor *= 4.0
     return factor / 4.0 if factor > 1.0 else 0.0

@@ -21,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lftkit.proofs.trusted.arithmetic import UNIT, positive
+from lftkit.proofs.trusted.arithmetic import UNIT, Ball, definite_ratio, embedded, positive
 from lftkit.proofs.trusted.polynomials import ORDER, Polynomial, constant, linear, span, windows_with
 from lftkit.proofs.trusted.proof import (
     COMPLEX,
@@ -167,7 +167,7 @@ def scalings_allowed(strip: Strip, angle: Sequence[bool]) -> bool:
         if turns and is_circle(*ends):
             if np.any(D):
                 return False
-        elif not all(np.any(d) and positive(d / np.abs(d).max(), np.zeros(d.shape)) for d in D):
+        elif not all(definite_ratio(Ball(embedded(d)), enough=1.0) > 0.0 for d in D):
             return False
     return bool(np.all(np.isfinite(strip.factor)) and np.all(strip.factor > 0.0))
 

@@ -176,3 +176,24 @@ def test_plants_of_large_gain_have_the_gap_of_their_responses(seed: int) -> None
         assert all(distance <= gap.upper * (1.0 + 1e-9) for gap in gaps)
     assert max(gap.value for gap in gaps) <= min(gap.upper for gap in gaps) * (1.0 + 1e-9)
     assert all(gap.upper <= 1.5 * gap.value for gap in gaps)
+
+
+def test_equal_systems_have_no_gap_but_rounding() -> None:
+    """Of one in thirty the difference was rounding alone, and its norm had not settled."""
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        system = random(rng, int(rng.integers(2, 6)), (1, 1))
+        gap = nu_gap(system, system)
+        assert gap.same_winding and 0.0 <= gap.value <= gap.upper < 1e-5
+
+
+@pytest.mark.parametrize("seed", [10, 17, 32, 50])
+def test_the_winding_number_of_large_gains_is_not_that_of_rounding(seed: int) -> None:
+    """Gains of 1e8: in one of both orders the gap was stated as 1, by zeros that rounding had moved over the axis."""
+    rng = np.random.default_rng(seed)
+    given = [random(rng, 3, (2, 1)) for _ in range(2)]
+    large = [System(g.A, g.B, 1e8 * g.C, 0.0 * g.D, g.inputs, g.outputs) for g in given]
+    for first, second in (large, large[::-1]):
+        gap = nu_gap(first, second)
+        graphs = [np.vstack([g.response([gap.omega])[0], np.eye(1)]) for g in (first, second)]
+        assert gap.value == pytest.approx(np.sin(linalg.subspace_angles(*graphs)).max(), rel=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,7 @@ from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.proofs import BoundOptions, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
-from lftkit.proofs.axis.bounds import axis_takes, modal_form
+from lftkit.proofs.axis.bounds import _Axis, axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.trusted.axis import check_axis_proof
 from lftkit.proofs.trusted.proof import REAL, ProofError
@@ -170,6 +171,16 @@ def test_levels_and_boxes() -> None:
     assert late.upper == np.inf and late.status == "out_of_time" and late.uncovered
     with pytest.raises(ValueError, match="nominal member must be in the box"):
         axis_gain(system, {"k0": (1.5, 2.0)})
+
+
+def test_what_a_level_leaves_is_proven_for_a_higher_one() -> None:
+    """A spring in [0.8, 1.2] and a damper of 0.1: pieces without the nominal one are left."""
+    k = RealParameter("k", 1.0, 0.8, 1.2)
+    A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
+    mode = System(A, B, C, np.zeros((2, 2)), [("f", 1)], [("x", 1)], channels=("k",), elements=(k,))
+    axis = _Axis.of(mode, "gain", [(0.8, 1.2)], (0.9, 1.0))
+    assert not axis.prove(11.0, math.inf, 0) and axis.worst is not None and 11.0 <= axis.worst.gain < 11.2
+    assert axis.prove(13.0, math.inf, 0) and check_axis_proof(axis.finished(13.0)).level == 13.0
 
 
 @pytest.mark.further

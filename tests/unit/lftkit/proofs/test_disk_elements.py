@@ -25,8 +25,10 @@ from lftkit.proofs import (
     stability_profile,
     worst_case_gain,
 )
-from lftkit.proofs.state_space.bounds import smallest_unstable
-from lftkit.proofs.state_space.disks import dynamics_with
+from lftkit.proofs.state_space.bounds import named_member, smallest_unstable
+from lftkit.proofs.state_space.cover import WHOLE
+from lftkit.proofs.state_space.disk_search import DiskSearch
+from lftkit.proofs.state_space.disks import dynamics_with, real_first
 from lftkit.proofs.trusted.cells import digest
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
@@ -250,6 +252,17 @@ def test_real_and_complex_numbers_keep_a_gain_by_hand() -> None:
     assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5)
 
 
+@pytest.mark.parametrize("corner", [1.0, 1e-10])
+def test_the_gain_that_a_frequency_is_said_to_have_is_reached_there(corner: float) -> None:
+    """(1 - f^2) / (s / corner + 1), |f| <= 1/2: 5/4 is approached, for f = j / 2, next to zero; at zero f is real."""
+    f = dynamic("f", bound=0.5)
+    system = ((1 + f) * (1 - f) / (s / corner + 1)).system("u", "y")
+    found = DiskSearch(real_first(system), [], WHOLE, 0).largest_gain()
+    values = named_member(system, found)
+    assert found.gain == pytest.approx(1.25, rel=1e-5) and found.frequency > 0.0
+    assert abs(system.at(values).response([found.frequency])[0, 0, 0]) == pytest.approx(found.gain, rel=1e-9)
+
+
 @pytest.mark.parametrize("phase", [2e-9, 1e-3, 2.0, np.pi - 1e-7])
 @pytest.mark.parametrize("end", [0.0, 1.0])
 def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, end: float) -> None:
@@ -258,6 +271,8 @@ def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, 
     member = dynamics_with(np.array([[value]]), end * np.pi / dt, dt)
     assert np.abs(member.poles()).max(initial=0.0) < 1.0 - 1e-13
     assert hinf_norm(*member.matrices, dt=dt).value == pytest.approx(0.4, rel=1e-9)
+    for z in (1.0, -1.0):  # the poles are next to one of them, 1e-5 of the gain had been lost
+        assert abs(member(z)) == pytest.approx(0.4, rel=1e-12)
     near = abs(end * np.pi - 2e-6) / dt  # tan(omega dt / 2) is 1e-6, or one over it
     assert abs(member.response([near])[0, 0, 0] - value) < 0.4 * 1.1e-5
 

@@ -42,6 +42,27 @@ def test_gain_of_zero_is_proven_to_be_negligible(method: str, driven: bool, into
     assert check_proof(bounds.proof).level == bounds.upper
 
 
+def test_a_proof_with_an_occurrence_without_influence_is_accepted() -> None:
+    """y = u / (s + 1 - p); p occurs again without effect, with an entry of D of 1e-28 beside 1 that was refused."""
+    p = RealParameter("p", 0.0, -0.5, 0.5)
+    B, C, D = [[1.0, 0.0, 1.0]], [[1.0], [1.0], [1.0]], np.zeros((3, 3))
+    lag = System([[-1.0]], B, C, D, [("u", 1)], [("y", 1)], channels=("p", "p"), elements=(p,))
+    bounds = worst_case_gain(lag, options=BoundOptions(method="axis"))
+    assert bounds.lower == pytest.approx(2.0, rel=1e-6) and check_proof(bounds.proof).level == bounds.upper
+
+
+@pytest.mark.parametrize("method", ["cells", "axis"])
+@pytest.mark.parametrize(("value", "unit"), [(0.0, 1.0), (-1e6, 1e6)])
+def test_a_parameter_with_one_value_changes_no_gain(method: str, value: float, unit: float) -> None:
+    """y = u / (s + 1 - p) with p in [-1/2, 1/2] beside a parameter, strong in its unit, that is constant."""
+    p, constant = RealParameter("p", 0.0, -0.5, 0.5), RealParameter("c", value, value, value)
+    B, C, D = [[1.0, unit, 1.0]], [[1.0], [1.0], [1.0]], [[0.0, 0.0, 0.0], [0.0, 0.3 * unit, 0.1], [0.0, 0.2, 0.0]]
+    lag = System([[-1.0]], B, C, D, [("u", 1)], [("y", 1)], channels=("p", "c"), elements=(p, constant))
+    bounds = worst_case_gain(lag, options=BoundOptions(method=method))
+    assert bounds.lower == pytest.approx(2.0, rel=1e-6) and bounds.upper <= 2.1
+    assert check_proof(bounds.proof).box["c"] == (value, value)
+
+
 def test_gain_of_zero_is_proven_in_discrete_time() -> None:
     bounds = worst_case_gain(reducible(0.1, False, True, 0.0, 1.0), options=BoundOptions(max_tests=200))
     assert bounds.status == "closed" and bounds.lower == 0.0 and bounds.upper <= 1e-8

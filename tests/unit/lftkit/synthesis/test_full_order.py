@@ -341,3 +341,12 @@ def test_no_warning_reaches_the_user(seed: int) -> None:
     plant = random_plant(seed, 2 + seed % 7, bool(seed % 2))
     hinfsyn(plant, "y", "u")
     _least_to_the_last_bit(plant)
+
+
+@pytest.mark.parametrize(("states", "dt"), [(0, 0.0), (1, 0.0), (1, 0.1)])
+def test_no_controller_is_the_best_of_a_plant_without_gain(states: int, dt: float) -> None:
+    """z = u, y = w: the static plant was refused, beside a mode it was a division by zero."""
+    B, ports = np.zeros((states, 2)), ([("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    plant = System(-0.1 * np.eye(states), B, B.T, [[0.0, 1.0], [1.0, 0.0]], *ports, dt=dt)
+    found = hinfsyn(plant, "y", "u")
+    assert found.value == found.lower == 0.0 and found.controller.order == 0 and not found.controller.D.any()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import io
 
-from lftkit import RealParameter, System, dynamic, read_mat, real, s, write_mat
+from lftkit import InputError, RealParameter, System, dynamic, read_mat, real, s, write_mat
 
 
 def spring() -> System:
@@ -83,3 +83,27 @@ def test_dynamics_are_not_written(tmp_path: Path) -> None:
     uncertain = ((1 + dynamic("d", bound=0.2)) / (s + 1)).system("u", "y")
     with pytest.raises(ValueError, match="real"):
         write_mat(tmp_path / "p.mat", P=uncertain)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("InputName", ["u1", "u2"], "InputName must have 3 names, got 2"),
+        ("OutputName", ["y1", "y2", "y3"], "OutputName must have 2 names, got 3"),
+        ("Ts", [0.1, 0.2], "Ts must be a number, got 0.1, 0.2"),
+        ("Ts", 1j, "Ts must be a number, got"),
+        ("Normalized", "no", "Normalized must be a number, got no"),
+        ("Normalized", np.nan, "Normalized must be 0 or 1, got nan"),
+    ],
+)
+def test_a_field_that_would_make_another_system_is_refused(
+    tmp_path: Path, field: str, value: Any, message: str
+) -> None:
+    """Names of fewer signals left out the columns behind them; two periods were the first."""
+    names = {"InputName": ["u1", "u2", "u3"], "OutputName": ["y1", "y2"]}
+    content = {"A": [[-1.0]], "B": np.ones((1, 3)), "C": np.ones((2, 1)), "D": np.zeros((2, 3)), **names}
+    content[field] = value
+    named = {k: np.array(v, object) if k in names else v for k, v in content.items()}
+    io.savemat(tmp_path / "plant.mat", named)
+    with pytest.raises(InputError, match=message):
+        read_mat(tmp_path / "plant.mat")
