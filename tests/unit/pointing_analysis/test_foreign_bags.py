@@ -48,7 +48,7 @@ REQUIREMENTS = (
 NOT_PLAIN = (
     (2, r"PL_CDR \(.*big"),
     (3, r"PL_CDR \(.*little"),
-    *((kind, "XCDR2") for kind in range(6, 12)),
+    *((kind, "XCDR2") for kind in (6, 11)),
     (99, "an unknown encapsulation"),
 )
 Payload = Callable[[int, float, float], bytes]

@@ -206,10 +206,3 @@ def test_a_path_that_cannot_exist_is_a_mistake(call: Call, bag: Path, line: str,
     code, out, err = call(*(word.format(name) for word in line.split()))
     assert code == 2 and out == "" and one_line(err), err
     assert sorted(bag.parent.rglob("*")) == before
-
-
-def test_a_symbolic_link_in_a_bag_is_not_followed(bag: Path, tmp_path: Path) -> None:
-    (bag / "bag_0.mcap").rename(tmp_path / "outside.mcap")
-    (bag / "bag_0.mcap").symlink_to(tmp_path / "outside.mcap")
-    with pytest.raises(ValueError, match=r"a rosbag2 folder must hold .mcap files, got links to files only"):
-        Run.open(bag)

@@ -244,10 +244,8 @@ def models(module: str) -> str:
     [
         {"k_fsm": "{}:OBSERVER", "k_pma": "{}:LAW"},
         {"k_fsm": "{}:WithModel", "k_pma": "{}:ForceLaw"},
-        {"k_fsm": "{}:WithModel"},
-        {"k_pma": "{}:ForceLaw"},
     ],
-    ids=["systems", "classes", "observer", "law"],
+    ids=["systems", "classes"],
 )
 def test_a_law_with_a_model_starts_and_is_judged_as_its_file(models: str, laws: dict[str, str]) -> None:
     """The same tone, and the same line of sight from the first sample on."""
