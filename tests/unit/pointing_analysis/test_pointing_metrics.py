@@ -45,14 +45,6 @@ def test_circular_motion_has_no_rpe_in_the_norm_and_all_of_it_in_the_vector(tmp_
     assert figures.ape_max == pytest.approx(0.1, rel=5e-3)
 
 
-@pytest.mark.parametrize("frequency", [0.3, 2.2, 9.1])
-def test_drift_of_a_tone(frequency: float) -> None:
-    drift = metrics.rms(metrics.pde(tone(frequency), DT, 0.02, 0.1))[0]
-    window_mean, difference = np.sinc(frequency * 0.02), 2 * abs(np.sin(np.pi * frequency * 0.1))
-    expected = window_mean * difference / np.sqrt(2)
-    assert drift == pytest.approx(expected, rel=5e-3)
-
-
 def test_transient_is_dropped_explicitly(tmp_path) -> None:
     los = np.zeros((3000, 2))
     los[:500] = 1.0
