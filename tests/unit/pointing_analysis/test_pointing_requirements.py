@@ -70,6 +70,7 @@ def test_too_short_a_run_is_never_compliant_and_says_how_long_it_takes(noise_run
     assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.98)]).status == "compliant"
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("pole", [slow(0.0), 0.9])
 def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
