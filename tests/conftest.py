@@ -78,6 +78,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         give_way(item.nodeid)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files of further tests are not imported where none of them is asked for."""
+    if "not further" in config.option.markexpr and is_further(collection_path.relative_to(config.rootpath).as_posix()):
+        return True
+    return None
+
+
 class DoctestsWhereExamplesAre:
     """With ``--doctest-modules`` a module without examples is neither imported nor searched for them."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
@@ -58,6 +59,9 @@ GENERATED = r"<!-- ([\w:]+?)(?::begin)? -->.*?<!-- (?:\1:)?end -->"
 """Text between markers, written by commands and benchmarks."""
 
 
+COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+
+
 def relative(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
@@ -92,13 +96,12 @@ def is_generic(path: str) -> bool:
     return "/" not in path and any(any(folder.glob(f"**/{path}")) for folder in folders)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_named_files_exist(page: Path) -> None:
+def missing_files(page: Path) -> set[str]:
     allowed = (
         MADE | (INSIDE_BAGS if "bags" in page.parts else set()) | (REPLACED if page.stem == "CHANGELOG" else set())
     )
     missing = {path for path in named_files(page.read_text("utf-8")) - allowed if not exists(path)}
-    assert not {path for path in missing if not is_generic(path)}
+    return {path for path in missing if not is_generic(path)}
 
 
 def is_test(name: str) -> bool:
@@ -107,10 +110,9 @@ def is_test(name: str) -> bool:
     return any(m.stem == name or re.search(rf"^def {name}\b", m.read_text("utf-8"), re.MULTILINE) for m in modules)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_named_tests_exist(page: Path) -> None:
+def missing_tests(page: Path) -> set[str]:
     names = {span for span in code_spans(page.read_text("utf-8")) if re.fullmatch(r"test_\w+", span)}
-    assert not {name for name in names if not is_test(name)}
+    return {name for name in names if not is_test(name)}
 
 
 def named_objects(text: str, changelog: bool) -> set[str]:
@@ -152,10 +154,9 @@ def is_field(name: str) -> bool:
         return False
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_named_objects_exist(page: Path) -> None:
+def missing_objects(page: Path) -> set[str]:
     names = named_objects(page.read_text("utf-8"), page.stem == "CHANGELOG")
-    assert not {name for name in names if not is_object(name)}
+    return {name for name in names if not is_object(name)}
 
 
 REFERENCE = re.compile(r":(?:mod|func|class|data|meth|attr|exc):`~?(\w+(?:\.\w+)+)`")
@@ -173,12 +174,10 @@ def test_objects_that_docstrings_name_exist() -> None:
     assert found == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_links_have_targets(page: Path) -> None:
+def links_without_target(page: Path) -> list[str]:
     text = without_blocks(page.read_text("utf-8"))
     links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text)
-    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
-    assert not missing
+    return [link for link in links if "://" not in link and not (page.parent / link).exists()]
 
 
 def named_commands(text: str) -> list[str]:
@@ -214,35 +213,46 @@ def check_command(line: str, commands: dict[str, Any]) -> str:
     return ""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_named_commands_exist(page: Path) -> None:
-    commands = get_command(app).commands  # type: ignore[attr-defined]
-    problems = {line: check_command(line, commands) for line in named_commands(page.read_text("utf-8"))}
-    assert not {line: problem for line, problem in problems.items() if problem}
+def wrong_commands(page: Path) -> list[str]:
+    problems = (check_command(line, COMMANDS) for line in named_commands(page.read_text("utf-8")))
+    return [problem for problem in problems if problem]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_page_refers_to_the_glossary(page: Path) -> None:
+def does_not_refer_to_the_glossary(page: Path) -> bool:
     with_it = page.name == "reference.md" or page.parent.name == "extend"
-    assert with_it or "reference.md#glossary)" in page.read_text("utf-8")
+    return not with_it and "reference.md#glossary)" not in page.read_text("utf-8")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_prose_lines_are_short(page: Path) -> None:
+def long_lines(page: Path) -> list[str]:
     """Lines of prose have fewer than 120 characters; tables, code, images, HTML and generated text may be longer."""
     text = re.sub(GENERATED, "", without_blocks(page.read_text("utf-8")), flags=re.DOTALL)
     prose = [line for line in text.splitlines() if not re.match(r" {4}|\s*[|<!]", line)]
-    assert not [line for line in prose if len(line) >= 120]
+    return [line for line in prose if len(line) >= 120]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_tables_are_whole(page: Path) -> None:
-    """Each begins with a head and its separator; all rows have as many cells."""
+def broken_tables(page: Path) -> list[str]:
+    """First rows of those without a head and its separator, or with rows of different numbers of cells."""
     text = re.sub(r"\\\||`[^`\n]*`", "", without_blocks(page.read_text("utf-8")))
-    for table in re.findall(r"^\|.*(?:\n\|.*)*", text, re.MULTILINE):
-        rows = table.splitlines()
-        assert len(rows) > 2 and re.fullmatch(r"\|[\s:|-]+\|", rows[1]), rows[0]
-        assert len({row.count("|") for row in rows}) == 1, rows[0]
+    tables = [table.splitlines() for table in re.findall(r"^\|.*(?:\n\|.*)*", text, re.MULTILINE)]
+    headed = [len(rows) > 2 and re.fullmatch(r"\|[\s:|-]+\|", rows[1]) for rows in tables]
+    return [rows[0] for rows, head in zip(tables, headed) if not head or len({row.count("|") for row in rows}) > 1]
+
+
+RULES: tuple[Callable[[Path], object], ...] = (
+    missing_files,
+    missing_tests,
+    missing_objects,
+    links_without_target,
+    wrong_commands,
+    does_not_refer_to_the_glossary,
+    long_lines,
+    broken_tables,
+)
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
+def test_pages_keep_the_rule(rule: Callable[[Path], object]) -> None:
+    assert {relative(page): found for page in PAGES if (found := rule(page))} == {}
 
 
 def test_the_pages_are_few_and_short() -> None:
@@ -258,10 +268,10 @@ def test_the_checks_find_mistakes() -> None:
     assert named_files("see `lftkit/no_such.py` and `run x/y.toml now`") == {"lftkit/no_such.py", "x/y.toml"}
     assert not exists("lftkit/no_such.py")
     assert named_objects("`lftkit.no_such`", False) == {"lftkit.no_such"} and not is_object("lftkit.no_such")
-    assert not is_test("test_no_such") and is_test("test_faults") and is_test("test_named_tests_exist")
+    assert not is_test("test_no_such") and is_test("test_faults") and is_test("test_pages_keep_the_rule")
     assert exists("los_testbed/config/run_config.py")
     assert exists("los_estimator/designs/*.json")
-    commands = get_command(app).commands  # type: ignore[attr-defined]
+    commands = COMMANDS
     assert check_command("desing verify", commands) == "no command 'desing'"
     assert check_command("design verfy", commands) == "no command 'design' 'verfy'"
     assert check_command("run --k-fms x.json", commands) == "run has no option --k-fms"

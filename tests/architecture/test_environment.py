@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from support.scripts import script
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -36,11 +36,7 @@ def entries(lock: str) -> dict[str, set[str]]:
 
 @pytest.fixture
 def install() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("install", ENVIRONMENT / "install.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(ENVIRONMENT / "install.py")
 
 
 @pytest.mark.parametrize("lock", ["run.lock", "everything.lock", "uv.lock"])

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from importlib.metadata import PathDistribution
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from support.scripts import script
 
-SCRIPT = Path(__file__).parents[2] / ".ci" / "licences.py"
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("licences_in_ci", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = made
-    spec.loader.exec_module(made)
-    return made
+licences = script(Path(__file__).parents[2] / ".ci" / "licences.py")
 
 
 def package(folder: Path, name: str, *lines: str, licence: str = "") -> PathDistribution:
@@ -32,9 +20,7 @@ def package(folder: Path, name: str, *lines: str, licence: str = "") -> PathDist
     return PathDistribution(info)
 
 
-def test_each_place_in_which_a_licence_is_stated_is_found(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_place_in_which_a_licence_is_stated_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "share" / "std_msgs").mkdir(parents=True)
     (tmp_path / "share" / "std_msgs" / "package.xml").write_text("<license>Apache License 2.0</license>")
     packages = [
@@ -43,21 +29,21 @@ def test_each_place_in_which_a_licence_is_stated_is_found(
         package(tmp_path, "ros-jazzy-std-msgs"),
         package(tmp_path, "FMPy", licence="Redistribution and use in source and binary forms, with"),
     ]
-    assert script.main(packages, tmp_path / "share") == 0
+    assert licences.main(packages, tmp_path / "share") == 0
     out = capsys.readouterr().out
     for words in ("MIT", "BSD License", "share/std_msgs/package.xml", "BSD-2-Clause", "4 packages, 2 without"):
         assert words in out
 
 
 def test_a_package_without_a_licence_and_a_false_entry_are_named(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     packages = [
         package(tmp_path, "nothing"),
         package(tmp_path, "FMPy", licence="all rights reserved"),
         package(tmp_path, "cpylog", "License-Expression: MIT"),
     ]
-    assert script.main(packages, tmp_path) == 1
+    assert licences.main(packages, tmp_path) == 1
     err = capsys.readouterr().err
     assert "nothing 1.0: no licence in metadata or package.xml" in err
     assert "FMPy 1.0: licenses/LICENSE.txt has not the words stated" in err

@@ -176,7 +176,7 @@ def test_any_command_line(folder: Path, data: st.DataObject) -> None:
 
 
 @given(value=VALUES, key=st.sampled_from(["A", "D", "dt", "inputs", "version", "design_basis", "provenance", "name"]))
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_value_in_a_controller(folder: Path, value: object, key: str) -> None:
     content = json.loads((folder / "k_fsm.json").read_text())
     content[key] = value
@@ -190,7 +190,7 @@ KEYS = ["relative_file_paths", "files", "version", "compression_mode", "topics_w
 
 
 @given(value=VALUES, where=st.lists(st.sampled_from(KEYS), max_size=2))
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_value_in_metadata_yaml(folder: Path, value: object, where: list[str]) -> None:
     file = folder / "bag" / "metadata.yaml"
     good = file.read_text()
@@ -205,7 +205,7 @@ def test_any_value_in_metadata_yaml(folder: Path, value: object, where: list[str
 
 
 @given(value=VALUES)
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_value_in_a_configuration_or_requirement_file(folder: Path, value: object) -> None:
     for name, content in (
         ("c.yaml", value),
@@ -241,7 +241,7 @@ ENTRIES = [
 @given(
     value=VALUES, place=st.sampled_from(ENTRIES), kind=st.sampled_from(["{} = {}", "{}.x = {}", "[[{}]]\nname = {}"])
 )
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple[str, str], kind: str) -> None:
     table, key = place
     where = f"{table}.{key}" if kind.startswith("[[") else key
@@ -251,7 +251,7 @@ def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple
 
 
 @given(value=VALUES, key=st.sampled_from(["", "requirement", "name", "text", "contribution", "budget", "version"]))
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, value: object, key: str) -> None:
     (folder / "own.toml").write_text(f"{key or 'requirement.x'} = {as_toml(value)}\n", "utf-8")
     check(
@@ -264,7 +264,7 @@ def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, valu
     text=st.text(st.characters(codec="utf-8"), max_size=200)
     | st.sampled_from(["[" * 9000, "a = " + "[" * 9000, "a." * 5000 + "b = 1"])
 )
-@examples(20, times=QUICK)
+@examples(12, times=QUICK)
 def test_any_text_as_a_file(folder: Path, text: str) -> None:
     for name, arguments in (
         ("t.toml", ["plant", "--parameters=FILE"]),

@@ -14,6 +14,7 @@ from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.identity import identity
+from support.command_line import refused
 
 pytest.importorskip("cryptography")
 
@@ -73,15 +74,6 @@ def address(own: Authority) -> Iterator[str]:
         yield started.scheduler_address
 
 
-def refused(options: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line that a campaign ends with before anything is computed."""
-    with pytest.raises(SystemExit) as stopped:
-        main(["campaign", *options])
-    (line,) = capsys.readouterr().err.splitlines()
-    assert stopped.value.code == 2
-    return line
-
-
 def test_rows_of_a_scheduler_with_certificates_are_those_of_this_process(
     own: Authority, address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,7 +105,7 @@ def test_certificate_of_another_authority_is_refused_in_one_line(
     for authority, shown, reason in ((own, other, unknown), (other, own, "certificate verify failed")):
         certificate, key = shown.sign("me")
         files = [f"--tls-ca-file={authority.file}", f"--tls-cert={certificate}", f"--tls-key={key}"]
-        line = refused([f"--scheduler={address}", *files, f"--output={tmp_path / 'c'}"], capsys)
+        line = refused(capsys, "campaign", f"--scheduler={address}", *files, f"--output={tmp_path / 'c'}")
         assert message in line and reason in line
     assert not (tmp_path / "c").exists()
 
@@ -122,12 +114,11 @@ def test_scheduler_with_certificates_is_not_reached_without(
     address: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("los_testbed.campaign.execution.CONNECT", 2.0)
-    line = refused([f"--scheduler={address}"], capsys)
+    line = refused(capsys, "campaign", f"--scheduler={address}")
     assert f"--tls-ca-file and --tls-cert must be given with {address}, got none" in line
     plain = address.replace("tls://", "tcp://")
-    assert f"scheduler must be the address of a running Dask scheduler, got {plain}: " in refused(
-        [f"--scheduler={plain}"], capsys
-    )
+    line = refused(capsys, "campaign", f"--scheduler={plain}")
+    assert f"scheduler must be the address of a running Dask scheduler, got {plain}: " in line
 
 
 def test_mistakes_in_the_options_are_one_line(
@@ -156,4 +147,4 @@ def test_mistakes_in_the_options_are_one_line(
     ]
     for scheduler, given, message in cases:
         options = [*filter(None, [scheduler]), *(f"--tls-{name}={path}" for name, path in given.items())]
-        assert message in refused(options, capsys)
+        assert message in refused(capsys, "campaign", *options)

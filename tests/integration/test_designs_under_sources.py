@@ -14,6 +14,7 @@ from los_testbed.cli.designs import mission
 from los_testbed.cli.designs.mission import verify_mission
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
+from support.command_line import refused
 
 import fsm_pma_controller
 import los_estimator
@@ -127,8 +128,5 @@ def test_a_source_that_no_run_can_have_is_refused_before_the_design(
     monkeypatch.chdir(tmp_path)
     np.savetxt("a.csv", np.c_[np.arange(100) / 100, np.ones(100)], delimiter=",", header="time,Fx", comments="")
     Path("t.toml").write_text('[[disturbance]]\nname = "a"\nkind = "series"\nfile = "a.csv"\n')
-    with pytest.raises(SystemExit) as ended:
-        app.main(["design", "all", "--parameters", "t.toml", "--output", "made"])
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
+    error = refused(capsys, "design", "all", "--parameters", "t.toml", "--output", "made")
     assert "must be as long as the run, 20 s, got 1 s (repeat = true repeats it)" in error

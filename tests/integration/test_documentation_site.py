@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import doctest
-import importlib.util
 import os
 import re
 import subprocess
@@ -18,26 +17,19 @@ import pytest
 import yaml
 from support import axe, headless_browser
 from support.packages import files_of, tree
+from support.scripts import script
 
 ROOT = Path(__file__).parents[2]
 
 
-def module_of(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"site_{name}", ROOT / "docs" / "site" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def hooks() -> ModuleType:
-    return module_of("hooks")
+    return script(ROOT / "docs/site/hooks.py")
 
 
 @pytest.fixture(scope="module")
 def links() -> ModuleType:
-    return module_of("check_links")
+    return script(ROOT / "docs/site/check_links.py")
 
 
 def leaves(node: Any) -> list[str]:

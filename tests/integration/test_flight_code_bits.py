@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import os
 import shutil
 import subprocess
-import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -30,6 +28,7 @@ from support.flight_library import (
     same_bits,
     write,
 )
+from support.scripts import script
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.read.run import Run
@@ -37,12 +36,7 @@ from pointing_analysis.replay.replay import replay
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, ESTIMATES, PLATFORM, STAGES
 
 BAG = Path(__file__).parents[2] / "bags/reference"
-PATH = Path(__file__).parents[2] / "benchmarks" / "flight_code.py"
-SPEC = importlib.util.spec_from_file_location("flight_code_benchmark", PATH)
-assert SPEC is not None and SPEC.loader is not None
-script = importlib.util.module_from_spec(SPEC)
-sys.modules[SPEC.name] = script  # its dataclasses look for their module
-SPEC.loader.exec_module(script)
+benchmark = script(Path(__file__).parents[2] / "benchmarks" / "flight_code.py")
 
 with_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
 with_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="no clang")
@@ -86,8 +80,8 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
 def test_the_kernel_on_inputs_of_all_magnitudes(pairs: int, steps: int, every: int) -> None:
     """Subnormal numbers to 1e300, overflow, an absent or infinite camera; random controllers have order 1 to 12."""
     pytest.importorskip("numba")
-    builds = tuple(build for build in script.BUILDS if shutil.which(build[0]))
-    found = script.compare(pairs, steps, 35, builds[::every])
+    builds = tuple(build for build in benchmark.BUILDS if shutil.which(build[0]))
+    found = benchmark.compare(pairs, steps, 35, builds[::every])
     assert found["values_differing"] == 0
     assert found["steps"] >= steps and 0.9 < found["finite"] < 1.0  # both kinds of ticks
 
@@ -109,7 +103,7 @@ def test_the_laws_in_numpy_with_all_stages_in_a_run(tmp_path: Path) -> None:
     """K_PMA starts again where its loop closes; the compiled kernel is not asked, it keeps its stage."""
     rng = np.random.default_rng(2035)
     for order in (1, 5, 12):
-        laws, measurement = script.random_laws(rng, order), script.inputs(rng, "all magnitudes", 300)
+        laws, measurement = benchmark.random_laws(rng, order), benchmark.inputs(rng, "all magnitudes", 300)
         stages = np.repeat(rng.integers(0, len(STAGES), 15), 20).tolist()
         library = build(write(laws, tmp_path / str(order), LIBRARY), "gcc", "-O2")
         for found, expected in zip(answers_of(library, measurement, stages), run_laws(laws, measurement, stages)):
@@ -121,8 +115,8 @@ def test_fused_products_differ_from_the_kernel(tmp_path: Path) -> None:
     """What the comparison is for: two roundings made one are found."""
     pytest.importorskip("numba")
     with_fused_products()
-    exported = script.Exported(laws_of(), tmp_path, "gcc", "-O2", "-mfma", "-ffp-contract=fast")
-    found = script.Comparison()
+    exported = benchmark.Exported(laws_of(), tmp_path, "gcc", "-O2", "-mfma", "-ffp-contract=fast")
+    found = benchmark.Comparison()
     found.block(laws_of(), exported, np.random.default_rng(1), 0)
     assert found.differing > 1000
 

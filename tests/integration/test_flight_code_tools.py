@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from los_testbed.flight.laws import laws_of
 from los_testbed.flight.tables import UNITS
 from support.flight_library import LIBRARY, write
+from support.scripts import script
 
 ROOT = Path(__file__).parents[2]
 DEVIATIONS = {"2.4", "2.5", "5.7", "5.9", "8.7", "8.9", "8.11", "15.5"}
@@ -52,13 +51,9 @@ def test_cppcheck_finds_the_listed_deviations_of_misra_alone(flight: Path) -> No
 def test_a_step_takes_the_same_instructions_for_all_values(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All loops have fixed bounds: what a step costs depends on absent samples and limits by a few instructions."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    spec = importlib.util.spec_from_file_location("flight_cost", ROOT / "benchmarks/flight_cost.py")
-    assert spec is not None and spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, script)
-    spec.loader.exec_module(script)
-    (flight / "main.c").write_text(script.MAIN)
+    cost = script(ROOT / "benchmarks/flight_cost.py")
+    (flight / "main.c").write_text(cost.MAIN)
     line = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "main.c", *SOURCES, "-o", "main", "-lm"]
     subprocess.run(line, cwd=flight, check=True)
-    counts = [script._calls(flight, "los_k_fsm_step", value) for value in script.CASES.values()]
+    counts = [cost._calls(flight, "los_k_fsm_step", value) for value in cost.CASES.values()]
     assert 2 * 1056 < min(counts) <= max(counts) < 1.02 * min(counts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import importlib.util
 import json
 import re
 import subprocess
@@ -11,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.scripts import script
 
 from los_design.figures import paper_numbers
 from los_design.figures.paper_case import PaperCase
@@ -21,10 +21,7 @@ PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/extend/regenerate
 
 @pytest.fixture(scope="module")
 def filler():
-    spec = importlib.util.spec_from_file_location("fill_tables", ROOT / "docs" / "fill_tables.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(ROOT / "docs" / "fill_tables.py")
 
 
 def test_examples(filler) -> None:

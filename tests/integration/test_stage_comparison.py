@@ -74,26 +74,3 @@ def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> 
     assert page.count('<strong class="name">') == 4
     kept = sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_dir())
     assert kept == sorted(f"imbalance-nominal-{loop}" for loop in STAGES)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--scenario=storm"], ["design", "both", "storm"]),
-        (["--samples=0"], ["samples"]),
-        (["--duration=-1"], ["duration"]),
-        (["--mode=fast"], ["mode", "fast"]),
-        (["--k-fsm=none.json"], ["none.json"]),
-        (["--output=."], ["name", "got '.'"]),
-    ],
-)
-def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, capsys, arguments, words) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["stages", *arguments])
-    assert stop.value.code == 2
-    errors = capsys.readouterr().err
-    assert errors.count("\n") == 1
-    for word in words:
-        assert word in errors
-    assert not list(tmp_path.iterdir())

@@ -5,21 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import shlex
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli import app as cli
-from los_testbed.cli import run as run_command
-from los_testbed.config.members import check_ranges
 from scipy import linalg
 
-import fsm_pma_controller
-import los_estimator
 from pointing_analysis.read.run import Run
 
 TUNING = [pytest.param(f"lftkit/{name}.md", marks=pytest.mark.further) for name in ("quick_start", "examples")]
@@ -119,28 +112,3 @@ def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monke
     monkeypatch.chdir(tmp_path)
     printed, shown = printed_and_shown(page)
     assert printed == shown
-
-
-def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Configurations only: nothing is started."""
-    (tmp_path / "my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
-    (tmp_path / "designs/mine").mkdir(parents=True)
-    for name, module in (("k_fsm.json", los_estimator), ("k_pma.json", fsm_pma_controller)):
-        shutil.copy(Path(module.__file__).parent / "designs" / name, tmp_path / "designs/mine" / name)
-    knots = ["time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4", "0,0,30,30,30,30", "9,1,90,90,90,90"]
-    (tmp_path / "my_profile.csv").write_text("\n".join(knots) + "\n")
-    (tmp_path / "examples").symlink_to(PAGE.parents[1] / "examples")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run_command, "execute", lambda parts, *_options: (_ for _ in ()).throw(Understood(parts)))
-    text = PAGE.with_name("your_spacecraft.md").read_text("utf-8")
-    lines = re.findall(r"^    los-testbed (run .*?)(?:\s+#.*)?$", text, re.M)
-    assert len(lines) >= 6
-    for line in lines:
-        with pytest.raises(Understood) as caught:
-            cli.main(shlex.split(line))
-        parts = caught.value.args[0]
-        check_ranges(parts.config, parts.telescope)
-
-
-class Understood(SystemExit):
-    """Carries the parts of the run of a command instead of starting a run."""

@@ -19,6 +19,13 @@ def call_command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tupl
     return code, out, err
 
 
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line with which a command is refused: exit code 2, and nothing on the standard output."""
+    code, out, err = call_command(capsys, *arguments)
+    assert code == 2 and out == "" and err.startswith("los-testbed: ") and err.count("\n") == 1, (code, out, err)
+    return err
+
+
 @dataclass
 class CommandLine:
     """The command line in an empty folder; a call gives exit code, output and error output.

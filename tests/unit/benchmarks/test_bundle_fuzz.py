@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
-import sys
 from pathlib import Path
 
 import pytest
+from support.scripts import script
 
 from lftkit.proofs.trusted import sampled_loop
 from los_design.synthesis.store import load_designs
@@ -16,12 +15,7 @@ from los_design.verification.bundle import write_bundle
 from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 from titop_plant.telescope.load import load_telescope
 
-PATH = Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py"
-SPEC = importlib.util.spec_from_file_location("bundle_fuzz", PATH)
-assert SPEC is not None and SPEC.loader is not None
-script = importlib.util.module_from_spec(SPEC)
-sys.modules["bundle_fuzz"] = script
-SPEC.loader.exec_module(script)
+fuzz = script(Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py")
 
 STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
 NAME = bundles.member_of(STAGE, FIGURE)
@@ -38,16 +32,16 @@ def test_no_mutation_is_accepted_with_another_statement(tmp_path: Path, monkeypa
     monkeypatch.chdir(tmp_path)
     proof = unpack(FOLDER / f"{STAGE}-{FIGURE}{SUFFIX}", tmp_path / "proof.npz")
     write_bundle(tmp_path / "bundle.zip", load_telescope(), load_designs("implemented"), {(STAGE, FIGURE): proof})
-    each, members = script.remember(), script.members_of(tmp_path / "bundle.zip")
-    with script.open_bundle(tmp_path / "bundle.zip") as bundle:
-        own = script.stated(script.check_bundle(bundle, each))
+    each, members = fuzz.remember(), fuzz.members_of(tmp_path / "bundle.zip")
+    with fuzz.open_bundle(tmp_path / "bundle.zip") as bundle:
+        own = fuzz.stated(fuzz.check_bundle(bundle, each))
     chance, found = random.Random(1), set()
     for _ in range(3):
-        wider = {**members, NAME: script.wider_box(members[NAME], chance)}
-        script.written(wider, tmp_path / "wider.zip")
-        found.add(script.outcome(tmp_path / "wider.zip", own, each))
+        wider = {**members, NAME: fuzz.wider_box(members[NAME], chance)}
+        fuzz.written(wider, tmp_path / "wider.zip")
+        found.add(fuzz.outcome(tmp_path / "wider.zip", own, each))
     assert "FORGED" not in found and found & {"same", "proven"}
-    counts = script.attacked(tmp_path / "bundle.zip", 15, 5, each, tmp_path / "mutated.zip")
+    counts = fuzz.attacked(tmp_path / "bundle.zip", 15, 5, each, tmp_path / "mutated.zip")
     outcomes = {found for _, found in counts}
     assert {"refused", "same"} <= outcomes <= {"refused", "same", "subject", "wording", "proven", "fewer"}
 
@@ -62,10 +56,10 @@ def test_a_bundle_that_says_more_is_not_one_that_says_less() -> None:
         "figures": [row, other],
         "noise": {"fsm": [1.0]},
     }
-    assert script.fewer({**own, "figures": [row]}, own)
-    assert script.fewer({**own, "noise": {}}, own)
-    assert not script.fewer(own, own)
-    assert not script.fewer({**own, "figures": [["fsm", "slow", 0.4, 1.0, [0.0, 85.0]]]}, own)
-    assert not script.fewer({**own, "figures": [row], "stable_below": {"fsm": None}}, own)
-    assert not script.fewer({**own, "figures": [row], "box": {"a": [0.0, 1.0]}}, own)
-    assert not script.fewer({**own, "figures": [row], "noise": {"fsm": [0.9]}}, own)
+    assert fuzz.fewer({**own, "figures": [row]}, own)
+    assert fuzz.fewer({**own, "noise": {}}, own)
+    assert not fuzz.fewer(own, own)
+    assert not fuzz.fewer({**own, "figures": [["fsm", "slow", 0.4, 1.0, [0.0, 85.0]]]}, own)
+    assert not fuzz.fewer({**own, "figures": [row], "stable_below": {"fsm": None}}, own)
+    assert not fuzz.fewer({**own, "figures": [row], "box": {"a": [0.0, 1.0]}}, own)
+    assert not fuzz.fewer({**own, "figures": [row], "noise": {"fsm": [0.9]}}, own)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.scripts import script
 
-SCRIPT = Path(__file__).parents[3] / "benchmarks" / "gradient_sampling.py"
-spec = importlib.util.spec_from_file_location("gradient_sampling", SCRIPT)
-assert spec is not None and spec.loader is not None
-sampling = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(sampling)
+sampling = script(Path(__file__).parents[3] / "benchmarks" / "gradient_sampling.py")
 
 
 def test_the_shortest_combination_of_gradients() -> None:

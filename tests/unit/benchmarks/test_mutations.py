@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
-import sys
 from pathlib import Path
 
 import pytest
+from support.scripts import script
 
 PATH = Path(__file__).parents[3] / "benchmarks" / "mutations.py"
-SPEC = importlib.util.spec_from_file_location("mutations", PATH)
-assert SPEC is not None and SPEC.loader is not None
-script = importlib.util.module_from_spec(SPEC)
-sys.modules["mutations"] = script
-SPEC.loader.exec_module(script)
+mutants = script(PATH)
 
 SOURCE = '''"""Text: 1 < 2 and 3 + 4."""
 
@@ -36,8 +31,8 @@ def f(a: Literal[7], b: float = 2.5) -> Literal[8]:
 
 
 def test_each_kind_makes_another_program_that_parses() -> None:
-    found = script.mutations(SOURCE)
-    assert {m.kind for m in found} == set(script.KINDS)
+    found = mutants.mutations(SOURCE)
+    assert {m.kind for m in found} == set(mutants.KINDS)
     programs = [m.apply(SOURCE) for m in found]
     trees = [ast.dump(ast.parse(program)) for program in programs]
     assert ast.dump(ast.parse(SOURCE)) not in trees
@@ -45,7 +40,7 @@ def test_each_kind_makes_another_program_that_parses() -> None:
 
 
 def test_texts_type_hints_and_messages_are_left_alone() -> None:
-    for mutation in script.mutations(SOURCE):
+    for mutation in mutants.mutations(SOURCE):
         lines = mutation.apply(SOURCE).splitlines()
         for number in (0, 4, 5, 9, 11):
             assert lines[number] == SOURCE.splitlines()[number]
@@ -70,20 +65,20 @@ def test_a_kind_does_what_its_name_says(kind: str, old: str, new: str) -> None:
     def values(program: str) -> list[object]:
         return [eval(program, {"a": a, "b": b}) for a in (1, 2, 7) for b in (2, 4)]
 
-    results = [values(m.apply(old)) for m in script.mutations(old) if m.kind == kind]
+    results = [values(m.apply(old)) for m in mutants.mutations(old) if m.kind == kind]
     assert values(new) in results or (kind == "comparison" and values("a >= b") in results)
 
 
 def test_the_longest_path_names_the_tests() -> None:
-    assert script.tests_of("lftkit/systems/ports.py") == ("tests/unit/lftkit",)
-    assert "tests/unit/lftkit/systems/test_interconnection.py" in script.tests_of(
+    assert mutants.tests_of("lftkit/systems/ports.py") == ("tests/unit/lftkit",)
+    assert "tests/unit/lftkit/systems/test_interconnection.py" in mutants.tests_of(
         "lftkit/systems/connection/interconnection.py"
     )
     with pytest.raises(SystemExit, match="MODULE must be below one of"):
-        script.tests_of("docs/index.md")
+        mutants.tests_of("docs/index.md")
 
 
 def test_the_tests_it_names_exist() -> None:
-    for paths in script.TESTS.values():
+    for paths in mutants.TESTS.values():
         for path in paths:
             assert (PATH.parents[1] / path.split("::")[0]).exists(), path

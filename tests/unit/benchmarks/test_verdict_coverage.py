@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.scripts import script
 
-SCRIPT = Path(__file__).parents[3] / "benchmarks" / "verdict_coverage.py"
-spec = importlib.util.spec_from_file_location("verdict_coverage", SCRIPT)
-assert spec is not None and spec.loader is not None
-coverage = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(coverage)
+coverage = script(Path(__file__).parents[3] / "benchmarks" / "verdict_coverage.py")
 
 
 @pytest.mark.parametrize("kind", ["white", "bursts 20 ms x 10", "slow variance, random T/10"])

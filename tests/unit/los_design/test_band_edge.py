@@ -97,5 +97,7 @@ def test_a_run_and_its_budget_of_tones_have_it(own: Telescope, tmp_path: Path) -
 
     file = tmp_path / "mission.toml"
     file.write_text(f"[weights]\nband_edge = {EDGE}\n")
-    run_in_process(RunConfig(mode="inprocess", duration=0.2, loop=STAGE, parameters=str(file)), tmp_path / "bag")
+    run_in_process(
+        RunConfig(mode="inprocess", duration=0.2, loop="isolator", start="rest", parameters=str(file)), tmp_path / "bag"
+    )
     assert Run.open(tmp_path / "bag").parameters["rpe_budget_mas"]["band_edge_rad_s"] == EDGE

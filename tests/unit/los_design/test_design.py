@@ -105,26 +105,3 @@ def test_table_as_json(capsys) -> None:
     rows = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert {row["design"] for row in rows} == {"k-fsm", "k-pma"}
     assert {row["variant"] for row in rows} == {"implemented", "implemented_nominal"}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["k-fsm", "--loop-delay", "-1"], "--loop-delay must be between 0 and 1 s, got -1"),
-        (["k-pma", "--time-limit", "0"], "--time-limit must be between 0.001 and 1e+07 s, got 0"),
-        (["k-fsm"], "--output must be given: a file for the design"),
-        (["k-pma", "--nominal"], "--output must be given: a file for the design"),
-        (["all"], "--output must be given: a folder for the designs"),
-        (["k-fsm", f"--output={design_file('k-fsm')}"], "--output must not be a shipped design"),
-        (["all", f"--output={design_file('k-pma').parent}"], "--output must not be a shipped design"),
-        (["k-fsm", "--order", "9"], "--order must be between 0 and 8, got 9"),
-        (["k-pma", "--order", "3"], "order must be 4 with a loop delay, at least 0 without, got 3"),
-        (["verify", "--samples", "-3"], "--samples must be between 0 and 1e+06, got -3"),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_code_2(arguments, message, capsys) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["design", *arguments])
-    assert stop.value.code == 2
-    error = capsys.readouterr().err.strip()
-    assert message in error and "\n" not in error

@@ -23,7 +23,7 @@ from pointing_analysis.report import report
 from pointing_analysis.report.report import render
 from pointing_analysis.requirements.series_verdict import judge_series
 from pointing_analysis.requirements.summary import Summary, summarise
-from pointing_analysis.requirements.verdict import load, parse
+from pointing_analysis.requirements.verdict import load
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
 
@@ -252,34 +252,6 @@ def test_lines_are_found_at_rates_without_a_window_of_20_ms(tmp_path: Path) -> N
     assert summary.budget is None and line.omega == pytest.approx(2 * np.pi * 17.0, rel=1e-4)
     page = render([run], summaries=[summary])
     assert "dB above the noise" in page and "none is above the noise" not in page
-
-
-TIMES = {
-    "time_ms": lambda t: [repr(1e3 * v) for v in t],
-    "Time [us]": lambda t: [repr(1e6 * v) for v in t],
-    "t_ns": lambda t: [str(round(1e9 * v)) for v in t],
-    "clock": lambda t: [repr(1.7e9 + v) for v in t],
-    "utc": lambda t: [f"{np.datetime64('2026-11-20T11:00:00') + np.timedelta64(round(1e9 * v), 'ns')}Z" for v in t],
-    "local": lambda t: [
-        f"{np.datetime64('2026-11-20 12:00') + np.timedelta64(round(1e6 * v), 'us')}+01:00".replace("T", " ") for v in t
-    ],
-}
-
-
-@pytest.mark.parametrize("name", TIMES)
-@pytest.mark.parametrize("rate", [None, RATE])
-def test_times_of_a_table_in_any_usual_form(tmp_path: Path, name: str, rate: float | None) -> None:
-    kept = np.delete(np.arange(6000), [3000, 3001, 4100])
-    xy, text = samples()[kept], TIMES[name]((kept / RATE).tolist())
-    rows = "\n".join(f"{a},{x!r},{y!r}" for a, (x, y) in zip(text, xy.tolist()))
-    (tmp_path / "a.csv").write_text(f"{name},x,y\n{rows}\n")
-    stamps = 10**9 + kept * round(1e9 / RATE)
-    write_bag(tmp_path / "ours", {"truth/los": xy * RAD_PER_ARCSEC}, dt=1 / RATE, stamps={"truth/los": stamps})
-    requirements = [parse("prob(|RPE(15.625 ms)| < 20 mas) >= 0.9 at 90 % confidence")]
-    ours = summarise(Run.open(tmp_path / "ours"), requirements=requirements)
-    run = open_los(tmp_path / "a.csv", unit="arcsec", rate=rate)
-    assert run["truth/los"].integrity.missing == 3
-    assert repr(comparable(summarise(run, requirements=requirements))) == repr(comparable(ours))
 
 
 def test_columns_that_may_be_the_time_are_named_where_none_is_used(tmp_path: Path) -> None:

@@ -32,15 +32,6 @@ def test_autocorrelation_time_is_the_windowed_sum(n: int, pole: float) -> None:
     assert confidence.effective_number(x) == pytest.approx(max(1.0, n / (2.0 * reference_time(x))), rel=1e-9)
 
 
-@pytest.mark.parametrize("lags", [2, 7, 40])
-def test_autocorrelation_time_does_not_depend_on_how_many_lags_are_formed_at_a_time(
-    monkeypatch: pytest.MonkeyPatch, lags: int
-) -> None:
-    x = lfilter([1], [1, -0.8], np.random.default_rng(0).standard_normal(300))
-    monkeypatch.setattr(confidence, "LAGS", lags)
-    assert confidence.autocorrelation_time(x) == pytest.approx(reference_time(x), rel=1e-9)
-
-
 def test_autocorrelation_time_of_hardly_any_samples() -> None:
     assert [confidence.autocorrelation_time(np.arange(k, dtype=float)) for k in (0, 1, 3)] == [0.5] * 3
     assert confidence.effective_number([1.0, 5.0, 2.0]) == 3.0

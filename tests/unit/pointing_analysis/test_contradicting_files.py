@@ -25,12 +25,6 @@ def csv(path: Path, comments: str, names: str) -> Path:
     return path
 
 
-def test_two_columns_of_different_units_are_two_scales(tmp_path: Path) -> None:
-    read = open_los(csv(tmp_path / "los.csv", "", "t,x_mas,y_arcsec"), unit=None)
-    ratio = read["truth/los"].values[:, 1] / noise()[:, 1] / (read["truth/los"].values[:, 0] / noise()[:, 0])
-    np.testing.assert_allclose(ratio[np.abs(noise()).min(axis=1) > 0.1], 1000.0, rtol=1e-4)
-
-
 def test_two_units_of_an_array(tmp_path: Path) -> None:
     np.savez(tmp_path / "los.npz", los_mas=noise(), los_mas_unit="arcsec", fs=1000.0)
     with pytest.raises(ValueError, match="must be one, got arcsec and mas"):

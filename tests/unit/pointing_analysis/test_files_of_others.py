@@ -105,9 +105,8 @@ WRITERS: list[Callable[[Path], None]] = [
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
-@pytest.mark.parametrize("suffix", ["", ".dat"])
-def test_the_content_says_format_unit_and_times(tmp_path: Path, write: Callable[[Path], None], suffix: str) -> None:
-    path = tmp_path / f"measured{suffix}"
+def test_the_content_says_format_unit_and_times(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    path = tmp_path / "measured.dat"
     write(path)
     topic = open_los(path)["truth/los"]
     assert np.allclose(topic.values, LOS * 1e-6, rtol=1e-12, atol=0.0)
@@ -144,7 +143,7 @@ def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:
         open_los(tmp_path / "a.h5", unit="mas")
 
 
-@pytest.mark.parametrize(("seconds", "gap"), [(60, 1), (60, 103), pytest.param(3600, 103, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seconds", "gap"), [(60, 103), pytest.param(3600, 1, marks=pytest.mark.slow)])
 def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int) -> None:
     n = seconds * 512
     kept = np.delete(np.arange(n), np.arange(9000, 9000 + gap))
@@ -173,8 +172,8 @@ def test_any_rate_is_found_from_rounded_times(rate: float, decimals: int) -> Non
 
 @pytest.mark.parametrize("order", ["newest first", "any"])
 def test_the_order_of_the_rows_does_not_count(tmp_path: Path, order: str) -> None:
-    n = 30_000
-    there = np.delete(np.arange(n), slice(9000, 9003))
+    n = 9000
+    there = np.delete(np.arange(n), slice(3000, 3003))
     rows = there[::-1] if order == "newest first" else np.random.default_rng(3).permutation(there)
     values = 0.1 * np.random.default_rng(2).standard_normal((n, 2))
     text = [f"{i / 512:.6f},{values[i, 0]:.6f},{values[i, 1]:.6f}" for i in rows.tolist()]
@@ -185,7 +184,7 @@ def test_the_order_of_the_rows_does_not_count(tmp_path: Path, order: str) -> Non
     assert found.sampling.startswith("512 Hz from the times, jitter 0.29 us rms")
     assert found.ticks == n and found.samples_lost == 3 and found.verdicts[0].status == "compliant"
     expected = values.round(6) * RAD_PER_MAS
-    expected[9000:9003] = np.nan
+    expected[3000:3003] = np.nan
     np.testing.assert_array_equal(run["truth/los"].values, expected[there])
 
 

@@ -45,26 +45,6 @@ def test_circular_motion_has_no_rpe_in_the_norm_and_all_of_it_in_the_vector(tmp_
     assert figures.ape_max == pytest.approx(0.1, rel=5e-3)
 
 
-def test_tone_and_noise_through_a_bag(tmp_path) -> None:
-    rng = np.random.default_rng(3)
-    n = 100_000
-    e = tone(33.3, 50 * MAS, n) + 20 * MAS * rng.standard_normal((n, 2)) + 2 * ARCSEC
-    figures = summarise(Run.open(write_bag(tmp_path / "bag", {"truth/los": e})), transient=0.0)
-    white = 20 * np.sqrt(1 - 1 / 20)
-    line = 50 / np.sqrt(2) * weights.rpe_discrete(2 * np.pi * 33.3, 20, DT)
-    assert figures.rpe_axis == pytest.approx((np.hypot(white, line), white), rel=5e-3)
-    assert figures.rpe_rms == pytest.approx(np.sqrt(2 * white**2 + line**2), rel=5e-3)
-    assert figures.windows == 5000
-
-
-@pytest.mark.parametrize("frequency", [0.3, 2.2, 9.1])
-def test_drift_of_a_tone(frequency: float) -> None:
-    drift = metrics.rms(metrics.pde(tone(frequency), DT, 0.02, 0.1))[0]
-    window_mean, difference = np.sinc(frequency * 0.02), 2 * abs(np.sin(np.pi * frequency * 0.1))
-    expected = window_mean * difference / np.sqrt(2)
-    assert drift == pytest.approx(expected, rel=5e-3)
-
-
 def test_transient_is_dropped_explicitly(tmp_path) -> None:
     los = np.zeros((3000, 2))
     los[:500] = 1.0
@@ -160,20 +140,3 @@ def test_lines_that_cannot_be_told_apart_are_fitted_as_one() -> None:
     found = spectra.lines(e, DT, 2 * np.pi * np.array([20.0, 20.3]), WINDOW)
     assert [line.merged for line in found] == [2]
     assert len(spectra.lines(tone(20.0, n=10_000), DT, 2 * np.pi * np.array([20.0, 20.3]), WINDOW)) == 2
-
-
-def test_windows_with_missing_samples_are_skipped_and_counted() -> None:
-    e = np.random.default_rng(1).standard_normal((1000, 2))
-    holed = e.copy()
-    holed[[105, 106, 130]] = np.nan
-    w, full = metrics.windows(holed, DT, WINDOW), metrics.windows(e, DT, WINDOW)
-    assert (w.skipped, len(w.mean)) == (2, 48)
-    keep = [i for i in range(50) if i not in (5, 6)]
-    assert np.array_equal(w.mean, full.mean[keep])
-    assert np.array_equal(w.start, 20 * np.array(keep))
-    instant, complete = (metrics.rpe_instant(x, DT, WINDOW, "centred") for x in (holed, e))
-    touched = np.zeros(len(instant), bool)
-    for hole in (105, 106, 130):
-        touched[hole - 19 : hole + 1] = True
-    assert np.array_equal(np.isnan(instant[:, 0]), touched)
-    assert np.allclose(instant[~touched], complete[~touched], atol=1e-12)

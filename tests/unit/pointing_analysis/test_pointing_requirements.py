@@ -37,13 +37,7 @@ def noise_run(tmp_path):
     [
         ("RPE below 40 mas", "requirement must read like"),
         ("prob(|XPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", "index must be one of APE.*got 'XPE'"),
-        ("prob(|RPE| < 40 mas) >= 0.997 at 95 % confidence", r"RPE\(...\) must have 1 times, got 0"),
-        ("prob(|APE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", r"APE\(...\) must have 0 times, got 1"),
-        ("prob(|RPE(20)| < 40 mas) >= 0.997 at 95 % confidence", "time must read like '20 ms', got '20'"),
         ("prob(|APE| < 40 parsec) >= 0.997 at 95 % confidence", "unit must be one of"),
-        ("prob(|APE| < 40 mas) >= 99.7 at 95 % confidence", "probability must be between 0 and 1"),
-        ("prob(|APE| < 40 mas) >= 0.997 at 95 confidence", "confidence must be between 0 and 1"),
-        ("prob(|APE| < 0 mas) >= 0.997 at 95 % confidence", "limit must be positive, got 0"),
         ("prob(|APE| < 40 mas) >= 0.997 at 95 % confidence, hopeful", "interpretation must be one of"),
     ],
 )
@@ -76,6 +70,7 @@ def test_too_short_a_run_is_never_compliant_and_says_how_long_it_takes(noise_run
     assert judge(parse(RPE.format(limit=1000)), [noise_run(1.0, 19.98)]).status == "compliant"
 
 
+@pytest.mark.further
 @pytest.mark.parametrize("pole", [slow(0.0), 0.9])
 def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     """At the very limit either verdict is wrong: each may be given in 5 % of the runs, correlated or not."""
@@ -95,17 +90,6 @@ def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
     assert found.count("compliant") <= 30
     assert found.count("not compliant") <= 30
     assert found.count("compliant") + found.count("not compliant") > 0
-
-
-def test_summary_takes_the_requirements_of_the_stage(noise_run) -> None:
-    pma = summarise(noise_run(2.0, 25.0, loop="fsm+pma", mode="inprocess", requirements=OF_TELESCOPE))
-    assert [v.requirement.name for v in pma.verdicts] == ["APE", "RPE, fine", "RPE, finest"]
-    fsm = summarise(noise_run(2.0, 25.0, 1, loop="fsm", requirements=OF_TELESCOPE))
-    assert [v.requirement.name for v in fsm.verdicts] == ["APE", "RPE, fine"]
-    figures = pma.as_dict()
-    assert (figures["loop"], figures["mode"], figures["ticks"]) == ("fsm+pma", "inprocess", 25_000)
-    assert set(figures["ape_arcsec"]) == {"max", "p997"}
-    assert set(figures["rpe_mas"]) == {"rms", "p997", "windows_p997"}
 
 
 @pytest.mark.further

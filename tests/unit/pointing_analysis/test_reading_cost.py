@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from types import ModuleType
 
 import pytest
 from support.call_count import calls
+from support.scripts import script
 
 ROOT = Path(__file__).parents[3]
 
@@ -25,11 +25,7 @@ def last_line(*command: str, timeout: float = 280.0) -> str:
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
     """The benchmark of reading, whose readers are compared here for what they deliver."""
-    spec = importlib.util.spec_from_file_location("bag_reading", ROOT / "benchmarks" / "bag_reading.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script(ROOT / "benchmarks" / "bag_reading.py")
 
 
 def test_messages_are_decoded_in_blocks(benchmark: ModuleType, tmp_path: Path) -> None:

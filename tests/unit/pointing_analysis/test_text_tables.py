@@ -61,29 +61,6 @@ def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
     return path
 
 
-PLAIN = "time,x,y\n0.00,1.5,-2\n0.01,2.5,3\n0.02,0,1\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "encoding"),
-    [
-        ("sep=;\n" + PLAIN.replace(",", ";"), "utf-8"),
-        ('"sep=,"\n' + PLAIN, "utf-8-sig"),
-        (PLAIN.replace("\n", "\ns,mas,mas\n", 1), "utf-8"),
-        (PLAIN.replace("\n", "\n[s],[mas],[mas]\n", 1), "utf-8"),
-        ("# Pr\xfcfstand\n" + PLAIN, "latin-1"),
-        ("# Pr\xfcfstand\n" + PLAIN, "utf-16"),
-    ],
-)
-def test_what_programs_write_around_a_table_changes_no_value(tmp_path: Path, text: str, encoding: str) -> None:
-    plain = read_text(written(tmp_path / "a.csv", PLAIN))
-    found = read_text(written(tmp_path / "b.csv", text, encoding))
-    assert list(found.columns) == list(plain.columns)
-    for name, column in plain.columns.items():
-        np.testing.assert_array_equal(found.columns[name], column)
-    assert found.unit("x") == ("mas" if "mas" in text else "")
-
-
 def test_times_in_days_and_by_day_of_the_year_are_those_in_seconds(tmp_path: Path) -> None:
     """At 100 Hz: a day of a Julian date has 5e-10 days, 40 us, in a number of 64 bits. 1 Hz is refused as well."""
     values = [f"{0.1 * k:.3f},{-0.2 * k:.3f}" for k in range(2000)]

@@ -47,15 +47,8 @@ def run(values: Any, *, missing: tuple[int, ...] = (), rate: float = 1000.0, ope
     return replace(series, topic=replace(series.topic, open_end=open_end)) if open_end else series
 
 
-@pytest.mark.parametrize(("above", "count"), [(0, 998), (1, 1580), (2, 2097), (5, 3502)])
-def test_samples_that_show_compliance(above: int, count: int) -> None:
-    assert decide(STRICT, samples(count, above), count, 1.0).status == "compliant"
-    assert decide(STRICT, samples(count - 1, above), count - 1, 1.0).status == "not enough data"
-    assert decide(STRICT, samples(count, above + 1), count, 1.0).status != "compliant"
-
-
 @pytest.mark.parametrize("requirement", [STRICT, LOOSE])
-@pytest.mark.parametrize("count", [1, 7, 60, 1580])
+@pytest.mark.parametrize("count", [1, 7, 60, 997, 998, 1580])
 def test_every_count_has_the_verdict_of_the_binomial_distribution(requirement: Requirement, count: int) -> None:
     for above in range(min(count, 30) + 1):
         found = decide(requirement, samples(count, above), count, 3.0)

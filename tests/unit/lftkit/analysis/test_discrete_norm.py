@@ -143,9 +143,7 @@ def test_smallest_and_largest_gains() -> None:
     assert norm.value == pytest.approx(2e-200, rel=1e-9, abs=0.0) and norm.upper >= 2e-200
 
 
-@pytest.mark.parametrize(
-    ("order", "edge"), [(8, 0.01), (8, 0.02), (8, 0.97), (8, 0.99), (12, 0.5), (12, 0.9), (4, 0.5), (4, 0.001)]
-)
+@pytest.mark.parametrize(("order", "edge"), [(8, 0.01), (8, 0.97), (12, 0.9), (4, 0.001)])
 def test_h2_norm_of_filters(order: int, edge: float) -> None:
     """A Lyapunov equation solved in double precision answered 0.67 instead of 0.94 (8, 0.97) and 0 (8, 0.01)."""
     system = chebyshev(order, edge)

@@ -51,12 +51,6 @@ def test_each_frequency_can_have_a_delta_of_its_own() -> None:
         np.testing.assert_allclose(found, own[k].closed(delta[k : k + 1])[0], rtol=1e-12)
 
 
-def test_without_deviations_the_response_is_the_nominal_one() -> None:
-    own = lft(np.random.default_rng(1))
-    np.testing.assert_array_equal(own.closed(np.zeros((2, Q), complex))[1], own.T11)
-    np.testing.assert_array_equal(own.closed(np.zeros((MANY, Q), complex), REPEATED)[1], own.T11)
-
-
 def test_parts_of_inputs_and_outputs_are_parts_of_the_response() -> None:
     rng = np.random.default_rng(2)
     own, delta, rows, columns = lft(rng), diagonals(rng, 3), slice(1, 3), slice(0, 2)

@@ -37,7 +37,7 @@ def closed_poles(L: System, factor: complex) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
     L = random_loop(seed, dt)
     with np.errstate(all="ignore"):
@@ -52,7 +52,7 @@ def test_crossings_are_those_of_python_control(seed: int, dt: float) -> None:
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_each_crossing_makes_a_pole_on_the_edge_and_the_range_between_them_none(seed: int, dt: float) -> None:
     L = random_loop(seed, dt)
     found = loop_margins(L)
@@ -116,7 +116,7 @@ def delayed_poles(L: System, periods: int) -> np.ndarray[Any, Any]:
 def test_a_sampled_loop_bears_every_delay_below_its_margin(through: float) -> None:
     """Also one whose gain at the Nyquist frequency is above 1, which bears no delay, without a crossing of 1."""
     rng, seen = np.random.default_rng(11), 0
-    while seen < 8:
+    while seen < 3:
         A = rng.standard_normal((2, 2))
         A *= rng.uniform(0.2, 1.2) / np.abs(linalg.eigvals(A)).max()
         B, C = rng.standard_normal((2, 1)), rng.standard_normal((1, 2))

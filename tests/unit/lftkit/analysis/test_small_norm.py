@@ -25,7 +25,7 @@ def random_system(seed: int, shape: tuple[int, int], feedthrough: float = 0.5) -
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("feedthrough", [0.0, 0.5, 20.0])
 def test_both_ways_give_one_norm(shape: tuple[int, int], feedthrough: float) -> None:
-    for seed in range(6):
+    for seed in range(3):
         system = random_system(seed, shape, feedthrough)
         for rtol in (1e-3, 1e-6, 1e-8):
             one, other = hinf_norm(*system, rtol=rtol), hinf_norm(*system, rtol=rtol, certificate="interval")

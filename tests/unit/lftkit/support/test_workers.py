@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,12 +41,18 @@ def interrupts_wait(item: int) -> bool:
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-def test_the_results_are_those_of_one_process_in_order() -> None:
-    with Workers(1) as one, Workers(2) as two:
+@pytest.fixture(scope="module")
+def two() -> Iterator[Workers]:
+    with Workers(2) as workers:
+        yield workers
+
+
+def test_the_results_are_those_of_one_process_in_order(two: Workers) -> None:
+    with Workers(1) as one:
         assert two.map(spectrum, range(5)) == one.map(spectrum, range(5))
-        assert list(two.each(abs, [-3, 2, -1])) == [3, 2, 1]
-        assert two.map(abs, []) == [] and two.map(abs, [-1]) == [1]
-        assert two.map(interrupts_wait, range(2)) == [True, True], "from their first instruction on"
+    assert list(two.each(abs, [-3, 2, -1])) == [3, 2, 1]
+    assert two.map(abs, []) == [] and two.map(abs, [-1]) == [1]
+    assert two.map(interrupts_wait, range(2)) == [True, True], "from their first instruction on"
     assert not interrupts_wait(0)
 
 
@@ -59,11 +66,10 @@ def test_arrays_reuse_the_memory_of_those_before(variables: dict[str, str], monk
         assert max(workers.map(pages_taken, [20, 20])) < 10 * 5120
 
 
-def test_an_error_comes_from_the_item() -> None:
-    with Workers(2) as workers:
-        with pytest.raises(ValueError, match="got 3"):
-            workers.map(fail_at_three, range(6))
-        assert workers.map(abs, [-1, -2]) == [1, 2], "and the others go on"
+def test_an_error_comes_from_the_item(two: Workers) -> None:
+    with pytest.raises(ValueError, match="got 3"):
+        two.map(fail_at_three, range(6))
+    assert two.map(abs, [-1, -2]) == [1, 2], "and the others go on"
     with pytest.raises(ValueError, match="workers must be at least 1, got 0"):
         Workers(0)
 

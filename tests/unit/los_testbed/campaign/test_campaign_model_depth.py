@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,11 @@ def row(evaluator: MemberEvaluator, index: int) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def evaluator() -> MemberEvaluator:
-    return MemberEvaluator.of(BASE)
+def evaluator() -> Iterator[MemberEvaluator]:
+    """With frequencies for fewer members than those of a campaign."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("los_loop.member_loop.DRAWS", 20)
+        yield MemberEvaluator.of(BASE)
 
 
 @pytest.fixture(scope="module")
@@ -99,11 +103,8 @@ def test_responses_are_those_of_the_lft(depth: MemberMetrics) -> None:
 
 
 @pytest.mark.further
-def test_stability_is_that_of_the_eigenvalues(
-    evaluator: MemberEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_path: Path) -> None:
     """Of a stable loop and of one with another gain of the mirror; the count of encirclements agrees at each."""
-    monkeypatch.setattr("los_loop.member_loop.DRAWS", 20)
     k_fsm = SampledSystem.from_file(RunParts(BASE).model_files["k_fsm"])
     replace(k_fsm, C=-30.0 * k_fsm.C, D=-30.0 * k_fsm.D).to_file(tmp_path / "k_fsm.json")
     unstable = MemberEvaluator.of(replace(BASE, loop="fsm", k_fsm=str(tmp_path / "k_fsm.json")))

@@ -86,16 +86,13 @@ def _bad_controllers(folder):
         (["--output={files}"], ["exists already", "never overwritten"]),
     ],
 )
-@pytest.mark.parametrize("mode", ["inprocess", "realtime"])
-def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, words, mode):
-    if mode == "realtime":
-        pytest.importorskip("rclpy")
+def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, words):
     _bad_controllers(run.files)
     before = sorted(run.files.rglob("*"))
     given = [a.format(files=run.files) for a in arguments]
     named = {a.split("=")[0] for a in given}
     rest = [c for c in run.controllers if c.split("=")[0] not in named]
-    rest += [] if "--mode" in named else [f"--mode={mode}"]
+    rest += [] if "--mode" in named else ["--mode=inprocess"]
     code, out, err = run("run", *rest, *given)
     assert code == 2
     assert out == ""

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from support.command_line import refused
 
 import los_design
 
@@ -103,29 +104,6 @@ def test_one_figure_is_chosen(tmp_path: Path, options: list[str], chosen: set[tu
     assert {entry["status"] for entry in found} == {"violated"}
 
 
-def refused(capsys: pytest.CaptureFixture[str], *options: str) -> str:
-    with pytest.raises(SystemExit) as stopped:
-        main(["design", "certify", *options])
-    assert stopped.value.code == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and lines[0].startswith("los-testbed: ")
-    return lines[0]
-
-
-def test_unknown_stages_and_figures_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    out = f"--output={tmp_path / 'new'}"
-    assert "--stage" in refused(capsys, out, "--stage=isolator")
-    assert "--figure" in refused(capsys, out, "--figure=heat")
-    assert "--figure" in refused(capsys, out, "--stage=fsm", "--figure=force")
-    assert "--level" in refused(capsys, out, "--level=0")
-    assert "tls_ca_file" in refused(capsys, out, "--scheduler=tcp://127.0.0.1:1", "--tls-ca-file=ca.pem").replace(
-        "-", "_"
-    )
-    assert "--gap" in refused(capsys, out, "--gap=nan")
-    assert "--time-limit" in refused(capsys, out, "--time-limit=-1")
-    assert not (tmp_path / "new").exists()
-
-
 def test_controllers_for_other_values_are_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -139,7 +117,7 @@ def test_controllers_for_other_values_are_refused_before_the_work(
     (designs / "telescope.toml").write_text("[isolator]\nmass = 1.6\n")
     shutil.copy(Path(los_design.__file__).parent / "search" / "worst_points.json", designs)
     options = ["--figure=slow", "--stage=fsm", "--level=0.1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
-    line = refused(capsys, f"--designs={designs}", f"--output={output}", *options)
+    line = refused(capsys, "design", "certify", f"--designs={designs}", f"--output={output}", *options)
     assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
     (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
     with pytest.raises(SystemExit) as stopped:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from support.command_line import refused
 
 from pointing_analysis.image.export import kernel
 from pointing_analysis.image.motion_blur import motion_transfer
@@ -153,9 +154,5 @@ def test_mistakes(
         Path("optics.toml").write_text(optics)
         options = ["--optics", "optics.toml"]
     words = 2 if arguments[0] == "image" else 1
-    with pytest.raises(SystemExit) as stopped:
-        main([*arguments[:words], *source(folder), *arguments[words:], *options])
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert message in line
+    assert message in refused(capsys, *arguments[:words], *source(folder), *arguments[words:], *options)
     assert not Path("new").exists() and not Path("k.fits").exists() and not Path("k.csv").exists()

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from support.slow_cases import slow
 
 CODE = """
 import os, signal, sys, time, weakref
@@ -26,7 +27,7 @@ app.main(["work"])
 """
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGTERM", slow("SIGINT"), slow("SIGHUP")])
 def test_a_signal_in_a_callback_is_not_lost(name: str) -> None:
     prepared = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from support.command_line import refused
 
 from pointing_analysis.image.centroid import noise_equivalent_angle
 from pointing_analysis.image.noise_curve import NoiseCurve, NoisePoint, curve_for, load_curves, measure
@@ -109,8 +110,5 @@ def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
 def test_a_mistake_is_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["image", "noise", *arguments, "--output", str(tmp_path / "noise.json")])
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
+    assert message in refused(capsys, "image", "noise", *arguments, "--output", tmp_path / "noise.json")
     assert not (tmp_path / "noise.json").exists()

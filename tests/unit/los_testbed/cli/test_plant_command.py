@@ -51,27 +51,6 @@ def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
     np.testing.assert_allclose(narrow.columns(np.array([1.0, 1.5, 3.0, 4.0])), [1.0, 50.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--theta=4"], ["theta must be between -3.14159 and 3.14159 rad", "got 4 rad"]),
-        (["--theta=1", "--tau=0.1"], ["theta or tau", "got both"]),
-        (["--wheel-speed", "1", "2", "-3", "2000"], ["wheel_speed (wheel 4)", "-1047.2 and 1047.2 rad/s", "2000"]),
-        (["--wheel-speed", "1", "2"], ["wheel_speed must hold 4 numbers", "got 2"]),
-        (["--omega-2=1"], ["omega_2 must be between 2.5175 and 2.7825 rad/s", "got 1 rad/s"]),
-        (["--theta=0", "--theta-rate=1", "--ramp-duration=5"], ["theta", "got 5 rad at the end of the ramp"]),
-        (["--sample=-1"], ["sample", "not negative", "-1"]),
-        (["--case=wrst"], ["no case 'wrst'", "did you mean worst?"]),
-    ],
-)
-def test_a_telescope_outside_the_family_is_refused(run, arguments, words) -> None:
-    code, out, err = run("run", "--mode=inprocess", "--duration=2", *arguments)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    for word in words:
-        assert word in err
-    assert not list(run.here.iterdir())
-
-
 def test_tau_is_another_name_of_theta() -> None:
     by_tau, by_theta = RunConfig(tau=math.tan(0.3)), RunConfig(theta=1.2)
     assert by_tau.array_angle == pytest.approx(1.2, rel=1e-14)

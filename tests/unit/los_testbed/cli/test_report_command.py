@@ -1,13 +1,10 @@
 """``los-testbed report``: what it writes, and that bad bags give one clear line or a stated partial answer."""
 
-import json
-
 import numpy as np
 import pytest
 from command_line import CommandLine
 
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read import run as read
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -55,45 +52,3 @@ def test_not_a_bag(call, tmp_path) -> None:
     refused(call, tmp_path / "empty", words=["rosbag2 folder"])
     (tmp_path / "los.csv").write_text("t,x,y\n0,1,2\n")
     refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --output PAGE"])
-
-
-def test_two_plants(call, tmp_path) -> None:
-    a = write_bag(tmp_path / "a", {"/one/truth/los": los(3)})
-    b = write_bag(tmp_path / "b", {"/two/truth/los": los(3)})
-    (b / "b_0.mcap").rename(a / "b_0.mcap")
-    (a / "metadata.yaml").unlink()
-    refused(call, a, words=["must hold one plant", "/one", "/two"])
-    assert call(a, "--namespace", "/two", "--output", "two.html")[0] == 0
-
-
-def test_nan_in_the_truth_is_counted_and_never_a_verdict_of_zero(call, tmp_path) -> None:
-    values = los(10)
-    values[6000:6003] = np.nan
-    bag = write_bag(tmp_path / "bag", {"truth/los": values}, parameters={"loop": "fsm"})
-    code, out, _ = call(bag, "--json")
-    assert code == 0
-    run = json.loads(out.splitlines()[-1])["runs"][0]
-    assert run["windows_skipped"] == 1
-    assert any("truth/los: 3 messages with NaN" in p for p in run["problems"])
-    everything = write_bag(tmp_path / "nan", {"truth/los": np.full((4000, 2), np.nan)})
-    refused(call, everything, words=["finite samples, got none"])
-
-
-def test_a_bag_larger_than_the_memory(call, tmp_path, monkeypatch) -> None:
-    """Read topic by topic; where one topic is too large, the answer is to take a part of the run."""
-    signals = {
-        "truth/los": los(10),
-        **{f"{n}/accel": RNG.standard_normal((10_000, 6)) for n in ("m1", "m2", "isolator")},
-    }
-    bag = write_bag(tmp_path / "bag", signals)
-    monkeypatch.setattr(read, "MEMORY_LIMIT", 1_200_000)
-    code, out, _ = call(bag, "--json")
-    assert code == 0
-    whole = json.loads(out.splitlines()[-1])["runs"][0]
-    assert whole["ticks"] == 10_000
-    (bag / "report.html").unlink()
-    monkeypatch.setattr(read, "MEMORY_LIMIT", 200_000)
-    refused(call, bag, words=["memory limit", "start", "stop"])
-    code, out, _ = call(bag, "--to", "2.5", "--json")
-    assert code == 0
-    assert json.loads(out.splitlines()[-1])["runs"][0]["ticks"] == 2500

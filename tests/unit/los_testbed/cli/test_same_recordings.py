@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.analysis.recordings import require_different
-from los_testbed.cli.app import main
+from support.command_line import refused
 
 
 @pytest.fixture
@@ -17,13 +17,6 @@ def table(tmp_path: Path) -> Path:
     rows = np.column_stack([t, *np.random.default_rng(0).standard_normal((2, t.size))])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,x_mas,y_mas", comments="")
     return tmp_path / "a.csv"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *command: object) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main([*map(str, command)])
-    assert stop.value.code == 2
-    return capsys.readouterr().err
 
 
 def test_a_recording_or_its_copy_is_no_further_run(table: Path, capsys: pytest.CaptureFixture[str]) -> None:

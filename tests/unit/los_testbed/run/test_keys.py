@@ -158,21 +158,6 @@ def test_requests_come_from_the_page_and_control_only():
     assert [node for node in ENCLAVES if may(sent_by(node, SPACE), "rr/telescope/plant/stopReply")] == ["plant"]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--days=0"], "days"),
-        (["--namespace=/" + "a" * 60], "--namespace must give enclaves of at most 64 characters"),
-        (["--domain=300"], "domain"),
-    ],
-)
-def test_what_makes_no_keys_is_refused(tmp_path, capsys, options, words):
-    with pytest.raises(SystemExit) as ended:
-        app.main(["keys", str(tmp_path / "store"), *options])
-    assert ended.value.code == 2 and words in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("name", NODES)
 def test_reports_and_replies_come_from_their_node_only(name):
     for sent in (f"rt/telescope/{name}/diagnostics", f"rr/telescope/{name}/set_parametersReply"):

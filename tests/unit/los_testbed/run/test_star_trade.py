@@ -13,6 +13,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, of_designs
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.star_trade import parameter_text
+from support.command_line import call_command
 
 from lftkit import SampledSystem
 from los_design import redesign
@@ -88,10 +89,8 @@ def test_a_trade_designs_for_each_star_and_goes_on_where_it_ended(
     assert of_designs(str(folder / places[0]))["parameters"].endswith("telescope.toml")
     main(command)  # nothing is left to do
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == first and len(designs.calls) == 3
-    with pytest.raises(SystemExit) as refused:
-        main([*command, "--seed", "7"])
-    error = capsys.readouterr().err
-    assert refused.value.code == 2 and "--output must be a new folder or one of the same trade" in error
+    code, _, error = call_command(capsys, *command, "--seed", "7")
+    assert code == 2 and "--output must be a new folder or one of the same trade" in error
 
 
 @pytest.mark.slow
