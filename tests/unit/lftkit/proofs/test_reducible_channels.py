@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -60,7 +62,8 @@ def test_a_parameter_with_one_value_changes_no_gain(method: str, value: float, u
     lag = System([[-1.0]], B, C, D, [("u", 1)], [("y", 1)], channels=("p", "c"), elements=(p, constant))
     bounds = worst_case_gain(lag, options=BoundOptions(method=method))
     assert bounds.lower == pytest.approx(2.0, rel=1e-6) and bounds.upper <= 2.1
-    assert check_proof(bounds.proof).box["c"] == (value, value)
+    checked: Any = check_proof(bounds.proof)
+    assert checked.box["c"] == (value, value)
 
 
 def test_gain_of_zero_is_proven_in_discrete_time() -> None:
