@@ -214,7 +214,8 @@ def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
         return None
     F = -regular_solve(R, B.T @ X + D1.T @ C1)
     L = -regular_solve(S, C @ Y + D2 @ B1.T).T
-    # X and Y are positive semidefinite exactly where these are stable, which rounding of X and Y hardly touches
+    # X is positive semidefinite exactly where A + B2 F2 is stable: it solves a Lyapunov equation of this matrix, and a
+    # mode of it that is not stable, with X >= 0, would be one of the closed loop. Y likewise; rounding hardly matters.
     if not (is_stable(A + B2 @ F[nw:]) and is_stable(A + L[:, nz:] @ C2)):
         return None
     product = X @ Y / level**2
