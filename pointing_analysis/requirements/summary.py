@@ -49,6 +49,7 @@ from pointing_analysis.requirements.settling import judge_settled
 from pointing_analysis.requirements.verdict import Requirement, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
+from pointing_analysis.spectra.spectra import lines
 from pointing_analysis.spectra.tone_budget import PART as BUDGET_PART
 from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_budget
 
@@ -470,7 +471,7 @@ def summarise(
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
     elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
-        found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
+        found, _ = unnamed_lines(series.values, series.dt, lines(series.values, series.dt, named_tones(run), window))
     lost, problems, dropped = _integrity(run)
     star, unusable = _star(run, series, window) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]

@@ -15,7 +15,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mapped_arrays import empty, parts, release
 from pointing_analysis.spectra.line_search import find_lines
 from pointing_analysis.spectra.sidebands import FoundLine
-from pointing_analysis.spectra.spectra import without_lines
+from pointing_analysis.spectra.spectra import SpectralLine, without_lines
 
 LONGEST = 1 << 19
 """Samples of a part."""
@@ -27,8 +27,10 @@ NAMED = 2.0
 """Lines so close to a named tone, in 1 / T, are what its fit leaves of it."""
 
 
-def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tuple[FoundLine, ...], FloatArray]:
-    """Lines of unknown frequencies, the lowest first, and the record without them and the named tones.
+def unnamed_lines(
+    error: FloatArray, dt: float, named: Sequence[SpectralLine] = ()
+) -> tuple[tuple[FoundLine, ...], FloatArray]:
+    """Lines of unknown frequencies, the lowest first, and the record without them and the named ones.
 
     Of a record that is searched in parts each line has its root mean square over the parts, and the bounds likewise.
 
@@ -36,11 +38,12 @@ def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tupl
     ----------
     error : (n, 2), NaN where a sample is missing
     dt : [s]
-    named : (k,) frequencies of the named tones [rad/s]
+    named : lines of the tones that are named
     """
-    rest = without_lines(error, dt, named) if np.size(named) else error
+    rest = without_lines(error, dt, named) if named else error
+    known = np.array([line.omega for line in named])
     step = max(1, len(error) // LONGEST)
-    if np.size(named) and np.nanstd(_thinned(rest, step)) <= LEAST * np.nanstd(_thinned(error, step)):
+    if named and np.nanstd(_thinned(rest, step)) <= LEAST * np.nanstd(_thinned(error, step)):
         return (), rest
     count = max(1, -(-len(rest) // LONGEST))
     edges = np.linspace(0, len(rest), count + 1).round().astype(int)
@@ -49,7 +52,7 @@ def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tupl
     for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist()):
         part = np.array(rest[begin:end])
         apart = NAMED * 2.0 * math.pi / (dt * len(part)) if len(part) else 0.0
-        lines = [line for line in find_lines(part, dt) if not np.any(np.abs(named - line.omega) < apart)]
+        lines = [line for line in find_lines(part, dt) if not np.any(np.abs(known - line.omega) < apart)]
         found.append(lines)
         if lines:
             if cleaned is None:

@@ -155,10 +155,10 @@ def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
 def background(error: ArrayLike, dt: float, omegas: ArrayLike, phasors: ArrayLike) -> FloatArray:
     """Amplitude that a fit of a tone finds where there is none: noise and drift, rms, along and across the tone.
 
-    From the medians over frequencies that lie two to seven whole periods in the run below
-    and above the tone, where the tone itself adds nothing; their geometric mean. Along the tone is the component of the
-    noise's phasors of both axes in the direction of the tone's, across is the other one: noise that acts on one axis
-    does not disturb a tone on the other to first order.
+    From the medians over frequencies that lie two to seven whole periods in the run below and above the tone, where the
+    tone itself adds nothing; their geometric mean. Along the tone is the component of the noise's phasors of both axes
+    in the direction of the tone's, across is the other one: noise that acts on one axis does not disturb a tone on the
+    other to first order.
 
     Parameters
     ----------
@@ -318,8 +318,8 @@ def above_noise(
     >>> [line.omega for line in above], [line.omega for line in within]
     ([100.0], [200.0])
     """
-    omegas = [line.omega for line in found]
-    noise = background(without_lines(error, dt, omegas), dt, omegas, [line.phasor for line in found])
+    omegas, phasors = [line.omega for line in found], [line.phasor for line in found]
+    noise = background(without_lines(error, dt, found), dt, omegas, phasors)
     sizes = np.array([linalg.norm(line.phasor) for line in found])
     within = sizes < CLEAR * np.hypot(*noise.T)
     return tuple(itertools.compress(found, np.logical_not(within))), tuple(itertools.compress(found, within))
@@ -381,26 +381,26 @@ def _basis(rows: IntArray, dt: float, omegas: FloatArray) -> FloatArray:
     return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
 
 
-def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
-    """The error without the tones that are fitted to it (`lines`): noise and what else there is.
+def without_lines(error: ArrayLike, dt: float, found: Sequence[SpectralLine]) -> FloatArray:
+    """The error without some of its lines: noise and what else there is.
 
     Parameters
     ----------
-    error : (n, 2), rows with NaN are left out of the fit and stay NaN
+    error : (n, 2), rows with NaN stay NaN
     dt : [s]
-    omegas : tone frequencies [rad/s]; those slower than one period in the run stay
+    found : by `lines`
 
     Examples
     --------
     >>> t = 1e-3 * np.arange(5000)
     >>> tone = np.column_stack([3 * np.sin(100 * t + 1), np.cos(4 * t)])
-    >>> bool(np.abs(without_lines(tone, 1e-3, [100.0, 4.0])).max() < 1e-9)
+    >>> bool(np.abs(without_lines(tone, 1e-3, lines(tone, 1e-3, [100.0, 4.0], window=0.02))).max() < 1e-9)
     True
     """
     e = np.asarray(error, dtype=float)
-    groups, centre, solution = _fit(e, dt, omegas)
+    omegas, phasors = np.array([line.omega for line in found]), np.array([line.phasor for line in found])
     rest = empty(e.shape)
     for part in _fit_parts(len(e)):
-        fitted = _basis(np.arange(part.start, part.stop), dt, centre) @ solution if groups else 0.0
-        rest[part] = e[part] - fitted
+        angle = np.outer(dt * np.arange(part.start, part.stop), omegas)
+        rest[part] = e[part] - (np.exp(1j * angle) @ phasors.reshape(-1, 2)).real
     return rest

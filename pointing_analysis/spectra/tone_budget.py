@@ -111,13 +111,12 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     total : float
         99.7 % quantile of the rms in each window, both axes [mas].
     """
-    omegas = named_tones(run)
     given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
     allowed = {part: allowances[part] for part in PARTS if part in allowances}
-    named = spectra.lines(series.values, series.dt, omegas, window)
-    found, rest = unnamed_lines(series.values, series.dt, omegas)
+    named = spectra.lines(series.values, series.dt, named_tones(run), window)
+    found, rest = unnamed_lines(series.values, series.dt, named)
     samples = metrics.samples_or_one(window, series.dt)
     factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
     powers = [(line.omega, line.rpe**2) for line in named]

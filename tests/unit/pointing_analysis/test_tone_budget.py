@@ -76,7 +76,7 @@ def test_long_records_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> 
     late = np.where(T > 30.0, 20.0 * np.sin(700.0 * T), 0.0)
     values = np.column_stack([10.0 * np.sin(drift), late]) + np.random.default_rng(5).standard_normal((T.size, 2))
     values[7] = np.nan
-    found, rest = record_lines.unnamed_lines(values, 1e-3, np.empty(0))
+    found, rest = record_lines.unnamed_lines(values, 1e-3)
     assert [line.omega for line in found] == pytest.approx([2.0 * np.pi * 45.015, 700.0], abs=0.03)
     assert found[0].amplitude[0] == pytest.approx(10.0, rel=0.02)
     assert found[1].amplitude[1] == pytest.approx(20.0 / math.sqrt(2.0), rel=0.02)
@@ -87,7 +87,8 @@ def test_what_the_fit_of_named_tones_leaves_of_a_record_without_noise_is_no_line
     time = 1e-3 * np.arange(10_000)
     tones = np.column_stack([np.sin(100.0 * time), np.cos(333.0 * time)])
     crumbs = 1e-6 * np.column_stack([np.sin(200.0 * time), np.sin(250.0 * time)])
-    found, rest = record_lines.unnamed_lines(tones + crumbs, 1e-3, np.array([100.0, 333.0]))
+    named = spectra.lines(tones + crumbs, 1e-3, [100.0, 333.0], 0.02)
+    found, rest = record_lines.unnamed_lines(tones + crumbs, 1e-3, named)
     assert found == () and np.abs(rest).max() < 1e-4
 
 
