@@ -20,7 +20,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_piece
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, NO_SCALE, Cell
 from lftkit.proofs.state_space.cover import WHOLE
@@ -125,7 +125,8 @@ class _Axis:
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_piece(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
+            model = replace(self.model, beyond=beyond)
+            found = prove_level(model, box, band, level, until=until, options=options, part=True)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):

@@ -125,6 +125,7 @@ def prove_level(
     until: float = math.inf,
     known: Sequence[Strip] = (),
     options: BisectionOptions | None = None,
+    part: bool = False,
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
@@ -141,27 +142,16 @@ def prove_level(
     known : sequence of Strip
         Of a proof for another level that covers this box and band: what also holds for this level is kept.
     options : BisectionOptions, optional
+    part : bool
+        The box is a part of one that contains zero, the nominal member, and need not itself.
 
     Raises
     ------
     ValueError
-        The box does not contain zero, the nominal member: a proof of it would be refused.
+        The box does not contain zero: a proof of it would be refused.
     """
-    require_box(box)
-    return prove_piece(model, box, band, level, until=until, known=known, options=options)
-
-
-def prove_piece(
-    model: SearchedResponses,
-    box: Sequence[Interval],
-    band: Interval,
-    level: float,
-    *,
-    until: float = math.inf,
-    known: Sequence[Strip] = (),
-    options: BisectionOptions | None = None,
-) -> LoopBounds:
-    """As :func:`prove_level`, of a piece that an earlier attempt left; it need not contain the nominal member."""
+    if not part:
+        require_box(box)
     start, options = time.process_time(), options or BisectionOptions()
     slow, rng = SLOW * model.slowest, np.random.default_rng(options.seed)
     state = _State(model, level, until, options, rng, LoopBounds(), slow, Branching(model, level, until))
