@@ -19,7 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.state_space.barrier import FULL, BarrierBlock
 from lftkit.proofs.state_space.bounds import intervals_of
-from lftkit.proofs.state_space.disk_search import DiskSearch
+from lftkit.proofs.state_space.disk_search import DiskSearch, at_end
 from lftkit.proofs.state_space.disks import real_first, structure_of
 from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.proofs.state_space.search import response_slopes
@@ -176,8 +176,8 @@ def gain_profile(
         for w in frequencies:
             M = _response(unit, float(w))
             if search.disks:
-                at_end = float(w) in (0.0, math.inf, math.pi / chosen.dt if chosen.dt else math.inf)
-                gain, (values, _) = search.gain_of(_response(chosen, float(w)), samples, at_end)
+                real = at_end(float(w), chosen.dt)
+                gain, (values, _) = search.gain_of(_response(chosen, float(w)), samples, real)
             else:
                 gain, point = _worst_at(M, sizes, rng, samples)
                 values = [p.from_normalised(v) for p, v in zip(chosen.parameters, point)]

@@ -182,7 +182,7 @@ class DiskSearch:
         if found is None:
             return 0.0, None
         real, values = self._values(found)
-        if _at_end(omega) and not self._real_dynamics(values):
+        if at_end(omega) and not self._real_dynamics(values):
             return 0.0, None
         nominal = np.array([p.nominal for p in self.system.parameters])
         return value, (nominal + real, values)
@@ -224,10 +224,10 @@ class DiskSearch:
         """Member of the box with the largest gain found."""
 
         def first(omega: float) -> tuple[float, Any]:
-            return self.gain_of(self.response(omega), GAIN_STARTS[0], _at_end(omega))
+            return self.gain_of(self.response(omega), GAIN_STARTS[0], at_end(omega))
 
         value, omega, found = self.worst(first, lambda w, member: self._climbed_to(w, *member))
-        closely = self.gain_of(self.response(omega), GAIN_STARTS[1], _at_end(omega))
+        closely = self.gain_of(self.response(omega), GAIN_STARTS[1], at_end(omega))
         value, found = max((value, found), closely, key=lambda pair: pair[0])
         return DiskMember(value, found[0], omega, found[1])
 
@@ -261,26 +261,26 @@ class DiskSearch:
 
     def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
         """That of an ascent from a member's real elements at one frequency."""
-        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks(_at_end(omega)))
+        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks(at_end(omega)))
         return DiskMember(value, found[0], omega, found[1])
 
-    def gain_of(self, M: ComplexArray, starts: int, at_end: bool = False) -> tuple[float, Any]:
+    def gain_of(self, M: ComplexArray, starts: int, real: bool = False) -> tuple[float, Any]:
         """Largest gain found from the response `M` of all channels, and the member: parameters (p,) and disks.
 
-        `at_end`: M is that at an end of the axis, and so real; only members with real values are looked for.
+        `real`: M is that at an end of the axis, and so real; only members with real values are looked for.
         """
         rng = np.random.default_rng(self.seed)
         points = [self.deviations.mean(axis=1)]
         points += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(starts - 1)]
-        found = [self._ascent(M, point, self._random_disks(at_end, rng)) for point in points]
+        found = [self._ascent(M, point, self._random_disks(real, rng)) for point in points]
         return max(found, key=lambda pair: pair[0])
 
-    def _random_disks(self, at_end: bool, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
+    def _random_disks(self, real: bool, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
         """Values of rank one on the surface; real ones at an end of the axis, and ascents from them stay real."""
         rng = rng or np.random.default_rng(self.seed)
         values = {}
         for disk in self.disks:
-            u, v = (rng.normal(size=n) + 1j * (not at_end) * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
+            u, v = (rng.normal(size=n) + 1j * (not real) * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
             values[disk.name] = np.asarray(disk.radius * np.outer(u, v) / (linalg.norm(u) * linalg.norm(v)), complex)
         return values
 
@@ -355,9 +355,9 @@ class DiskSearch:
         return delta
 
 
-def _at_end(omega: float) -> bool:
-    """Whether a frequency is an end of the axis, where the response and dynamics are real."""
-    return omega == 0.0 or math.isinf(omega)
+def at_end(omega: float, dt: float = 0.0) -> bool:
+    """Whether a frequency [rad/s] is an end of the axis, where the response and dynamics are real."""
+    return omega == 0.0 or math.isinf(omega) or bool(dt and omega == math.pi / dt)
 
 
 def about(system: System, point: FloatArray) -> System:
