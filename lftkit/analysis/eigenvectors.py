@@ -14,6 +14,7 @@ from scipy import linalg
 
 from lftkit.analysis.compensated import fine_product, halves, matrix_product, two_sum
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.support.state_units import in_balanced_units
 
 MAX_NEWTON_STEPS, FINE_STEPS = 3, 2
 NEWTON_CONVERGED = 1e-9
@@ -158,12 +159,8 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     Metres beside microradians give eigenvectors a condition of 1e9; in these units it is 1e5. The units are powers of
     two, so nothing is rounded.
     """
-    if len(A) == 0:
-        return A, B, C
-    scale = linalg.lapack.dgebal(A, scale=1, permute=0)[3]
-    if scale.tolist() == [1.0] * len(A):
-        return A, B, C
-    return A * scale / scale[:, None], B / scale[:, None], C * scale
+    A, units = in_balanced_units(A)
+    return A, B / units[:, None], C * units
 
 
 def eigenvector_residual(A: FloatArray, modes: Modes) -> FloatArray:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.eigenvectors import EPS, Modes, balanced, corrected_modes, modes
+from lftkit.analysis.eigenvectors import EPS, Modes, corrected_modes, modes
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.support.state_units import in_balanced_units
 
 PARALLEL = 1e5
 """Condition number of a pole, of its left and right eigenvectors, above which it is kept in the block."""
@@ -70,8 +71,7 @@ class ModalForm:
             The QR algorithm did not converge (entries near overflow).
         """
         A = np.asarray(A, dtype=float)
-        units = np.asarray(linalg.lapack.dgebal(A, scale=1, permute=0)[3]) if len(A) else np.ones(0)
-        a, _, _ = balanced(A, np.zeros((len(A), 0)), np.zeros((0, len(A))))
+        a, units = in_balanced_units(A)
         if not len(A):
             return cls._whole(a, units)
         found = corrected_modes(a, modes(a), CONVERGED)

@@ -18,6 +18,7 @@ from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
@@ -176,7 +177,7 @@ def _same_winding(first: Matrices, second: Matrices) -> tuple[bool, bool]:
     mixed = C2.T @ linalg.solve(np.eye(len(D1)) + D1 @ D2.T, C1)
     own, other = by_states[:, : len(A1)], by_states[:, len(A1) :]
     matrix = np.block([[A1 - B1 @ own, -B1 @ other], [-mixed, C2.T @ D1 @ other - A2.T]])
-    matrix = linalg.matrix_balance(matrix, permute=False)[0]
+    matrix = in_balanced_units(matrix)[0]
     found: Any = linalg.eig(matrix, left=True)
     zeros, left, right = found
     moved = np.sum(np.abs(left) * (np.abs(matrix) @ np.abs(right)), axis=0)

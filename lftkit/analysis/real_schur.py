@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.support.state_units import in_balanced_units
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class RealSchur:
         ArithmeticError
             The QR algorithm did not converge (entries near overflow).
         """
-        A, _, _, units, _ = linalg.lapack.dgebal(A, scale=1, permute=0)
+        A, units = in_balanced_units(A)
         work = int(linalg.lapack.dgees(_any, A, lwork=-1)[-2][0])
         form, _, real, imaginary, basis, _, info = linalg.lapack.dgees(_any, A, lwork=work)
         if info:

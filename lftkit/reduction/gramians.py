@@ -9,6 +9,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.support.state_units import in_balanced_units
 
 ON_EDGE = 64.0 * EPS
 """Distance of a pole from the edge of the stable region, over the largest one or 1, that is no decay."""
@@ -119,5 +120,5 @@ def gramian_factor(A: FloatArray, B: FloatArray, dt: float = 0.0) -> FloatArray:
 
 def _in_balanced_units(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A and B in units of the states in which slow poles keep their digits beside large entries, and these units."""
-    balanced_A, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
-    return np.asarray(balanced_A, dtype=float), np.asarray(B / units[:, None]), np.asarray(units, dtype=float)
+    balanced_A, units = in_balanced_units(A)
+    return balanced_A, np.asarray(B / units[:, None]), units

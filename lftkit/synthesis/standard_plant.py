@@ -12,6 +12,7 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, names_of_ports
@@ -126,7 +127,7 @@ def _has_full_row_rank(left: ComplexArray, right: FloatArray) -> bool:
     right = right[:, columns > 0.0] / columns[columns > 0.0] * size
     bordered = np.zeros((n + 1, n + 1))
     bordered[:n, :n], bordered[:n, n] = np.abs(left), np.abs(right).max(axis=1, initial=0.0)
-    units = linalg.lapack.dgebal(bordered, scale=1, permute=0)[3][:n]
+    units = in_balanced_units(bordered)[1][:n]
     matrix = np.hstack([left * units / units[:, None], right / units[:, None]])
     sizes = np.abs(matrix).max(axis=1, initial=0.0)
     if not sizes.all():

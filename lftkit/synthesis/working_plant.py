@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.standard_plant import RANK, has_rank
 from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.tuning.gains.loop import ExtendedPlant
@@ -106,7 +107,7 @@ class WorkingPlant:
         whole = np.zeros((n + 1, n + 1))
         whole[:n, :n], whole[:n, n] = P.A, _sizes(np.hstack([P.B1, P.B2]))
         whole[n, :n] = _sizes(np.vstack([P.C1, P.C2]).T)
-        scale = linalg.lapack.dgebal(whole, scale=1, permute=0)[3]
+        scale = in_balanced_units(whole)[1]
         s = scale[:n] / scale[n]
         A = P.A * s / s[:, None]
         rate = _power_of_two(float(linalg.norm(A)))

@@ -10,6 +10,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, is_number
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space, static_gain
 
@@ -58,8 +59,8 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     through = num[-1]
     companion = np.diag(np.ones(order - 1), 1)
     companion[-1] = -den[:-1]
-    A, T = linalg.matrix_balance(companion, permute=False)
-    B, C = linalg.solve(T, np.eye(order)[:, -1:]), (num - through * den)[None, :-1] @ T
+    A, units = in_balanced_units(companion)
+    B, C = np.eye(order)[:, -1:] / units[:, None], (num - through * den)[None, :-1] * units
     level = np.sqrt(linalg.norm(C) / linalg.norm(B))
     return (
         np.asarray(np.kron(each, A) / delay, dtype=float),

@@ -27,6 +27,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.delta import Value, delta_response
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import width
@@ -125,7 +126,7 @@ def _reduced(given: System, tolerance: float, scaling: Scaling) -> System:
 
 
 def _balanced(A: FloatArray) -> FloatArray:
-    return np.asarray(linalg.matrix_balance(A, permute=False, separate=True)[1][0])
+    return in_balanced_units(A)[1]
 
 
 def _balanced_without_rounding(A: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
 from lftkit.proofs.state_space.search import Member, climbed, member_gain, scaled_box, worst_member
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL, Interval, Strip
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.system import System
 
 PART = 0.1
@@ -278,7 +279,7 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     """
     if not len(A):
         return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex)
-    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    balanced, scale = in_balanced_units(A)
     poles, T = linalg.eig(balanced)
     factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
     inverse, singular = linalg.lapack.zgetri(factors, pivots)

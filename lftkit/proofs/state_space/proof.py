@@ -18,6 +18,7 @@ from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapp
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.proofs.trusted.cells import KIND, Inequality, digest
 from lftkit.proofs.trusted.entries import FORMAT
+from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.system import System
 
 
@@ -153,7 +154,7 @@ def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     inverse, info = linalg.lapack.dgetri(factors, pivots)
     if info == 0:
         yield inverse, modal
-    balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    balanced, scale = in_balanced_units(A)
     X = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A)))
     R, info = linalg.lapack.dpotrf(0.5 * (X + X.T), lower=0)
     if info == 0:
