@@ -17,6 +17,7 @@ WAITING, RUNNING, OVER = "waiting for its start", "running", "over"
 class RunServices:
     """Answers ``plant/start``, ``plant/stop`` and ``plant/reset``; a request in the wrong state is rejected.
 
+    A start that comes again before the run begins is answered like the first one: requests may be repeated on the way.
     Without the package ``std_srvs`` there are no services; the parameter ``fault`` stops and resets as well.
 
     Parameters
@@ -63,7 +64,7 @@ class RunServices:
         self.state, self._asked = RUNNING, False
 
     def _start(self, request: Any, response: Any) -> Any:
-        if self.state != WAITING or self.may_begin:
+        if self.state != WAITING or not self._waits:
             return _refuse(response, "start", WAITING, self.state if self.state != WAITING else "starting")
         self._asked = response.success = True
         response.message = "the run begins when all nodes answer"
