@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
-from pointing_analysis.requirements.conditions import ACTING
+from pointing_analysis.requirements.conditions import ACTING, WHEEL_SPEEDS
 from pointing_analysis.spectra.spectra import SpectralLine
 
 ORDERS = 6
@@ -28,7 +28,7 @@ def likely_source(view: RunView, line: SpectralLine) -> str:
     """
     if line.found is not None and line.found.is_sideband:
         return f"sideband of {line.found.carrier / (2 * math.pi):.4g} Hz"
-    speeds = view.run.parameters.get("wheel_speed", [])
+    speeds = view.run.parameters.get(WHEEL_SPEEDS, [])
     near = 2 * math.pi / max(view.series.duration, 1e-9)
     found = _wheels(
         line.omega, [abs(float(x)) for x in speeds if is_number(x)] if isinstance(speeds, list) else [], near

@@ -36,6 +36,7 @@ from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.report.outputs import ReportOutputs
 from pointing_analysis.report.paper import Paper
 from pointing_analysis.report.spectrum_figure import density
+from pointing_analysis.requirements.conditions import WHEEL_SPEEDS
 from pointing_analysis.requirements.summary import Summary, exposure_of_run, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
@@ -60,9 +61,9 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
 
 
 def tones_of(run: Recording) -> FloatArray:
-    """Disturbance lines named in the bag [rad/s], ``tones_rad_s`` and the wheel speeds; none where something moves."""
+    """Disturbance lines named in the bag [rad/s]: tones and speeds of the wheels; none where something moves."""
     found: list[float] = []
-    for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
+    for key in () if motion_of(run) else ("tones_rad_s", WHEEL_SPEEDS):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
         found += [abs(float(x)) for x in value if is_number(x)]  # a wheel's line has no sign

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +13,16 @@ from los_testbed.cli import app
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import with_scenario
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import START_FILE, RunStart
+from los_testbed.parts.start import AT_REST, START_FILE, RunStart
+from los_testbed.run.conditions import conditions
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.loop.source_alone import NOISE, Part, parts_of
 from los_testbed.run.summary import source_shares as module_of_shares
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
 
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.conditions import conditions_of
+from pointing_analysis.report.report import tones_of
+from pointing_analysis.requirements.conditions import WHEEL_SPEEDS, conditions_of
 from pointing_analysis.requirements.summary import summarise
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -171,6 +174,23 @@ def test_which_scenario_acts(folder: Path, settings: dict[str, object], scenario
     telescope(folder, "cooler")
     assert with_scenario(RunConfig(**settings)).scenario == scenario  # type: ignore[arg-type]
     assert with_scenario(RunConfig()).scenario == RunParts(RunConfig()).config.scenario == "worst_case"
+
+
+@pytest.mark.parametrize(
+    ("settings", "speeds"),
+    [
+        ({}, [212.0, 187.0, 236.0, 254.0]),  # of the parameter file
+        ({"wheel_speed": [50.0, -60.0, 70.0, -80.0]}, [50.0, 60.0, 70.0, 80.0]),
+        ({"profile": "table.csv"}, []),
+        ({"plant": "mine:Plant", "start": "rest"}, []),
+    ],
+)
+def test_the_report_looks_for_lines_at_the_speeds_of_the_wheels(
+    settings: dict[str, object], speeds: list[float]
+) -> None:
+    entries = conditions(RunParts(RunConfig.from_mapping({"scenario": "none", **settings})), AT_REST)
+    run = SimpleNamespace(parameters={name: json.loads(entries[name]) for name in (WHEEL_SPEEDS,) if name in entries})
+    assert tones_of(run).tolist() == sorted(speeds)
 
 
 @pytest.mark.further

@@ -196,7 +196,7 @@ def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
     """A wheel, a multiple of its speed, else the scenario that acts; what fits nothing has no name."""
     acting = [{"name": "imbalance", "kind": "scenario", "what": ""}]
     path = make(
-        tmp_path / "bag", "fsm", 5.0, wheel_speed=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
+        tmp_path / "bag", "fsm", 5.0, wheel_speeds_rad_s=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
     )
     seen = view(Run.open(path), "fsm")
     names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
