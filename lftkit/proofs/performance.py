@@ -33,8 +33,8 @@ STEPS = 12
 """Most factors that are tried, by search and by proof."""
 BELOW, LESS = 0.999, 0.75
 """Part of the smallest factor that reaches the level at which the next is looked for; of one not proven in time."""
-PART = 0.6
-"""Part of the time that is left for the proof of a factor."""
+SEARCH, PART = 0.4, 0.6
+"""Part of the time after which no further factor is searched; part of what is left for the proof of a factor."""
 RAY, PRECISION = 64, 1e-7
 """Points of a ray at which the gain is looked at, and the precision of the first one that reaches the level."""
 
@@ -80,7 +80,8 @@ class PerformanceProblem:
         ValueError
             A nominal member outside of the box, or not stable.
         """
-        until, gap = time.monotonic() + self.options.wall_limit, self.options.gap
+        start, wall_limit, gap = time.monotonic(), self.options.wall_limit, self.options.gap
+        until = start + wall_limit
         if not all(low <= at <= high for at, (low, high) in zip(self.nominal, self.box)):
             raise InputError("box must contain the nominal values, got another")
         first = member_gain(self.system, self.nominal, WHOLE)
@@ -88,7 +89,7 @@ class PerformanceProblem:
             raise InputError(f"{self.system.name}: the nominal member must be stable, got an unstable one")
         if first.gain >= self.level:
             return self._named(0.0, 0.0, first, None, "violated")
-        worst = self._least_found(largest)
+        worst = self._least_found(largest, start + SEARCH * wall_limit)
         lower, proof = 0.0, None
         aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)
         for _ in range(STEPS):
@@ -125,10 +126,15 @@ class PerformanceProblem:
         cells = by_cells(scaled, ends, WHOLE, self.level, options)
         return cells.run(), cells.worst
 
-    def _least_found(self, largest: float) -> tuple[float, Member] | None:
-        """The smallest factor at which a search finds a member that reaches the level, and that member; or None."""
+    def _least_found(self, largest: float, until: float) -> tuple[float, Member] | None:
+        """The smallest factor at which a search finds a member that reaches the level, and that member; or None.
+
+        No search begins after `until` but the first.
+        """
         worst, factor = None, min(1.0, largest)
-        for _ in range(STEPS):
+        for step in range(STEPS):
+            if step and time.monotonic() > until:
+                break
             scaled, ends = self._scaled(factor)
             if self.disks:
                 member = DiskSearch(scaled, ends, WHOLE, self.options.seed).worst_member()

@@ -314,9 +314,8 @@ class DiskSearch:
         """Gain of a member, and a function that names the member with the largest linearised gain."""
         q = len(self.system.channels)
         delta = self._delta(real, values)
-        try:
-            inner = np.asarray(linalg.solve(np.eye(q) - M[:q, :q] @ delta, M[:q]), complex)
-        except linalg.LinAlgError:
+        *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q])
+        if singular:
             return np.inf, lambda a, b: (a, b)
         seen = inner[:, q:]
         through = M[q:, :q] @ (np.eye(q) + delta @ inner[:, :q])

@@ -29,6 +29,7 @@ from lftkit.proofs.state_space.bounds import named_member, smallest_unstable
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskSearch
 from lftkit.proofs.state_space.disks import dynamics_with, real_first
+from lftkit.proofs.state_space.search import Member
 from lftkit.proofs.trusted.cells import digest
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
@@ -224,7 +225,7 @@ def unstable() -> System:
     return ((1 + dynamic("f", bound=0.5)) / (s - 1)).system("u", "y")
 
 
-def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand() -> None:
+def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """(1 + f) / (s + 1), |f| <= t / 2: the largest gain 1 + t / 2 is at rest."""
     system = ((1 + dynamic("f", bound=0.5)) / (s + 1)).system("u", "y")
     bounds = robust_performance(system, level=1.4, options=replace(LONG, gap=0.4))
@@ -233,6 +234,16 @@ def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand() -> None:
     assert hinf_norm(*system.at(bounds.point).matrices).value == pytest.approx(1.4, rel=1e-6)
     nominal = robust_performance(system, level=0.9)
     assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
+    searched: list[DiskSearch] = []
+    search = DiskSearch.worst_member
+
+    def counted(own: DiskSearch) -> Member:
+        searched.append(own)
+        return search(own)
+
+    monkeypatch.setattr(DiskSearch, "worst_member", counted)
+    late = robust_performance(system, level=1.4, options=BoundOptions(wall_limit=1e-9))
+    assert late.status == "out_of_time" and late.upper >= 0.8 and len(searched) == 1
 
 
 @pytest.mark.slow
