@@ -19,7 +19,8 @@ from scipy import linalg, optimize
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import HInfNorm, hinf_norm, is_stable
-from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.analysis.zeros import zeros_of
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
@@ -199,7 +200,7 @@ class _Signs:
         gain = np.block([[A, np.zeros_like(A)], [-C.T @ C, -A.T]]), into, out, 1.0 - D * D
         real = linalg.block_diag(A, -A.T), np.vstack([B, C.T]), np.hstack([C, B.T]), 0.0 * D
         poles = np.abs(linalg.eigvals(A)) if len(A) else np.zeros(0)
-        zeros = np.concatenate([_zeros(gain), _zeros(real)])
+        zeros = np.concatenate([zeros_of(*gain), zeros_of(*real)])
         marks = np.unique(np.concatenate([poles, np.abs(zeros.imag), np.abs(zeros)]))
         marks = marks[marks > 0.0] if marks.any() else np.ones(1)
         middle = np.sqrt(marks[1:]) * np.sqrt(marks[:-1])
@@ -245,13 +246,3 @@ class _Signs:
         last = math.pi / self.loop.dt if self.loop.dt else math.inf
         values = [(0.0, self.value(0.0)), (last, self.value(last) if self.loop.dt else complex(self.loop.D.item()))]
         return [(omega, value.real) for omega, value in values if NOISE < abs(value) < 1.0 / NOISE]
-
-
-def _zeros(system: Matrices) -> ComplexArray:
-    """Finite zeros of a system with one input and one output."""
-    A, B, C, D = system
-    n = len(A)
-    pencil, unit = np.block([[A, B], [C, np.atleast_2d(D)]]), np.zeros((n + 1, n + 1))
-    unit[:n, :n] = np.eye(n)
-    values = np.asarray(linalg.eigvals(pencil, unit), dtype=complex)
-    return np.asarray(values[np.isfinite(values)])

@@ -64,8 +64,9 @@ class FullOrderDesign:
     value : float
         Norm of `closed`; where rounding leaves that of an H-infinity design open, a bound of it.
     lower : float
-        What no controller of any order can do better, numerically; minus infinity where neither the Riccati equations
-        nor linear matrix inequalities have an optimum near to `value`. With ``certify=True`` it is proven, or minus
+        What no controller of any order can do better, numerically: the optimum of the Riccati equations or of linear
+        matrix inequalities, where that is near to `value`, or the largest gain at a single frequency or zero that no
+        controller changes; minus infinity where there is none. With ``certify=True`` it is proven, or minus
         infinity.
     regularised : float
         Weight of commands and noise of measurements that was added, in units in which those of the plant, or its gains
@@ -138,21 +139,22 @@ def hinfsyn(
 def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> FullOrderDesign:
     """The controller with the least norm and its bound, with weights where the equations have no solution without.
 
-    No other bound is looked for where the value is near to the one that is proven.
+    No other bound is looked for where the value is near to the one that is proven, or to the gain out of reach.
     """
-    found = _controller_of_least_norm(given, generalised)
-    if found.lower > -np.inf or proven >= (1.0 - CONFIRMED) * found.value:
-        return found
+    known = generalised.gain_out_of_reach()
+    near = max(known, proven)
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
+        if design.lower > -np.inf or near >= (1.0 - CONFIRMED) * design.value:
+            return replace(design, lower=max(design.lower, min(known, design.value)))
         return replace(design, lower=confirmed_optimum(given.system, measured, commanded, design.value))
 
-    found = bounded(found)
-    if found.lower > -np.inf:
-        return found
-    better = _with_weights(given, generalised, of_states=True)
-    return bounded(better) if better is not None and better.value < found.value else found
+    found = bounded(_controller_of_least_norm(given, generalised))
+    if found.lower == -np.inf:
+        better = _with_weights(given, generalised, of_states=True)
+        found = bounded(better) if better is not None and better.value < found.value else found
+    return replace(found, lower=known) if found.lower == -np.inf and known > 0.0 else found
 
 
 def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:

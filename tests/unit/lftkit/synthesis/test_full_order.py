@@ -323,6 +323,18 @@ def test_a_zero_on_the_axis_is_approached_and_the_norm_not_stated_too_low() -> N
     assert found.lower <= 1.0 <= (1.0 + 1e-6) * found.value and found.value < 1.001
 
 
+@pytest.mark.parametrize("rate", [1.0, 1e3])
+@pytest.mark.parametrize(
+    ("G", "bound"), [(lambda p: 1.0 / (p + 1) ** 2, 0.5), (lambda p: (1 - p) / (p + 2) ** 2, 1.5 / 1.001)]
+)
+def test_without_a_weight_of_commands_a_zero_of_the_plant_is_the_bound(G: Any, bound: float, rate: float) -> None:
+    """W S is W at infinity, and at a zero to the right of the axis; loops come near to it."""
+    p = s / rate
+    found = mixsyn(system(G(p)), system((0.5 * p + 1) / (p + 1e-3)))
+    assert found.lower == pytest.approx(bound, rel=1e-9)
+    assert found.lower < found.value < 1.001 * bound and stable(found.closed)
+
+
 def test_a_plant_without_states_has_a_gain_as_controller() -> None:
     """Parrott: of ``[[2 + d, 1], [1, 0]]`` with d free the least norm is that of the second row and column, 1."""
     D = np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
