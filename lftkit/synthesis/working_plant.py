@@ -12,20 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.zeros import zeros_of
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import FloatArray
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.standard_plant import RANK, has_rank
 from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.tuning.gains.loop import ExtendedPlant
+from lftkit.tuning.out_of_reach import gain_out_of_reach
 
-FREQUENCIES = 0.0, *np.logspace(-6.0, 6.0, 121).tolist(), np.inf
-"""In units of the plant, in which its largest rate is near to 1."""
-ROUNDING = 1e-11
-"""Part of the gain of the plant without a controller that its rounding may make out of reach."""
-ZERO = 1e-6
-"""Gain at a zero, relative to that on the axis beside it; distance of zeros from the axis, relative to their size."""
-EPS = float(np.finfo(float).eps)
 ROUNDS = 4
 """Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""
 
@@ -91,39 +84,8 @@ class WorkingPlant:
         return None if found is None else (self.level * found[0], self.level * found[1])
 
     def gain_out_of_reach(self) -> float:
-        """Lower bound of the H-infinity norm for all controllers, in the units of the user, from single points.
-
-        At each point of the imaginary axis, and at each zero to the right of it, where the norm is no smaller than the
-        gain either, a controller leaves the gain to the errors that no command reaches, and from the disturbances that
-        no measurement sees.
-        """
-        P = self.plant
-        axis = [self._out_of_reach(1j * omega) for omega in FREQUENCIES]
-        zeros = [*zeros_of(P.A, P.B2, P.C1, P.D12), *zeros_of(P.A, P.B1, P.C2, P.D21)]
-        right = [self._out_of_reach(zero, abs(zero)) for zero in zeros if zero.real > ZERO * abs(zero)]
-        return self.level * max([*axis, *right])
-
-    def _out_of_reach(self, point: complex, beside: float | None = None) -> float:
-        """At a point; at a zero there are directions with next to no gain beside that at the frequency `beside`."""
-        found = self._response(point)
-        near = found if beside is None else self._response(1j * beside)
-        if found is None or near is None:
-            return 0.0
-        (D11, D12, D21), (_, near12, near21) = found, near
-        left = _null(D12.conj().T, near12) @ D11, (_null(D21, near21) @ D11.conj().T).conj().T
-        rounding = ROUNDING * float(linalg.norm(D11))
-        return max([0.0, *(float(linalg.norm(part, 2)) - rounding for part in left if part.size)])
-
-    def _response(self, point: complex) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-        """From disturbances to errors, from commands to errors, from disturbances to measurements; None at a pole."""
-        P = self.plant
-        states = np.zeros((len(P.A), P.B1.shape[1] + P.B2.shape[1]), complex)
-        if np.isfinite(point) and len(P.A):
-            *_, states, singular = linalg.lapack.zgesv(point * np.eye(len(P.A)) - P.A, np.hstack([P.B1, P.B2]))
-            if singular:
-                return None
-        from_w, from_u = states[:, : P.B1.shape[1]], states[:, P.B1.shape[1] :]
-        return P.D11 + P.C1 @ from_w, P.D12 + P.C1 @ from_u, P.D21 + P.C2 @ from_w
+        """Lower bound of the H-infinity norm for all controllers, in the units of the user."""
+        return self.level * gain_out_of_reach(self.plant)
 
     def central(self, level: float) -> FullOrderEstimator | None:
         """Central controller at a level, both in the units of the user."""
@@ -181,14 +143,6 @@ class WorkingPlant:
             commands=self.commands * u,
             measurements=self.measurements * y,
         )  # fmt: skip
-
-
-def _null(M: ComplexArray, near: ComplexArray) -> ComplexArray:
-    """Orthonormal rows v with ``M v* = 0``, as far as rounding and the gains `near` tell."""
-    _, sizes, V = linalg.svd(M)
-    least = float(linalg.svdvals(near).min(initial=np.inf))
-    rank = np.count_nonzero((sizes > EPS * max(M.shape) * sizes.max(initial=0.0)) & (sizes > ZERO * least))
-    return np.asarray(V[rank:], complex)
 
 
 def _units(direct: FloatArray, through_states: FloatArray) -> FloatArray:

@@ -3,8 +3,9 @@
 The infimum of an H-infinity norm over all controllers is the lowest level at which two Riccati equations have solutions
 (Doyle, Glover, Khargonekar and Francis 1989; Zhou, Doyle and Glover 1996, theorem 17.1), that of an H2 norm is reached
 by the LQG controller. Both need every command in the error and noise on every measurement (D12 of full column rank, D21
-of full row rank); without them, with a delay or with a band of frequencies, there is no bound here. A bound is
-numerical, not a proof: it counts only if the controller just above it reaches it on the assembled loop.
+of full row rank); without them an H-infinity norm has the bound of single points (:mod:`lftkit.tuning.out_of_reach`),
+and with a delay or with a band of frequencies there is none here. A bound is numerical, not a proof: that of the
+equations counts only if the controller just above it reaches it on the assembled loop.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import MAX_ORDER, FullOrderEstimator, central, lowest_level, lqg
 from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
+from lftkit.tuning.out_of_reach import gain_out_of_reach
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 
@@ -58,8 +60,12 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement) -> f
 
     try:
         alone = plant(0)
-        if 0 < len(alone.A) <= MAX_ORDER and _of_full_rank(alone):
+        if len(alone.A) > MAX_ORDER:
+            return -np.inf
+        if len(alone.A) and _of_full_rank(alone):
             return synthesis(alone, lambda full: plant(len(full.A)).closed(full.gain_matrix))
+        if synthesis is _hinf_level:
+            return gain_out_of_reach(alone) or -np.inf
     except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
         pass
     return -np.inf

@@ -11,8 +11,9 @@ from scipy.linalg import solve_continuous_are as care
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete, tf2ss
 
-from lftkit import System
+from lftkit import System, s
 from lftkit.arrays import FloatArray
+from lftkit.synthesis import augw
 from lftkit.tuning import (
     H2Gain,
     HinfGain,
@@ -113,6 +114,13 @@ def test_a_hard_limit_below_the_bound_is_infeasible_and_said_so() -> None:
     reachable = [HinfGain("w", "z", bound=1.2 * optimum, hard=True), HinfGain("w", "y")]
     result = tune([plant], reachable, state_space([("y", 1)], [("u", 1)], 2), options=replace(few, target=1e6))
     assert result.feasible
+
+
+def test_a_zero_of_the_plant_to_the_right_bounds_a_goal_without_weight_of_commands() -> None:
+    """W S with W = (0.5 s + 1) / (s + 0.001) is 1.5 / 1.001 at the zero 1 of the plant, whatever the controller."""
+    plant = augw(((1 - s) / (s + 2) ** 2).system("u", "y"), error=((0.5 * s + 1) / (s + 1e-3)).system("e", "z"))
+    problem = Problem([plant], [HinfGain("w", "z1", bound=3.0)], state_space([("y", 1)], [("u", 1)], 2))
+    assert 3.0 * full_order_bounds(problem)[0, 0] == pytest.approx(1.5 / 1.001, rel=1e-9)
 
 
 def test_no_bound_where_it_would_not_be_one() -> None:

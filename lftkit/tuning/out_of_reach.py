@@ -1,0 +1,69 @@
+"""The gain that no controller changes, at single points: a lower bound of the H-infinity norm of all loops.
+
+At a point s of the imaginary axis a loop has the gain ``P11 + P12 R P21`` with any R. What is left of P11 between the
+errors that P12 does not reach and the disturbances, and between the errors and the disturbances that P21 does not see,
+is there for every R. A stable loop has no larger gain to the right of the axis than on it, so that zeros there count,
+too: ``W S`` is W at a zero of the plant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.zeros import zeros_of
+from lftkit.arrays import ComplexArray
+from lftkit.tuning.gains.loop import ExtendedPlant
+
+FREQUENCIES = 0.0, *np.logspace(-6.0, 6.0, 121).tolist(), np.inf
+"""Over the norm of A."""
+ROUNDING = 1e-11
+"""Part of the gain of the plant without a controller that its rounding may make out of reach."""
+ZERO = 1e-6
+"""Gain at a zero, relative to that on the axis beside it; distance of zeros from the axis, relative to their size."""
+EPS = float(np.finfo(float).eps)
+
+Responses = tuple[ComplexArray, ComplexArray, ComplexArray]
+"""From disturbances to errors, from commands to errors, and from disturbances to measurements."""
+
+
+def gain_out_of_reach(plant: ExtendedPlant) -> float:
+    """Largest one over the imaginary axis and the zeros to the right of it, of a plant in continuous time."""
+    P = plant
+    rate = float(linalg.norm(P.A)) if P.A.any() else 1.0
+    axis = [_out_of_reach(P, 1j * rate * omega) for omega in FREQUENCIES]
+    zeros = [*zeros_of(P.A, P.B2, P.C1, P.D12), *zeros_of(P.A, P.B1, P.C2, P.D21)]
+    right = [_out_of_reach(P, zero, abs(zero)) for zero in zeros if zero.real > ZERO * abs(zero)]
+    return max([*axis, *right])
+
+
+def _out_of_reach(plant: ExtendedPlant, point: complex, beside: float | None = None) -> float:
+    """At a point; at a zero there are directions with next to no gain beside that at the frequency `beside`."""
+    found = _responses(plant, point)
+    near = found if beside is None else _responses(plant, 1j * beside)
+    if found is None or near is None:
+        return 0.0
+    (P11, P12, P21), (_, near12, near21) = found, near
+    left = _null(P12.conj().T, near12) @ P11, (_null(P21, near21) @ P11.conj().T).conj().T
+    rounding = ROUNDING * float(linalg.norm(P11))
+    return max([0.0, *(float(linalg.norm(part, 2)) - rounding for part in left if part.size)])
+
+
+def _responses(plant: ExtendedPlant, point: complex) -> Responses | None:
+    """At a point; None at a pole."""
+    A, B, nw = plant.A, np.hstack([plant.B1, plant.B2]), plant.B1.shape[1]
+    states = np.zeros(B.shape, complex)
+    if np.isfinite(point) and len(A):
+        *_, states, singular = linalg.lapack.zgesv(point * np.eye(len(A)) - A, B)
+        if singular:
+            return None
+    from_w, from_u = states[:, :nw], states[:, nw:]
+    return plant.D11 + plant.C1 @ from_w, plant.D12 + plant.C1 @ from_u, plant.D21 + plant.C2 @ from_w
+
+
+def _null(M: ComplexArray, near: ComplexArray) -> ComplexArray:
+    """Orthonormal rows v with ``M v* = 0``, as far as rounding and the gains `near` tell."""
+    _, sizes, V = linalg.svd(M)
+    least = float(linalg.svdvals(near).min(initial=np.inf))
+    rank = np.count_nonzero((sizes > EPS * max(M.shape) * sizes.max(initial=0.0)) & (sizes > ZERO * least))
+    return np.asarray(V[rank:], complex)
