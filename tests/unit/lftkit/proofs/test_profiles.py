@@ -13,6 +13,7 @@ from lftkit import RealParameter, System, dynamic, feedback, real, s, z
 from lftkit.analysis.disk_margin import disk_gains, disk_phase
 from lftkit.proofs import (
     check_proof,
+    disk_margins,
     gain_profile,
     robust_stability,
     stability_profile,
@@ -153,3 +154,14 @@ def test_margins_of_a_disk_are_its_ends(skew: float) -> None:
         assert factor.real.max() == pytest.approx(high, abs=1e-8)
         nearest = factor[np.abs(np.abs(factor) - 1.0) < 1e-4]
         assert np.degrees(np.abs(np.angle(nearest)).max()) == pytest.approx(disk_phase(margin, skew), abs=0.06)
+
+
+def test_disk_margins_are_the_same_in_all_units_of_the_channels() -> None:
+    """1 + L was called singular at infinite frequency where a channel was in a small unit."""
+    units = np.diag([1e-9, 1e9])
+    D = np.array([[0.2, 0.1], [-0.1, 0.3]])
+    found = []
+    for T in (np.eye(2), units):
+        L = System(-np.eye(2), T, np.linalg.inv(T), np.linalg.inv(T) @ D @ T, [("u", 2)], [("y", 2)])
+        found.append([one.size for one in disk_margins(L).each])
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
