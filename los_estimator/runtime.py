@@ -77,8 +77,7 @@ class LosEstimator:
 
     def __init__(self, k_fsm: SampledSystem, sensors: Sequence[Port] = ()) -> None:
         inputs = (*K_FSM_INPUTS, *sensors)
-        if k_fsm.outputs == K_FSM_OUTPUTS:
-            k_fsm = k_fsm.with_inputs(inputs)
+        k_fsm = k_fsm.with_inputs(inputs)
         k_fsm.require(inputs, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
         self._u = np.zeros(total_size(inputs))

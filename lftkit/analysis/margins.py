@@ -22,6 +22,7 @@ from lftkit.analysis.norms import HInfNorm, hinf_norm, is_stable
 from lftkit.analysis.zeros import zeros_of
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.regular_solve import regular_solve
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
 from lftkit.systems.system import System
@@ -170,10 +171,12 @@ def sensitivity(loop: System) -> Matrices:
     if D.shape[0] != D.shape[1]:
         raise InputError(f"{loop.name}: must have as many inputs as outputs, got {D.shape[1]} and {D.shape[0]}")
     through = np.eye(len(D)) + D
-    sizes = linalg.svdvals(through)
-    if not sizes[-1] > np.finfo(float).eps * sizes[0]:
-        raise InputError(f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency")
-    inner = linalg.inv(through)
+    try:
+        inner = regular_solve(through, np.eye(len(D)))
+    except linalg.LinAlgError:
+        raise InputError(
+            f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency"
+        ) from None
     return A - B @ inner @ C, B @ inner, -inner @ C, inner
 
 

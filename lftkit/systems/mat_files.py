@@ -117,9 +117,7 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         raise InputError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
     if structs[name].size != 1:
         raise InputError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
-    fields = _fields(structs[name])
-    _require_explicit({key.lower(): value for key, value in fields.items()}, f"{path}: {name}")
-    return _from_fields(fields, name, path)
+    return _from_fields(_fields(structs[name]), name, path)
 
 
 def _fields(struct: Any) -> dict[str, Any]:
@@ -132,6 +130,7 @@ def _matrices_of(fields: Mapping[str, Any]) -> bool:
 
 def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
     lower = {key.lower(): value for key, value in fields.items()}
+    _require_explicit(lower, f"{path}: {name}")
     try:
         A, B, C, D = (_full(lower[key]) for key in "abcd")
         elements, channels = _elements(lower.get(BLOCKS))
@@ -149,9 +148,12 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
                 labels = [f"{default}[{i}]" for i in range(count)] if count > 1 else [default] * count
             if len(labels) != count:  # labels of fewer signals would leave out columns or rows
                 raise InputError(f"{kind.capitalize()}Name must have {count} names, got {len(labels)}")
+            if not any(units):
+                units = ["1"] * count
+            if len(units) != count:
+                raise InputError(f"{kind.capitalize()}Unit must have {count} units, got {len(units)}")
             ports, order = ports_of_labels([zero_based(x) for x in labels], None, kind)
-            unit = _unit_of_ports([zero_based(x).partition("[")[0] for x in labels], units)
-            sides.append((tuple(Port(q.name, q.size, unit.get(q.name) or "1") for q in ports), order))
+            sides.append((_with_units(ports, [units[i] for i in order]), order))
         (inputs, columns), (outputs, rows) = sides
         dt = _number(lower.get("ts", 0.0), "Ts")
         title = "".join(_texts(lower.get("name"))) or name
@@ -244,12 +246,13 @@ def _blocks(system: System) -> Any:
     return rows
 
 
-def _unit_of_ports(ports: Sequence[str], units: Sequence[str]) -> dict[str, str]:
-    """Unit of each port, of which each signal has one: the common one, or all with commas between them."""
-    found: dict[str, list[str]] = {}
-    for port, unit in zip(ports, units):
-        found.setdefault(port, []).append(unit)
-    return {port: own[0] if len(set(own)) == 1 else ",".join(own) for port, own in found.items()}
+def _with_units(ports: Sequence[Port], units: Sequence[str]) -> tuple[Port, ...]:
+    """Ports with the units of their signals, in the order of the ports: the common one, or all with commas between."""
+    found, rest = list[Port](), iter(units)
+    for port in ports:
+        own = [next(rest) for _ in range(port.size)]
+        found.append(replace(port, unit=(own[0] if len(set(own)) == 1 else ",".join(own)) or "1"))
+    return tuple(found)
 
 
 def _full(matrix: Any) -> Any:

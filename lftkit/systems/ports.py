@@ -63,6 +63,11 @@ class Port:
         units = tuple(self.unit.split(","))
         return units if len(units) == self.size else (self.unit,) * self.size
 
+    def takes(self, other: Port) -> bool:
+        """Whether another port has the same name and size, and the same unit if it states one (not ``1``)."""
+        same = (self.name, self.size) == (other.name, other.size)
+        return same and (other.unit in ("", "1") or other.units == self.units)
+
 
 def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     """Ports given as such or as (name, size); names must be unique.

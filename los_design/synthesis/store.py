@@ -59,7 +59,7 @@ def _for_loop(
     B: FloatArray, C: FloatArray, D: FloatArray, inputs: Sequence[Port], outputs: tuple[Port, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, tuple[Port, ...], tuple[Port, ...]]:
     """B, C, D, inputs, outputs of a controller, an observer behind all measured ports."""
-    if outputs != K_FSM_OUTPUTS:
+    if [port.name for port in outputs] != [port.name for port in K_FSM_OUTPUTS]:
         return B, C, D, tuple(inputs), outputs
     own = {port.name for port in K_FSM_INPUTS}
     known = (*K_FSM_INPUTS, *(port for port in inputs if port.name not in own))

@@ -49,8 +49,6 @@ PLANT = "plant"
 FILE = "file"
 """Its key for the name of the file."""
 LOS = Port("los", 2, "rad")
-UNKNOWN = ("", "1")
-"""Units of ports that state none."""
 
 
 def take_plant(own: dict[str, Any], file: ParameterFile, folder: Path) -> dict[str, dict[str, str]]:
@@ -163,7 +161,7 @@ def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Por
             raise InputError(f"{path}: the plant must have the {kind} {port.name}, got {', '.join(known)}")
         if own.size != port.size:
             raise InputError(f"{path}: {kind} {port.name} must have {port.size} signals, got {own.size}")
-        if own.unit not in UNKNOWN and own.units != port.units:
+        if not port.takes(own):
             raise InputError(f"{path}: {kind} {port.name} must be in {port.unit}, got {own.unit}")
         known[port.name] = port
     return tuple(known.values())

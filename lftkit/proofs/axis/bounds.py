@@ -198,7 +198,7 @@ def gain_over_axis(
     if axis is None:
         return bounds(np.inf, "unstable")
     while True:
-        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, least_level(system))
+        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, least_level(system, worst))
         if worst.gain >= target:
             return bounds(np.inf, "violated")
         closed = axis.prove(target, start + FIRST * wall_limit, seed)
@@ -219,7 +219,7 @@ def gain_over_axis(
             break
     if axis.pieces:
         return bounds(np.inf, "out_of_time")
-    aim = max((1.0 + gap) * worst.gain, least_level(system)) if level is None else level
+    aim = max((1.0 + gap) * worst.gain, least_level(system, worst)) if level is None else level
     done = upper <= aim
     return bounds(upper, "closed" if done else "out_of_time")
 

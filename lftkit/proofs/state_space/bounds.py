@@ -36,8 +36,7 @@ from lftkit.uncertainty.elements import ComplexParameter
 from lftkit.uncertainty.parameters import RealParameter
 
 SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
-"""Level for a gain of zero: its inverse square is finite, and it is not far below the gains into and out of the
-system."""
+"""Level for a gain of zero: its inverse square is finite, and it is this part of the gain of paths that cancel."""
 SHARE = 0.9
 """Part of the gap at which a proof aims."""
 
@@ -111,12 +110,24 @@ def require_nominal(system: System, box: Sequence[tuple[float, float]]) -> None:
         raise InputError("box must contain the nominal values, got another")
 
 
-def least_level(system: System) -> float:
-    """Level to be proven where the largest gain found is zero."""
-    q = len(system.channels)
-    into = float(np.hypot(linalg.norm(system.B[:, q:]), linalg.norm(system.D[:, q:])))
-    out = float(np.hypot(linalg.norm(system.C[q:]), linalg.norm(system.D[q:])))
-    return max(NEGLIGIBLE * max(into, out), SMALLEST)
+def least_level(system: System, worst: Member) -> float:
+    """Level to be proven where the largest gain found is zero, or rounding of paths that cancel.
+
+    In continuous time; the same in all units of signals, states and parameters, unless nothing goes through at all.
+    """
+    values = {p.name: float(v) for p, v in zip(system.parameters, worst.point)}
+    A, B, C, D = without_disks(system).at(values, beyond_range=True).matrices
+    paths = np.abs(D)
+    if len(A) and np.isfinite(worst.frequency):
+        unit = np.eye(len(A), dtype=complex)
+        *_, inverse, info = linalg.lapack.zgesv(1j * worst.frequency * unit - A, unit)
+        paths = paths if info else paths + np.abs(C) @ np.abs(inverse) @ np.abs(B)
+    least = NEGLIGIBLE * float(linalg.norm(paths))
+    if least == 0.0 and worst.gain == 0.0:
+        q = len(system.channels)
+        sides = (system.B[:, q:], system.D[:, q:]), (system.C[q:], system.D[q:])
+        least = NEGLIGIBLE * max(float(np.hypot(linalg.norm(a), linalg.norm(b))) for a, b in sides)
+    return max(least, SMALLEST)
 
 
 @dataclass
@@ -141,6 +152,7 @@ class GainByCells:
         self.worst = self.searched()
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
+        self.least = least_level(self.axis, self.worst)
         if self._violated():
             return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.over)
@@ -179,7 +191,7 @@ class GainByCells:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
-        return max((1.0 + SHARE * self.options.gap) * self.worst.gain, least_level(self.system))
+        return max((1.0 + SHARE * self.options.gap) * self.worst.gain, self.least)
 
     def _violated(self) -> bool:
         return self.level is not None and self.worst.gain >= self.level

@@ -158,8 +158,9 @@ class CellTest:
             A pole on the imaginary axis, or a singular LFT, in the middle of the cell.
         """
         maps, factors = self._maps(cell)
+        maps[self.n + self.q :] /= level  # the gain in units of the level
         scale = self._common(balanced(maps, self.n + self.q))
-        blocks = self._blocks(maps, scale, level)
+        blocks = self._blocks(maps, scale)
         found = find_scalings(blocks, until=until)
         if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
             found = find_scalings(blocks, until=until, penalty=BOUND)
@@ -216,7 +217,7 @@ class CellTest:
         radii = [disk.radius for disk in self.disks]
         return np.concatenate([centres, np.zeros(len(radii))]), np.concatenate([widths, radii])
 
-    def _blocks(self, M: ComplexArray, scale: FloatArray, level: float) -> list[BarrierBlock]:
+    def _blocks(self, M: ComplexArray, scale: FloatArray) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
         inputs = np.eye(M.shape[1], dtype=complex)
         scaled = M / _column_scale(scale, M.shape[1])
@@ -230,7 +231,7 @@ class CellTest:
             out = [n + channel for channel in disk.channels]
             blocks.append(BarrierBlock(FULL if disk.full else COMPLEX, scaled[into], inputs[out]))
         if self.gain:
-            blocks.append(BarrierBlock(FULL, scaled[total:] * (scale[total] / level), inputs[total:]))
+            blocks.append(BarrierBlock(FULL, scaled[total:] * scale[total], inputs[total:]))
         return blocks
 
     def _common(self, scale: FloatArray) -> FloatArray:

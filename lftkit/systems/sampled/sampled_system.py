@@ -126,14 +126,20 @@ class SampledSystem:
         return self._product
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
-        """Check the ports, by name and size, and the sampling period [s].
+        """Check the ports, by name, size and unit where one is stated, and the sampling period [s].
 
         Raises
         ------
         ValueError
-            Other ports or another period; the message lists both.
+            Other ports, another unit or another period; the message lists both.
         """
-        for kind, expected, present in (("inputs", inputs, self.inputs), ("outputs", outputs, self.outputs)):
+        sides = ("inputs", tuple(inputs), self.inputs), ("outputs", tuple(outputs), self.outputs)
+        for kind, expected, present in sides:
+            known = {port.name: port for port in expected}
+            for own in present:
+                port = known.get(own.name, own)
+                if own.size == port.size and not port.takes(own):
+                    raise InputError(f"{self.name}: {kind[:-1]} {own.name} must be in {port.unit}, got {own.unit}")
             required, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
             if got != required:
                 raise InputError(f"{self.name}: {kind} must be {required}, got {got}")
@@ -143,11 +149,12 @@ class SampledSystem:
     def with_inputs(self, ports: Sequence[Port]) -> SampledSystem:
         """The system with its inputs in another order, or behind more inputs, whose columns of B and D are zero.
 
-        A system with an input that is not among `ports` is returned as it is; :meth:`require` says what is wrong.
+        A system with an input that is not among `ports`, or has another unit there, is returned as it is;
+        :meth:`require` says what is wrong.
         """
-        names = [f"{p.name}[{p.size}]" for p in self.inputs]
-        wanted = [f"{p.name}[{p.size}]" for p in ports]
-        if names == wanted or not set(names) <= set(wanted):
+        if not all(any(port.takes(own) for port in ports) for own in self.inputs):
+            return self
+        if [p.name for p in self.inputs] == [p.name for p in ports]:
             return self
         B, D = (spread_columns(matrix, self.inputs, ports) for matrix in (self.B, self.D))
         return replace(self, B=B, D=D, inputs=tuple(ports))

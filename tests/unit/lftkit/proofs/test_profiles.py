@@ -13,6 +13,7 @@ from lftkit import RealParameter, System, dynamic, feedback, real, s, z
 from lftkit.analysis.disk_margin import disk_gains, disk_phase
 from lftkit.proofs import (
     check_proof,
+    disk_margins,
     gain_profile,
     robust_stability,
     stability_profile,
@@ -120,6 +121,19 @@ def test_the_disk_margin_is_that_of_the_largest_gain(skew: float) -> None:
     assert 0.0 < found.phase_margin <= math.degrees(math.pi - 3.0 * math.atan(crossing))
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_the_disk_margin_is_the_same_in_all_units_of_the_loop(unit: float) -> None:
+    """``(1.4 s + 1) / (J s^2)`` with J in [0.5, 1.5], its command in units of ``1 / unit``."""
+    J = RealParameter("J", 1.0, 0.5, 1.5)
+    A, B, C = [[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.0], [-1.0, 1.0 / unit]], [[0.0, 0.0], [unit, 1.4 * unit]]
+    D = [[-1.0, 1.0 / unit], [0.0, 0.0]]
+    found = worst_case_disk_margin(System(A, B, C, D, [("u", 1)], [("y", 1)], channels=("J",), elements=(J,)))
+    w = np.geomspace(1e-2, 1e2, 20001)
+    response = (1.0 + 1.4j * w) / (-1.5 * w**2)
+    assert found.upper == pytest.approx(1.0 / np.abs(1.0 / (1.0 + response) - 0.5).max(), rel=1e-6)
+    assert found.upper <= 1.05 * found.lower
+
+
 @pytest.mark.parametrize("skew", [-3.0, -1.0, 0.0, 0.5, 1.0, 3.0])
 @pytest.mark.parametrize("size", [0.2, 0.9, 1.5, 2.5, 8.0])
 def test_the_phase_of_a_disk_is_where_the_unit_circle_leaves_it(skew: float, size: float) -> None:
@@ -140,3 +154,14 @@ def test_margins_of_a_disk_are_its_ends(skew: float) -> None:
         assert factor.real.max() == pytest.approx(high, abs=1e-8)
         nearest = factor[np.abs(np.abs(factor) - 1.0) < 1e-4]
         assert np.degrees(np.abs(np.angle(nearest)).max()) == pytest.approx(disk_phase(margin, skew), abs=0.06)
+
+
+def test_disk_margins_are_the_same_in_all_units_of_the_channels() -> None:
+    """1 + L was called singular at infinite frequency where a channel was in a small unit."""
+    units = np.diag([1e-9, 1e9])
+    D = np.array([[0.2, 0.1], [-0.1, 0.3]])
+    found = []
+    for T in (np.eye(2), units):
+        L = System(-np.eye(2), T, np.linalg.inv(T), np.linalg.inv(T) @ D @ T, [("u", 2)], [("y", 2)])
+        found.append([one.size for one in disk_margins(L).each])
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

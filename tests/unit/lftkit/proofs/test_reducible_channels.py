@@ -70,3 +70,16 @@ def test_gain_of_zero_is_proven_in_discrete_time() -> None:
     bounds = worst_case_gain(reducible(0.1, False, True, 0.0, 1.0), options=BoundOptions(max_tests=200))
     assert bounds.status == "closed" and bounds.lower == 0.0 and bounds.upper <= 1e-8
     assert check_proof(bounds.proof).level == bounds.upper
+
+
+@pytest.mark.parametrize("method", ["cells", "axis"])
+@pytest.mark.parametrize(("out", "into"), [(1e-12, 1.0), (1e-12, 1e3), (1e-3, 1e-9), (1e9, 1.0), (1e9, 1e-9)])
+def test_a_gap_is_closed_in_all_units_of_input_and_output(method: str, out: float, into: float) -> None:
+    """The gain k / (s + 1) from N to rad was called closed a thousand times above the worst member."""
+    k = RealParameter("k", 1.0, 0.5, 1.5)
+    B, C, D = [[into, into]], [[0.0], [out]], [[0.0, 1.0], [0.0, 0.0]]
+    lag = System([[-1.0]], B, C, D, [("u", 1)], [("y", 1)], channels=("k",), elements=(k,))
+    bounds = worst_case_gain(lag, options=BoundOptions(method=method))
+    assert bounds.status == "closed"
+    assert bounds.lower == pytest.approx(1.5 * into * out, rel=1e-6) and bounds.upper <= 1.05 * bounds.lower
+    assert check_proof(bounds.proof).level == bounds.upper

@@ -120,3 +120,18 @@ def test_inputs_that_a_system_does_not_have_do_nothing() -> None:
     assert K.with_inputs((a, c)) is K  # nothing to add
     for other in ((a, b), (Port("a", 3), b, c)):  # an input of its own is missing, or has another size
         assert K.with_inputs(other) is K
+
+
+def test_a_port_in_another_unit_is_refused() -> None:
+    """Also where inputs are to be sorted; a unit that is not stated is that of the loop."""
+    accel, angle, los = Port("accel", 2, "m/s2,rad/s2"), Port("angle", 1, "rad"), Port("los", 1, "rad")
+
+    def law(inputs: tuple[Port, ...], output: Port) -> SampledSystem:
+        return SampledSystem([], [], [], np.ones((1, 3)), inputs, (output,), 1e-3)
+
+    law((Port("accel", 2), angle), Port("los", 1)).require((accel, angle), (los,), 1e-3)
+    with pytest.raises(ValueError, match="output los must be in rad, got mas"):
+        law((accel, angle), Port("los", 1, "mas")).require((accel, angle), (los,), 1e-3)
+    other = law((angle, Port("accel", 2, "g")), los)
+    with pytest.raises(ValueError, match="input accel must be in m/s2,rad/s2, got g"):
+        other.with_inputs((accel, angle)).require((accel, angle), (los,), 1e-3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import io
 
-from lftkit import InputError, RealParameter, System, dynamic, read_mat, real, s, write_mat
+from lftkit import InputError, Port, RealParameter, System, dynamic, read_mat, real, s, write_mat
 
 
 def spring() -> System:
@@ -107,3 +107,24 @@ def test_a_field_that_would_make_another_system_is_refused(
     io.savemat(tmp_path / "plant.mat", named)
     with pytest.raises(InputError, match=message):
         read_mat(tmp_path / "plant.mat")
+
+
+def test_units_go_with_the_names_of_the_signals(tmp_path: Path) -> None:
+    """A port whose signals are not in order, among those of another one."""
+    gain = {"A": np.zeros((0, 0)), "B": np.zeros((0, 3)), "C": np.zeros((1, 0)), "D": np.array([[1.0, 2.0, 3.0]])}
+    names, units = np.array(["w(2)", "v", "w(1)"], dtype=object), np.array(["Nm", "rad", "N"], dtype=object)
+    io.savemat(tmp_path / "p.mat", {"P": {**gain, "InputName": names, "InputUnit": units}})
+    found = read_mat(tmp_path / "p.mat")
+    assert found.inputs == (Port("w", 2, "N,Nm"), Port("v", 1, "rad")) and found.D.tolist() == [[3.0, 1.0, 2.0]]
+    io.savemat(tmp_path / "p.mat", {"P": {**gain, "InputName": names, "InputUnit": units[:2]}})
+    with pytest.raises(InputError, match="InputUnit must have 3 units, got 2"):
+        read_mat(tmp_path / "p.mat")
+
+
+@pytest.mark.parametrize(("field", "value"), [("E", [[2.0]]), ("TimeUnit", "minutes"), ("InputDelay", 0.1)])
+def test_what_would_be_lost_is_refused_beside_bare_matrices(tmp_path: Path, field: str, value: Any) -> None:
+    """As in a struct: without it the matrices are another system."""
+    matrices = dict(zip("ABCD", np.ones((4, 1, 1))))
+    io.savemat(tmp_path / "p.mat", {**matrices, field: value})
+    with pytest.raises(InputError, match=r"p must (have|be)"):
+        read_mat(tmp_path / "p.mat")

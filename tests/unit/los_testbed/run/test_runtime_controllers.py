@@ -90,3 +90,11 @@ def test_commands_are_mirror_law_and_forces_within_the_limits(stage: str) -> Non
     mirror = np.clip(-los / 0.1, -2e-3, 2e-3) if "fsm" in stage else np.zeros((50, 2))
     assert found[:, :2] == pytest.approx(mirror, rel=1e-15)
     assert np.array_equal(found[:, 2:], np.clip(force, -30.0, 30.0) if "pma" in stage else np.zeros((50, 6)))
+
+
+def test_an_observer_of_some_sensors_needs_no_units() -> None:
+    """A .mat file or a system of python-control states none; inputs that are left out have no effect."""
+    observer = SampledSystem([], [], [], np.eye(2), (Port("camera_los", 2),), (Port("los_estimate", 2),), 1e-3)
+    estimator, out = LosEstimator(observer), np.full(2, np.nan)
+    estimator.step(np.arange(22.0), out)
+    assert out.tolist() == np.arange(22.0)[CAMERA].tolist()
