@@ -314,7 +314,7 @@ class DiskSearch:
         """Gain of a member, and a function that names the member with the largest linearised gain."""
         q = len(self.system.channels)
         delta = self._delta(real, values)
-        *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q])
+        *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q]) if q else (M[:0], 0)
         if singular:
             return np.inf, lambda a, b: (a, b)
         seen = inner[:, q:]
