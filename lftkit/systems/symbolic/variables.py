@@ -55,6 +55,8 @@ def real(
         if not (ends and all(map(is_number, ends))):
             raise InputError(f"range of {name!r} must be one number or those of both ends, got {size!r}")
         middle = as_number(nominal, f"parameter {name!r}: nominal")
+        if percent is not None and middle == 0.0:
+            raise InputError(f"range of {name!r} must be lower and upper or plus_minus, got percent of nominal 0")
         scale = abs(middle) / 100.0 if percent is not None else 1.0
         lower, upper = middle + float(ends[0]) * scale, middle + float(ends[1]) * scale
     return scalar(RealParameter(name, nominal, lower, upper, unit, description))
