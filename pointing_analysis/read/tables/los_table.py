@@ -252,7 +252,8 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     for part in parts:
         table.refuse_text(part)
     if len(parts) == 1:
-        parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
+        mark = " " if table.find(f"{parts[0]} x") else "."  # of a table that bag export wrote
+        parts = [f"{parts[0]}{mark}x", f"{parts[0]}{mark}y"]
     names, every = [table.find(part) for part in parts], table.names or tuple(table.columns)
     if all(name is None and part.isdecimal() and 0 < int(part) <= len(every) for name, part in zip(names, parts)):
         names = [every[int(part) - 1] for part in parts]
@@ -290,7 +291,7 @@ def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:
     bases = {name: split_unit(name)[0].lower() for name in names}
 
     def named(wanted: str) -> list[str]:
-        return [name for name, base in bases.items() if base == wanted or base.endswith(f".{wanted}")]
+        return [name for name, base in bases.items() if base == wanted or base.endswith((f".{wanted}", f" {wanted}"))]
 
     for pair in X_NAMES:
         x, y = map(named, pair)
