@@ -10,6 +10,7 @@ ANGLES = {
     "mas": RAD_PER_MAS,
     "arcsec": RAD_PER_ARCSEC,
     "arcmin": math.pi / 10_800,
+    "mdeg": math.pi / 180_000,
     "deg": math.pi / 180,
     "nrad": 1e-9,
     "urad": 1e-6,
@@ -17,5 +18,5 @@ ANGLES = {
     "rad": 1.0,
 }
 """Radians by the name of a unit."""
-NAMES = "mas, arcsec, arcmin, deg, nrad, urad, mrad or rad"
+NAMES = "mas, arcsec, arcmin, mdeg, deg, nrad, urad, mrad or rad"
 """The units in words."""

@@ -13,6 +13,7 @@ from scipy import linalg
 from lftkit.analysis.magnitude_fit import fit_magnitude
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.matrices import frequencies
 from lftkit.systems.system import System
@@ -44,6 +45,7 @@ class Cover:
     envelope: FloatArray
 
 
+@checked
 def ucover(
     members: Sequence[Any] | ArrayLike, nominal: Any, order: int, omega: ArrayLike, *, name: str = "delta"
 ) -> Cover:

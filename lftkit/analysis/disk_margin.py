@@ -17,6 +17,7 @@ from lftkit.analysis.margins import sensitivity
 from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.arrays import Matrices
 from lftkit.systems import lft
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -56,6 +57,7 @@ NONE = DiskMargin(0.0, (1.0, 1.0), 0.0, 0.0, 1.0 + 0.0j)
 """That of a loop which is not stable."""
 
 
+@checked
 def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     """Disk margin of a loop with one input and one output, continuous or sampled.
 

@@ -16,6 +16,7 @@ from scipy import optimize
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number, as_positive
+from lftkit.systems.arguments import checked
 from lftkit.systems.matrices import frequencies, real_array
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete, warped_frequency
@@ -30,6 +31,7 @@ OVER = 1e-9
 """Part by which a gain that must stay above is above at least: more than rounding."""
 
 
+@checked
 def fit_magnitude(
     omega: ArrayLike,
     magnitude: ArrayLike,

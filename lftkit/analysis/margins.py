@@ -23,6 +23,7 @@ from lftkit.analysis.zeros import zeros_of
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
 from lftkit.systems.system import System
@@ -90,6 +91,7 @@ class SensitivityPeaks:
     complementary: HInfNorm
 
 
+@checked
 def loop_margins(loop: Any) -> LoopMargins:
     """Gain, phase and delay margins of a loop with one input and one output at all crossings (allmargin in MATLAB).
 
@@ -130,6 +132,7 @@ def loop_margins(loop: Any) -> LoopMargins:
     return LoopMargins(factors, tuple(sorted(phase)), tuple(sorted(delay)), _closed_stable(L))
 
 
+@checked
 def sensitivity_peaks(loop: Any) -> SensitivityPeaks:
     """Peaks of the sensitivities of a loop, also of one with several channels: Ms and Mt.
 

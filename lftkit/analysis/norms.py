@@ -31,7 +31,8 @@ from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, br
 from lftkit.analysis.hinf.small_norm import MAX_STATES, Origin, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
-from lftkit.support.scalars import is_number
+from lftkit.support.scalars import as_positive, is_number
+from lftkit.systems.arguments import checked
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 
@@ -63,6 +64,7 @@ class HInfNorm:
     certificate: str
 
 
+@checked
 def hinf_norm(
     A: Any,
     B: ArrayLike | None = None,
@@ -127,8 +129,7 @@ def hinf_norm(
     """
     if certificate not in ("auto", "interval", "hamiltonian"):
         raise InputError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
-    if not rtol > 0:
-        raise InputError(f"rtol must be positive, got {rtol}")
+    as_positive(rtol, "rtol")
     (A, B, C, D), dt = given_system(A, B, C, D, dt)
     dt = dt if _is_discrete(dt) else None
     system = checked_matrices(A, B, C, D)
@@ -139,6 +140,7 @@ def hinf_norm(
     return _discrete(system, dt, rtol, certificate)
 
 
+@checked
 def linf_norm(
     A: Any,
     B: ArrayLike | None = None,
@@ -186,6 +188,7 @@ def linf_norm(
     return band_gain(A, B, C, D, (0.0, last), dt=dt, rtol=rtol, stable=False)
 
 
+@checked
 def hinf_norms(systems: Iterable[Any], *, rtol: float = 1e-7) -> list[HInfNorm]:
     """H-infinity norms of many systems, or of (A, B, C, D) in continuous time, for instance of parameter samples."""
     matrices = (system if isinstance(system, tuple) else (system,) for system in systems)
@@ -234,6 +237,7 @@ def band_gain(
     >>> round(found.value, 6), found.omega
     (0.332595, 2.0)
     """
+    as_positive(rtol, "rtol")
     a, b, c, d = checked_matrices(A, B, C, D)
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     if not (0.0 <= band[0] < band[1] and band[0] < last):
@@ -269,6 +273,7 @@ def _discrete_band_gain(
     return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
+@checked
 def h2_norm(
     A: Any,
     B: ArrayLike | None = None,
@@ -347,6 +352,7 @@ def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) ->
     return np.asarray(0.5 * (solution + solution.T) / scale)
 
 
+@checked
 def spectral_abscissa(A: ArrayLike) -> float:
     """Largest real part of the eigenvalues of `A` (n, n) [rad/s]; minus infinity for n = 0."""
     a = np.asarray(A, dtype=float)

@@ -19,6 +19,7 @@ from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
@@ -51,6 +52,7 @@ class NuGap:
     same_winding: bool
 
 
+@checked
 def nu_gap(first: Any, second: Any) -> NuGap:
     """Vinnicombe's nu-gap metric of two systems (the second output of gapmetric in MATLAB).
 

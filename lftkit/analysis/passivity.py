@@ -17,6 +17,7 @@ from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import band_gain, hinf_norm, linf_norm
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -49,6 +50,7 @@ class PassivityIndex:
     omega: float
 
 
+@checked
 def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
     """Passivity index of a stable square system (getPassiveIndex in MATLAB); above 0 it is strictly passive.
 

@@ -20,6 +20,7 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.system import System
@@ -32,6 +33,7 @@ MARGIN = 3.0
 """Factor by which the frequency axis exceeds the slowest and the fastest pole, without `omega`."""
 
 
+@checked
 def bode_band(
     system: Any,
     samples: Samples = 20,
@@ -102,6 +104,7 @@ def bode_band(
     return figure
 
 
+@checked
 def sigma_plot(system: Any, samples: Samples = 0, *, omega: ArrayLike | None = None, seed: int = 0) -> Figure:
     """Singular values over frequency: all of the nominal system, and the band of the largest of its members.
 
@@ -138,6 +141,7 @@ def sigma_plot(system: Any, samples: Samples = 0, *, omega: ArrayLike | None = N
     return figure
 
 
+@checked
 def pole_map(system: Any, samples: Samples = 0, *, seed: int = 0) -> Figure:
     """Poles in the complex plane [rad/s]: the nominal ones as crosses, those of the members as dots.
 

@@ -21,6 +21,7 @@ from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bou
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofError, require
 from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
+from lftkit.systems.arguments import checked
 
 Checked = CheckedProof | CheckedLoop | CheckedNoise | CheckedLowerBound
 
@@ -48,6 +49,7 @@ KINDS = {
 }
 
 
+@checked
 def check_proof(proof: Any, each: Each = map) -> Checked:
     """Verify a proof of any kind; a ProofError says why it is refused.
 

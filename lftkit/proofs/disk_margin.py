@@ -16,6 +16,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.robustness import robust_stability, worst_case_gain
 from lftkit.proofs.state_space.bounds import ProvenBounds
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
@@ -53,6 +54,7 @@ class DiskMarginBounds:
     gain_bounds: ProvenBounds
 
 
+@checked
 def worst_case_disk_margin(
     loop: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
@@ -116,6 +118,7 @@ class DiskMargins:
     together: DiskMarginBounds
 
 
+@checked
 def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None = None) -> DiskMargins:
     """Disk margins of a square loop, of each channel and of all at once (diskmargin of the toolbox).
 

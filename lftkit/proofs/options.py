@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 
 METHODS = ("cells", "axis")
 
 
+@checked
 @dataclass(frozen=True)
 class BoundOptions:
     """Accuracy and limits of proven bounds.

@@ -26,6 +26,7 @@ from lftkit.proofs.state_space.search import response_slopes
 from lftkit.proofs.structured.bounds import mu
 from lftkit.proofs.trusted.structured import parts
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
 from lftkit.uncertainty.parameters import RealParameter
 
@@ -55,6 +56,7 @@ class Profile:
     points: tuple[Mapping[str, float], ...]
 
 
+@checked
 def stability_profile(
     system: System,
     omega: ArrayLike,
@@ -114,6 +116,7 @@ def stability_profile(
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
 
+@checked
 def gain_profile(
     system: System,
     omega: ArrayLike,

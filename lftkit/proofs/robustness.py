@@ -23,6 +23,7 @@ from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disks import disks_of, real_first
 from lftkit.proofs.state_space.stability import StabilityByCells
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -32,6 +33,7 @@ FEW_CELLS = 60
 """Cells after which stability is proven over the frequency axis, where no method was asked for and it can be used."""
 
 
+@checked
 def worst_case_gain(
     system: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
@@ -105,6 +107,7 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
     return usual and not system.dt and system.order > FEW_STATES and axis_takes(system, box)
 
 
+@checked
 def robust_stability(
     system: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
@@ -170,6 +173,7 @@ def _check_largest(largest: float) -> None:
         raise InputError(f"largest must be positive, got {largest}")
 
 
+@checked
 def robust_performance(
     system: Any,
     level: float = 1.0,

@@ -19,6 +19,7 @@ from lftkit.errors import InputError
 from lftkit.reduction.balancing import Balancing, balancing
 from lftkit.reduction.gramians import gramian_factor, state_parts
 from lftkit.support.scalars import as_integer
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
@@ -52,6 +53,7 @@ class ReducedSystem:
     tail_bound: float
 
 
+@checked
 def hankel_singular_values(system: Any) -> FloatArray:
     """Hankel singular values, falling: how much of each state the inputs reach and the outputs see (hsvd in MATLAB).
 
@@ -79,6 +81,7 @@ def hankel_singular_values(system: Any) -> FloatArray:
     return np.concatenate([np.full(len(parts.other[0]), np.inf), values])
 
 
+@checked
 def balred(
     system: Any,
     order: int | None = None,

@@ -15,6 +15,7 @@ from lftkit.errors import InputError
 from lftkit.reduction.balanced import ReducedSystem, error_bound
 from lftkit.reduction.balancing import balancing
 from lftkit.support.scalars import as_integer
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
@@ -22,6 +23,7 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 
+@checked
 def ncfmr(system: Any, order: int) -> ReducedSystem:
     """System of lower order by balanced truncation of its normalised right coprime factors (ncfmr in MATLAB).
 

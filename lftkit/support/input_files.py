@@ -37,7 +37,7 @@ def check_file(path: str | os.PathLike[str], limit: int) -> int:
     OSError
         No such file, or a folder.
     """
-    return _checked(os.stat(path), path, limit)
+    return _checked(os.stat(os.fspath(path)), path, limit)  # a number would be a file that is open
 
 
 def _checked(found: os.stat_result, path: str | os.PathLike[str], limit: int) -> int:

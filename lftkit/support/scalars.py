@@ -24,6 +24,8 @@ def as_number(value: Any, what: str) -> float:
     value = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
     if not is_number(value):
         raise InputError(f"{what} must be a finite real number, got {value!r}")
+    if isinstance(value, int) and abs(value) >= 2**63:  # for numpy an object
+        value = float(value)
     return value if isinstance(value, int | float) else float(value)
 
 

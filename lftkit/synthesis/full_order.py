@@ -29,6 +29,7 @@ from lftkit.synthesis.standard_plant import (
     weight_of,
 )
 from lftkit.synthesis.working_plant import WorkingPlant
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.interconnection import connect
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
@@ -88,6 +89,7 @@ class FullOrderDesign:
         return (self.value - self.lower) / self.value if self.value > 0.0 and self.lower > -np.inf else np.inf
 
 
+@checked
 def hinfsyn(
     plant: System, measured: Names, commanded: Names, level: float | None = None, *, certify: bool = False
 ) -> FullOrderDesign:
@@ -189,6 +191,7 @@ def controller_of_least_norm(plant: System, measured: Names, commanded: Names) -
     return _controller_of_least_norm(given, _generalised(given)).controller
 
 
+@checked
 def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     """Controller with the least H2 norm from the other inputs to the other outputs of a continuous plant.
 
@@ -224,6 +227,7 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     return FullOrderDesign(controller, closed, value, value)
 
 
+@checked
 def augw(
     plant: System,
     error: System | float | None = None,
@@ -267,6 +271,7 @@ def augw(
     )
 
 
+@checked
 def mixsyn(
     plant: System,
     error: System | float | None = None,

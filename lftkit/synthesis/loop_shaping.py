@@ -14,6 +14,7 @@ from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign, norm_of_loop
 from lftkit.synthesis.standard_plant import chain, only_port, weight_of
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port
@@ -22,6 +23,7 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 
+@checked
 def ncfsyn(
     plant: System,
     before: System | float | None = None,

@@ -25,6 +25,7 @@ from lftkit.proofs.trusted.lower_bound import check_lower_bound
 from lftkit.proofs.trusted.proof import ProofError
 from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
 from lftkit.synthesis.standard_plant import Names, standard_plant
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
@@ -67,6 +68,7 @@ class ProvenLowerBound:
     reason: str = ""
 
 
+@checked
 def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> ProvenLowerBound:
     """Proven lower bound of the H-infinity norm that any controller can reach, from and to the other ports.
 

@@ -30,6 +30,7 @@ from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.support.scalars import as_integer, as_number
 from lftkit.synthesis.full_order import controller_of_least_norm
 from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.interconnection import close
 from lftkit.systems.exchange import as_system
 from lftkit.systems.matrices import frequencies
@@ -91,6 +92,7 @@ class MuDesign:
     proof: ProvenBounds | None
 
 
+@checked
 def musyn(
     plant: System,
     measured: Names,

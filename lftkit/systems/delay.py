@@ -11,6 +11,7 @@ from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, is_number
 from lftkit.support.state_units import in_balanced_units
+from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space, static_gain
 
@@ -70,6 +71,7 @@ def pade_matrices(delay: float, order: int, size: int = 1) -> Matrices:
     )
 
 
+@checked
 def pade_delay(delay: float, order: int, size: int = 1) -> System:
     """Padé form of ``exp(-s delay)`` on `size` signals, from port ``in`` to port ``out``: :func:`pade_matrices`."""
     return System(*pade_matrices(delay, order, size), (Port("in", size),), (Port("out", size),), f"delay {delay} s")

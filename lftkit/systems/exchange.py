@@ -16,6 +16,7 @@ from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import check_file, read_text
 from lftkit.support.input_limits import SYSTEM
 from lftkit.support.structured_text import load_json
+from lftkit.systems.arguments import checked
 from lftkit.systems.mat_files import read_mat
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -32,6 +33,7 @@ MATLAB = b"MATLAB 5.0"
 _KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
 
 
+@checked
 def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
     """Anything that is a linear system as a :class:`System`.
 
@@ -76,6 +78,7 @@ def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
     return made
 
 
+@checked
 def from_scipy(system: Any) -> System:
     """A `scipy.signal.lti` or `dlti` (any of its forms), with its period; ports ``u`` and ``y``.
 
@@ -112,6 +115,7 @@ def _real(matrix: Any) -> FloatArray:
     return np.asarray(whole.real, dtype=float)
 
 
+@checked
 def to_scipy(system: System) -> Any:
     """`scipy.signal.StateSpace` of a certain system, which has no names.
 
@@ -159,6 +163,7 @@ def as_sampled(system: System) -> SampledSystem:
     return SampledSystem(*system.matrices, system.inputs, system.outputs, system.dt, system.name)
 
 
+@checked
 def to_json(system: System) -> str:
     """Text with everything of a system, its elements too, to the last bit: :func:`from_json` reads it."""
     system, kinds = as_system(system), {cls: kind for kind, cls in _KINDS.items()}
@@ -176,6 +181,7 @@ def to_json(system: System) -> str:
     return json.dumps(content, indent=1, allow_nan=False)
 
 
+@checked
 def from_json(text: str) -> System:
     """System of the text that :func:`to_json` made.
 
@@ -212,11 +218,13 @@ def _element(content: Any) -> Element:
     return made
 
 
+@checked
 def write_system(path: str | os.PathLike[str], system: System) -> None:
     """Write a JSON file, whole or not at all."""
     write_text(Path(path), to_json(system) + "\n")
 
 
+@checked
 def read_system(path: str | os.PathLike[str]) -> System:
     """Read the file that :func:`write_system` wrote; a ValueError says what is wrong with it."""
     try:

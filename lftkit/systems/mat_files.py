@@ -23,6 +23,7 @@ from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import UNPACKED
 from lftkit.support.mat_structure import check_mat
+from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels, zero_based
 from lftkit.systems.system import System
@@ -34,6 +35,7 @@ DELAYS = "inputdelay", "outputdelay", "iodelay", "internaldelay"
 """Fields of an `ss` object, in lower case, that a system here cannot have unless they are zero."""
 
 
+@checked
 def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
     """Write systems to a .mat file, each as a struct: ``write_mat("plants.mat", P=plant)``.
 
@@ -65,6 +67,7 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
         io.savemat(made, content, appendmat=False)
 
 
+@checked
 def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
     """Read a system from a .mat file (version 7.2 or older): matrices A, B, C, D or a struct with these fields.
 

@@ -28,6 +28,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.state_units import in_balanced_units
+from lftkit.systems.arguments import checked
 from lftkit.systems.delta import Value, delta_response
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import width
@@ -70,6 +71,7 @@ class Reduction:
         return "removed " + ", ".join(parts)
 
 
+@checked
 def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Reduction:
     """Remove uncontrollable and unobservable states and Delta channels.
 

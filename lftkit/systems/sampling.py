@@ -11,6 +11,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_positive
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -19,6 +20,7 @@ from lftkit.systems.system import System
 METHODS = ("tustin", "hold")
 
 
+@checked
 def sampled(
     system: Any,
     dt: float,
@@ -52,6 +54,7 @@ def sampled(
     return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
 
 
+@checked
 def discretise(system: Any, dt: float, *, method: str = "tustin") -> System:
     """The system in discrete time, as a :class:`System`; :func:`sampled` gives a controller ready to run.
 

@@ -15,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number
 from lftkit.systems import lft
+from lftkit.systems.arguments import checked
 from lftkit.systems.arithmetic import Arithmetic
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.delta import Value, chosen_values, delta_response, delta_system, random_values
@@ -212,6 +213,7 @@ class System(Arithmetic):
         """Eigenvalues of A, shape (n,): of an uncertain system those of the nominal one."""
         return np.asarray(linalg.eigvals(self.A), dtype=complex) if self.order else np.zeros(0, dtype=complex)
 
+    @checked
     def __call__(self, point: complex) -> Any:
         """Transfer matrix (p, m) of the nominal system at s or z; of one input and one output a number.
 
@@ -226,6 +228,7 @@ class System(Arithmetic):
         value = lft.response((self.A, self.B[:, q:], self.C[q:], self.D[q:, q:]), point)
         return complex(value[0, 0]) if value.shape == (1, 1) else value
 
+    @checked
     def response(
         self, omega: ArrayLike, values: Mapping[str, Value] | None = None, *, beyond_range: bool = False
     ) -> ComplexArray:
@@ -246,6 +249,7 @@ class System(Arithmetic):
 
     # members
 
+    @checked
     def at(self, values: Mapping[str, Value] | None = None, *, beyond_range: bool = False, **named: Value) -> System:
         """The system at values of the elements (nominal where none is given), by mapping or by keyword.
 
@@ -277,6 +281,7 @@ class System(Arithmetic):
         """The system at the nominal values of its elements."""
         return self.at({})
 
+    @checked
     def sample_values(self, rng: np.random.Generator, count: int = 1) -> list[dict[str, Any]]:
         """`count` draws of all elements, independent.
 
@@ -303,6 +308,7 @@ class System(Arithmetic):
         A, B, C, D = value
         return System(A, B, C, D, (Port("in", D.shape[1]),), (Port("out", D.shape[0]),), dt=self.dt)
 
+    @checked
     def sample(self, rng: np.random.Generator, count: int = 1) -> list[System]:
         """The system at `count` random values of its elements, real and dynamic."""
         return [self.at(values) for values in self.sample_values(rng, count)]
@@ -315,6 +321,7 @@ class System(Arithmetic):
             raise InputError(f"index must be [output ports, input ports], for example P['y', 'u'], got {key!r}")
         return self.select(outputs=key[0], inputs=key[1])
 
+    @checked
     def select(
         self, *, outputs: str | Iterable[str] | None = None, inputs: str | Iterable[str] | None = None
     ) -> System:
@@ -342,19 +349,23 @@ class System(Arithmetic):
             outputs=keep_out,
         )
 
+    @checked
     def input_indices(self, names: Iterable[str]) -> IntArray:
         """Places of the signals of the ports `names`, in the given order, among those of all inputs."""
         return port_indices(self.inputs, names, "input", self._label)
 
+    @checked
     def output_indices(self, names: Iterable[str]) -> IntArray:
         """Places of the signals of the ports `names`, in the given order, among those of all outputs."""
         return port_indices(self.outputs, names, "output", self._label)
 
+    @checked
     def input_port(self, name: str) -> Port:
         """Input port of this name; a ValueError lists the existing ones."""
         self.input_indices([name])
         return next(p for p in self.inputs if p.name == name)
 
+    @checked
     def output_port(self, name: str) -> Port:
         """Output port of this name; a ValueError lists the existing ones."""
         self.output_indices([name])
@@ -473,6 +484,7 @@ class System(Arithmetic):
             raise InputError("system must have a sampling period in seconds, got dt True")
         return cls(*matrices, ports_in, ports_out, name or str(system.name), float(system.dt or 0.0))
 
+    @checked
     def to_control(self, name: str | None = None) -> control.StateSpace:
         """`control.StateSpace` with the signal names of the ports, from which :meth:`from_control` makes them again.
 
@@ -506,6 +518,7 @@ def _normalised(element: Element) -> Element:
     return replace(element, bound=1.0)
 
 
+@checked
 def state_space(
     A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]
 ) -> System:
@@ -513,12 +526,14 @@ def state_space(
     return System(A, B, C, D, tuple(inputs), tuple(outputs))  # type: ignore[arg-type]
 
 
+@checked
 def static_gain(matrix: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]) -> System:
     """Gain without states or elements: ``y = matrix u``."""
     none = np.zeros((0, 0))
     return System(none, none, none, matrix, tuple(inputs), tuple(outputs))  # type: ignore[arg-type]
 
 
+@checked
 def from_control(system: Any, inputs: Sequence[Port] | None = None, outputs: Sequence[Port] | None = None) -> System:
     """A system of python-control as a :class:`System`: see :meth:`System.from_control`.
 

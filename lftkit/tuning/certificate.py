@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.requirements.assembled_loop import AssembledLoop
@@ -46,6 +47,7 @@ class Certificate:
         return bool(np.all(self.abscissae < 0.0))
 
 
+@checked
 def certify(
     models: Sequence[System],
     controller: System,

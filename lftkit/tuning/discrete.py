@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.sampled.image import image_of, sampled_from_image
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import AGREEMENT, certify
@@ -34,6 +35,7 @@ from lftkit.tuning.structures.structures import AffineStructure, Structure
 from lftkit.tuning.tuner import tune
 
 
+@checked
 def tune_discrete(
     models: Sequence[System],
     requirements: Sequence[TuningRequirement | Goal],

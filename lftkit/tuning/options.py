@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 
 
+@checked
 @dataclass(frozen=True)
 class TuningOptions:
     """Limits of a tuning run.

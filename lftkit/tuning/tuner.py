@@ -19,6 +19,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import AGREEMENT, Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
@@ -61,6 +62,7 @@ NOTHING_FREE = "the structure has no free parameter: the values are those of the
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
 
+@checked
 def tune(
     models: Sequence[System],
     requirements: Sequence[TuningRequirement | Goal],

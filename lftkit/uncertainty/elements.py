@@ -109,8 +109,7 @@ def description(element: Element) -> str:
     'real, 1 in [0.5, 2] N/m'
     """
     if isinstance(element, RealParameter):
-        unit = "" if element.unit == "1" else f" {element.unit}"
-        return f"real, {element.nominal:.6g} in [{element.lower:.6g}, {element.upper:.6g}]{unit}"
+        return f"real, {element.nominal:.6g} in [{element.lower:.6g}, {element.upper:.6g}]{element.in_unit}"
     if isinstance(element, ComplexParameter):
         return f"complex, within {element.radius:.6g} of {element.nominal:.6g}"
     return f"dynamic {element.outputs} x {element.inputs}, gain at most {element.bound:.6g}"

@@ -59,7 +59,7 @@ class RealParameter:
         if not self.lower <= self.nominal <= self.upper:
             raise InputError(
                 f"parameter {self.name!r} must have lower <= nominal <= upper, "
-                f"got {self.lower} <= {self.nominal} <= {self.upper} {self.unit}"
+                f"got {self.lower} <= {self.nominal} <= {self.upper}{self.in_unit}"
             )
 
     def check(self, value: float) -> float:
@@ -74,9 +74,14 @@ class RealParameter:
         slack = 1e-12 * max(self.upper - self.lower, abs(self.nominal))
         if not self.lower - slack <= number <= self.upper + slack:
             raise InputError(
-                f"parameter {self.name!r} must be in [{self.lower:g}, {self.upper:g}] {self.unit}, got {number:g}"
+                f"parameter {self.name!r} must be in [{self.lower:g}, {self.upper:g}]{self.in_unit}, got {number:g}"
             )
         return number
+
+    @property
+    def in_unit(self) -> str:
+        """The unit behind a number; nothing for a plain number."""
+        return "" if self.unit == "1" else f" {self.unit}"
 
     @property
     def bilinear(self) -> tuple[float, float]:

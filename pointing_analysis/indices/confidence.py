@@ -199,7 +199,11 @@ def _lower_rank(n: int, p: float, confidence: float) -> int:
 
 
 def quantile(
-    values: ArrayLike, probability: float, confidence: float = 0.95, effective: float | None = None
+    values: ArrayLike,
+    probability: float,
+    confidence: float = 0.95,
+    effective: float | None = None,
+    missing: float = 0.0,
 ) -> Quantile:
     """Quantile of samples with distribution-free confidence bounds from order statistics.
 
@@ -209,6 +213,7 @@ def quantile(
     probability : of being below the quantile
     confidence : of each one-sided bound
     effective : number of independent samples; by default estimated with `effective_number`
+    missing : samples beside them that may be of any size: the upper bound holds if they are above all others
 
     Examples
     --------
@@ -224,7 +229,7 @@ def quantile(
     n_eff = effective_number(values) if effective is None else min(effective, x.size)
     n = max(int(n_eff), 1)
     up, low = _upper_rank(n, p, c), _lower_rank(n, p, c)
-    upper_rank = min(math.ceil(up * x.size / n), x.size) - 1
+    upper_rank = math.ceil(up * (x.size + missing) / n) - 1 if up <= n and math.isfinite(missing) else x.size
     lower_rank = max(math.floor((low - 1) * x.size / n), 0) if low >= 1 else 0
     lower, upper = x.at([lower_rank, min(upper_rank, x.size - 1)]).tolist()
-    return Quantile(p, c, x.quantile(p), lower, upper if up <= n else math.inf, float(n_eff))
+    return Quantile(p, c, x.quantile(p), lower, upper if upper_rank < x.size else math.inf, float(n_eff))

@@ -29,8 +29,8 @@ def open_los(
     ----------
     path : a file of one of `pointing_analysis.read.tables.formats.FORMATS`, detected by its content
     los : topic and field of a bag, names of two columns of a table; None for a bag of the testbed
-    unit : rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; needed for all but a bag of the testbed and a file that
-        says it
+    unit : rad, mrad, urad, nrad, deg, mdeg, arcmin, arcsec or mas; needed for all but a bag of the testbed and a file
+        that says it
     rate : sampling rate [Hz]; by default from the times
     time : of a bag ``header``, ``log`` or ``auto``; of a table the name of the time column
     max_chunk : largest chunk of a bag that is unpacked [byte]

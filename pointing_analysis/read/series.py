@@ -318,7 +318,7 @@ def series(
     ----------
     t : (n,) times [s] or ``datetime64``, or None with a `rate`
     xy : (n, 2 or 3) error of the line of sight, NaN where a sample is missing; **actual minus target**
-    unit : rad, mrad, urad, nrad, deg, arcmin, arcsec or mas
+    unit : rad, mrad, urad, nrad, deg, mdeg, arcmin, arcsec or mas
     rate : sampling rate [Hz]; times with jitter are moved to its grid
     name : shown in tables and report
 

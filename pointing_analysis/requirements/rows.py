@@ -29,6 +29,8 @@ WITHIN = "within limit"
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
 ALL_RUNS = "all runs"
+MISSING = "not demonstrated: samples are missing"
+"""In place of a bound above which as many samples may be as are allowed, and more with those that are missing."""
 
 
 def css_class(status: str) -> str:
@@ -181,8 +183,9 @@ class RequirementRow:
         if math.isnan(self.bound):
             return ABSENT
         if math.isinf(self.bound):
-            proven = self.beside.proven
-            return self.beside.unproven if proven is None else proven.text(self._scale, self.unit)
+            if self.beside.proven is not None:
+                return self.beside.proven.text(self._scale, self.unit)
+            return MISSING if self.missing else self.beside.unproven
         bound = with_unit(f"{'above ' if self.lower else ''}{digits_beside(self.bound, self.limit)}", self.unit)
         return f"{bound} at {100 * self.confidence:g} %"
 
@@ -200,7 +203,7 @@ class RequirementRow:
     def verdict_text(self) -> str:
         """Verdict in words, with its note: why there is none, or what is missing."""
         separator = ": " if self.status == "not judged" else "; "
-        return f"{self.statement}{separator}{self.note}" if self.note else self.statement
+        return self.statement if self.note in self.statement else f"{self.statement}{separator}{self.note}"
 
     @property
     def margin_text(self) -> str:

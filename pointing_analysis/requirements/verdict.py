@@ -91,8 +91,7 @@ class Verdict:
         if self.status != "not enough data":
             return self.status
         if self.missing and not self.within_limit:
-            what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
-            return f"not enough data: {what} missing"
+            return f"not enough data: {_missing_note(self.requirement, self.missing, self.samples)}"
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
             return f"{'at' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
@@ -283,13 +282,14 @@ def decide(
     unknown = math.isinf(missing)
     total = len(values) + (0.0 if unknown else missing)
     worst = 1.0 if unknown else (above + missing) / total
-    status, needed = status_of(requirement, worst, above / total, effective, runs), seconds
+    best = above / total
+    status, needed = status_of(requirement, worst, best, effective, runs), seconds
     if status == "not enough data":
-        needed = confidence.samples_to_decide(p, c, rate if unknown else worst) * seconds / effective
-    note = _missing_note(missing, total)
-    bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective)
-    if missing:  # what is not there may lie beyond any bound
-        bounds = replace(bounds, upper=math.inf)
+        open_share = not unknown and best <= 1 - p < worst  # the samples that are missing would decide
+        share = rate if unknown else best if best > 1 - p else worst
+        needed = math.inf if open_share else confidence.samples_to_decide(p, c, share) * seconds / effective
+    note = _missing_note(requirement, missing, len(values))
+    bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective, missing)
     if requirement.lower:
         bounds = replace(bounds, value=-bounds.value, lower=-bounds.upper, upper=-bounds.lower)
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
@@ -316,12 +316,13 @@ def _count_beyond(values: FloatArray, requirement: Requirement) -> int:
     return sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
 
 
-def _missing_note(missing: float, total: float) -> str:
+def _missing_note(requirement: Requirement, missing: float, samples: int) -> str:
     if not missing:
         return ""
     if math.isinf(missing):
         return "the recording is truncated: the missing part is not known"
-    return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
+    what = "windows" if requirement.of_windows else "samples"
+    return f"{missing:.0f} of {samples + missing:.0f} {what} are missing and count against the verdict"
 
 
 def judge(requirement: Requirement, runs: Sequence[Recording], transient: float | None = None) -> Verdict:

@@ -78,12 +78,17 @@ ANALYSE: dict[str, Row] = {
     "Julian days": (counted(0.01 / 86_400, "JD", 9, 2_460_000.5), "", "days|JD (d)"),
     "cut seconds": (times(*["1.7e9"] * 12), "", "too few digits|--rate"),
     "dates of the USA": (times(*[f"11/20/2026 12:00:0{k}" for k in range(9)]), "", "row 2|column time|11/20/2026"),
+    "dates under another name": (times(*[f"11/20/2026 12:00:0{k}" for k in range(9)], head="date"), "", "column date"),
     "half of the day": (times(*[f"2026-11-20 1:00:0{k} PM" for k in range(9)]), "", "row 2|column time|PM"),
     "a month 13": (times(*[f"2026-13-20T12:00:0{k}" for k in range(9)]), "", "row 2|column time|2026-13-20"),
     "a date among numbers": (line("2026-11-20T12:00:00,1,2"), "", "column time"),
     "a missing time": (line(",1,2"), "", "time must be given|1 missing|sample 4"),
     "an infinite time": (line("inf,1,2"), "", "time must be given|sample 4"),
-    "two records": (PLAIN + "".join(row.replace(".25", ".75") for row in ROWS), "", "two records|sample 13|12 with"),
+    "two records": (
+        PLAIN + "".join(row.replace(".25", ".75") for row in ROWS),
+        "",
+        "two records|sample 13|12 with|--time none --rate",
+    ),
     "sample numbers": (counted(1, "sample"), "", "sample numbers|--rate|sample"),
     "no times": ("x_mas,y_mas\n1,2\n3,4\n", "", "rate must be given"),
     "rate of other times": (PLAIN, "--rate 500", "rate must match|100 Hz|500 Hz"),
@@ -176,6 +181,7 @@ def refused(
     assert code == 2 and out == "" and len(messages) == 1, (code, out, err)
     missing = [word for word in words.split("|") if word not in messages[0]]
     assert not missing, (missing, messages[0])
+    assert messages[0].count("data.csv: ") <= 1, messages[0]
     assert "topic" not in messages[0] and sorted(path.name for path in folder.iterdir()) == ["data.csv"]
 
 

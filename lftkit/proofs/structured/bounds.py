@@ -14,6 +14,7 @@ from lftkit.proofs.blocks.lower import lower_bound
 from lftkit.proofs.structured.upper import upper_bound
 from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, checked_matrix
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class MuBounds:
     certificate: MuCertificate | None
 
 
+@checked
 def mu(
     M: ArrayLike, structure: Sequence[UncertaintyBlock], *, rtol: float = 1e-4, starts: int = 8, seed: int = 0
 ) -> MuBounds:

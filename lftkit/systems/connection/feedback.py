@@ -8,10 +8,12 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.operand import common_period
 from lftkit.systems.system import System
 
 
+@checked
 def cascade(first: System, second: System, name: str = "") -> System:
     """`second` after `first`: y = second(first(u)); sizes must match, the ports of both ends are kept."""
     if first.D.shape[0] != second.D.shape[1]:
@@ -26,6 +28,7 @@ def cascade(first: System, second: System, name: str = "") -> System:
     return System(A, B, C, D2 @ D1, first.inputs, second.outputs, name or first.name, dt)
 
 
+@checked
 def close_loop(plant: System, controller: System, inputs: Sequence[str], outputs: Sequence[str]) -> System:
     """Closed loop from `inputs` to `outputs` with the controller between the plant's ports of the same names.
 

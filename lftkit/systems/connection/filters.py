@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.interconnection import connect
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space
 
 
+@checked
 def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter") -> System:
     """Diagonal weight: `size` copies of num(s) / den(s), coefficients from the highest power down.
 
@@ -53,6 +55,7 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
     )
 
 
+@checked
 def high_pass(port: Port, corner: float) -> System:
     """First-order washout ``s / (s + corner)`` on every signal of a port; input and output have its name.
 

@@ -13,6 +13,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.systems import lft
+from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period, same_size
 from lftkit.systems.ports import Port, as_ports, port_indices, port_slices, total_size
@@ -22,6 +23,7 @@ Source = str | tuple[str, ...]
 Connection = tuple[Source, str]
 
 
+@checked
 def connect(
     systems: Mapping[str, System],
     connections: Iterable[Connection],
@@ -171,6 +173,7 @@ def _side_by_side(systems: Mapping[str, System]) -> System:
     )
 
 
+@checked
 def append(*systems: System) -> System:
     """Systems side by side, unconnected; port names must be unique on each side.
 
@@ -187,6 +190,7 @@ def append(*systems: System) -> System:
     return replace(whole, inputs=inputs, outputs=tuple(p for s in systems for p in s.outputs))
 
 
+@checked
 def feedback(forward: Any, backward: Any = None, *, sign: float = -1.0) -> System:
     """``(I - sign G K)^-1 G`` with G forward and K backward, by position; K is 1 where none is given.
 
@@ -240,6 +244,7 @@ def feedback(forward: Any, backward: Any = None, *, sign: float = -1.0) -> Syste
     )
 
 
+@checked
 def series(first: System, second: System, via: Mapping[str, str]) -> System:
     """`first` drives `second`: `via` maps outputs of the first to inputs of the second.
 
@@ -255,6 +260,7 @@ def series(first: System, second: System, via: Mapping[str, str]) -> System:
     )
 
 
+@checked
 def parallel(first: System, second: System, sign: float = 1.0) -> System:
     """Sum (or with ``sign=-1.0`` difference) of two systems with the same ports."""
     if sign not in (1.0, -1.0):
@@ -272,6 +278,7 @@ def parallel(first: System, second: System, sign: float = 1.0) -> System:
     )
 
 
+@checked
 def star(upper: System, lower: System, via: Mapping[str, str]) -> System:
     """Redheffer star product: connected ports are removed, all other ports of both systems stay.
 
@@ -297,6 +304,7 @@ def star(upper: System, lower: System, via: Mapping[str, str]) -> System:
     )
 
 
+@checked
 def close(plant: System, controller: System, via: Mapping[str, str]) -> System:
     """Lower LFT: close a controller around a plant.
 
@@ -313,6 +321,7 @@ def close(plant: System, controller: System, via: Mapping[str, str]) -> System:
     return star(plant, controller, wires)
 
 
+@checked
 def transform(
     system: System,
     *,
@@ -359,6 +368,7 @@ def transform(
     )
 
 
+@checked
 def invert(system: System, channels: Mapping[str, str]) -> System:
     """Exchange inputs and outputs of chosen channels.
 

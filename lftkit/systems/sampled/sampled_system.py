@@ -31,7 +31,9 @@ from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
+from lftkit.support.scalars import as_positive
 from lftkit.support.structured_text import load_json
+from lftkit.systems.arguments import checked
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.ports import Port, as_ports, spread_columns, total_size
@@ -103,8 +105,7 @@ class SampledSystem:
             raise InputError(f"{self.name}: {error}") from None
         for key, matrix in zip("ABCD", matrices):
             object.__setattr__(self, key, matrix)
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InputError(f"{self.name}: sampling period must be positive, got {self.dt}")
+        as_positive(self.dt, f"{self.name}: sampling period")
         object.__setattr__(self, "_product", OrderedProduct(np.block([[self.A, self.B], [self.C, self.D]])))
 
     def __repr__(self) -> str:
@@ -230,6 +231,7 @@ class SampledSystem:
         return control_system(matrices, self.inputs, self.outputs, self.dt, self.name if name is None else name)
 
     @classmethod
+    @checked
     def from_file(cls, path: str | os.PathLike[str]) -> SampledSystem:
         """Read a system from its JSON file.
 

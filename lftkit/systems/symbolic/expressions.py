@@ -13,7 +13,7 @@ many Delta channels as the rank of its S_i; what is left of repetitions and canc
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,9 +22,10 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.delta import Value, chosen_values
 from lftkit.systems.operand import constant_matrix
-from lftkit.systems.ports import Port
+from lftkit.systems.ports import Port, as_ports
 from lftkit.systems.symbolic.canonical import controllable_form
 from lftkit.systems.symbolic.fractions import Fraction
 from lftkit.systems.symbolic.realisation import Affine, rank_factors, realised
@@ -94,6 +95,7 @@ class Expression:
 
     # values
 
+    @checked
     def __call__(self, point: complex, values: Mapping[str, Value] | None = None, **named: Value) -> Any:
         """Value at s or z and at values of the elements (nominal where none is given); a number where it is 1 x 1.
 
@@ -161,6 +163,7 @@ class Expression:
             return replace(made, fraction=None).system(inputs, outputs, name)
         return found.named(name)
 
+    @checked
     def at(self, values: Mapping[str, Value] | None = None, **named: Value) -> System:
         """:meth:`lftkit.System.at` of the system."""
         return self.system().at(values, **named)
@@ -451,12 +454,14 @@ def ports_for(given: Any, size: int) -> tuple[Port, ...]:
     """Ports of `size` signals in all from one name, or from names, pairs and ports."""
     if isinstance(given, str):
         return (Port(given, size),)
-    ports = tuple(p if isinstance(p, Port) else Port(p, 1) if isinstance(p, str) else Port(*p) for p in given)
+    sized = [(p, 1) if isinstance(p, str) else p for p in given] if isinstance(given, Iterable) else given
+    ports = as_ports(sized, "ports")
     if sum(p.size for p in ports) != size:
         raise InputError(f"ports must have {size} signals, got {', '.join(f'{p.name}[{p.size}]' for p in ports)}")
     return ports
 
 
+@checked
 def matrix(rows: Any) -> Expression:
     """Expression from rows of expressions, numbers and matrices that fit.
 

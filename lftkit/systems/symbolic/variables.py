@@ -8,11 +8,13 @@ import numpy as np
 
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_number, as_positive, is_number
+from lftkit.systems.arguments import checked
 from lftkit.systems.symbolic.expressions import Expression, scalar, variable
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
 from lftkit.uncertainty.parameters import RealParameter
 
 
+@checked
 def real(
     name: str,
     nominal: float,
@@ -55,17 +57,21 @@ def real(
         if not (ends and all(map(is_number, ends))):
             raise InputError(f"range of {name!r} must be one number or those of both ends, got {size!r}")
         middle = as_number(nominal, f"parameter {name!r}: nominal")
+        if percent is not None and middle == 0.0:
+            raise InputError(f"range of {name!r} must be lower and upper or plus_minus, got percent of nominal 0")
         scale = abs(middle) / 100.0 if percent is not None else 1.0
         lower, upper = middle + float(ends[0]) * scale, middle + float(ends[1]) * scale
     return scalar(RealParameter(name, nominal, lower, upper, unit, description))
 
 
+@checked
 def complex_gain(name: str, nominal: float, radius: float, *, unit: str = "1", description: str = "") -> Expression:
     """A constant complex number within `radius` of `nominal` (`ucomplex` in MATLAB): :class:`ComplexParameter`."""
     element = ComplexParameter(name, nominal, radius, unit, description)
     return scalar(element)
 
 
+@checked
 def dynamic(name: str, outputs: int = 1, inputs: int = 1, *, bound: float = 1.0, description: str = "") -> Expression:
     """Any stable system of gain at most `bound` (`ultidyn` in MATLAB), nominal 0: :class:`DynamicElement`."""
     element = DynamicElement(name, outputs, inputs, bound, description)
@@ -78,6 +84,7 @@ s = variable()
 """The Laplace variable: differentiation."""
 
 
+@checked
 def z(dt: float) -> Expression:
     """The variable of discrete time with the period `dt` [s]: one tick ahead.
 

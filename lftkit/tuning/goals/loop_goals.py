@@ -16,6 +16,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
@@ -60,6 +61,7 @@ class _AtLoop:
         return given or f"{type(self).__name__} {'+'.join(self.location)}"
 
 
+@checked
 @dataclass(frozen=True)
 class Sensitivity(_AtLoop):
     """Largest sensitivity S at a location, at most `bound` (times the weight's inverse).
@@ -95,6 +97,7 @@ class Sensitivity(_AtLoop):
         return (HinfGain(self._ports("added"), out, self.bound, **common),)  # type: ignore[arg-type]
 
 
+@checked
 @dataclass(frozen=True)
 class Margins(_AtLoop):
     """Disk margin at a location: gains and phases of all its loops change at once, independently.
@@ -178,6 +181,7 @@ class _LoopGain(_AtLoop):
         return (HinfGain(self._ports("added"), out, weight_out=weight, hard=self.hard, name=name),)
 
 
+@checked
 @dataclass(frozen=True)
 class MinLoopGain(_LoopGain):
     """Loop gain at a location of at least ``crossover / omega`` where it is large: ``(crossover / s) S`` below 1.
@@ -194,6 +198,7 @@ class MinLoopGain(_LoopGain):
     bounds = ("applied",)
 
 
+@checked
 @dataclass(frozen=True)
 class MaxLoopGain(_LoopGain):
     """Loop gain at a location of at most ``crossover / omega`` where it is small: ``(s / crossover) T`` below 1.
@@ -207,6 +212,7 @@ class MaxLoopGain(_LoopGain):
     bounds = ("returned",)
 
 
+@checked
 @dataclass(frozen=True)
 class LoopShape(_LoopGain):
     """Loop gain at a location like that of an integrator, ``crossover / s``: both bounds at once.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
@@ -48,6 +49,7 @@ class _FromReference:
         return given or f"{type(self).__name__} {self.reference} -> {self.output}"
 
 
+@checked
 @dataclass(frozen=True)
 class Tracking(_FromReference):
     """Largest relative error of tracking: `dc_error` at frequency 0, `peak_error` at high frequency.
@@ -85,6 +87,7 @@ class Tracking(_FromReference):
         return (HinfGain((self.reference,), (self._error,), **common),)  # type: ignore[arg-type]
 
 
+@checked
 @dataclass(frozen=True)
 class StepTracking(_FromReference):
     """Step response near that of ``1 / (time_constant s + 1)``: relative mismatch of at most `relative_gap`.
@@ -152,6 +155,7 @@ class StepTracking(_FromReference):
         return (H2Gain((self.reference, modelled), (mismatch,), bound, **common),)  # type: ignore[arg-type]
 
 
+@checked
 @dataclass(frozen=True)
 class Overshoot(_FromReference):
     """Overshoot of the step response of at most `percent`, by the peak gain of a system of second order.

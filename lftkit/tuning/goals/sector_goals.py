@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.requirements.sector import SectorGain
@@ -66,6 +67,7 @@ def _check_unit(unit: float) -> None:
         raise InputError(f"unit must be positive, got {unit}")
 
 
+@checked
 @dataclass(frozen=True)
 class Passivity(_OfChannel):
     """Energy goes into a channel: ``int z'w >= input_index int w'w + output_index int z'z`` from rest.
@@ -137,6 +139,7 @@ class Passivity(_OfChannel):
         return self._requirement(model, fraction, self.unit, self.hard, self.name, self.band)
 
 
+@checked
 @dataclass(frozen=True)
 class ConicSector(_OfChannel):
     """A channel within a sector: ``int (z - low w)'(z - high w) <= 0`` from rest.

@@ -19,6 +19,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.sampled.image import rates
 from lftkit.systems.system import System
@@ -36,6 +37,7 @@ COLUMNS = 3
 SHOWN = 0.98  # of the value, that a picture has to show
 
 
+@checked
 def plot_goals(
     models: System | Sequence[System],
     goals: Sequence[TuningRequirement | Goal],

@@ -11,6 +11,7 @@ import numpy as np
 from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, is_stable
 from lftkit.arrays import BoolArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.exchange import as_system
@@ -119,6 +120,7 @@ class Gain(TuningRequirement):
         return weights
 
 
+@checked
 @dataclass(frozen=True)
 class HinfGain(Gain):
     """H-infinity norm of ``weight_out T weight_in / bound`` from ports to ports of the closed loop.
@@ -178,6 +180,7 @@ def band_edges(requirements: Sequence[object]) -> FloatArray:
     return np.array(sorted(w for w in edges if np.isfinite(w)), dtype=float)
 
 
+@checked
 @dataclass(frozen=True)
 class H2Gain(Gain):
     """H2 norm of ``weight_out T weight_in / bound``: rms of the outputs for white noise of unit two-sided density.

@@ -9,6 +9,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.sampled.bilinear import discrete_point
 from lftkit.systems.sampled.image import DEADBEAT, rates
 from lftkit.systems.system import System
@@ -99,6 +100,7 @@ class Poles(TuningRequirement):
         return np.concatenate(values) / self.level, np.concatenate(slopes) / self.level, number
 
 
+@checked
 @dataclass(frozen=True)
 class ClosedLoopPoles(Poles):
     """Location of the closed-loop poles, weights not counted.
@@ -125,6 +127,7 @@ class ClosedLoopPoles(Poles):
         return self._value(loop.poles)
 
 
+@checked
 @dataclass(frozen=True)
 class ControllerPoles(Poles):
     """Location of the controller's own poles; ``ControllerPoles(min_decay=1e-3)`` asks for a stable controller."""

@@ -24,6 +24,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 from lftkit.tuning.descent.grid_source import FEASIBLE
 from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
@@ -44,6 +45,7 @@ LEAST_SHARE = 1.0  # [s], of the wall limit, for any tuning
 SAME = 1e-4  # relative difference below which two ends of the first round are one
 
 
+@checked
 @dataclass(frozen=True)
 class RobustOptions:
     """Limits of a robust design.
@@ -89,6 +91,7 @@ class RobustOptions:
             )
 
 
+@checked
 def tune_robust(
     build: Build,
     box: Box,

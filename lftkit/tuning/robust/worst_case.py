@@ -18,6 +18,7 @@ from lftkit.analysis.frequency_response import PoleError
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
+from lftkit.systems.arguments import checked
 from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import unwarped_frequency
 from lftkit.systems.sampled.image import image_of
@@ -37,6 +38,7 @@ MAX_OTHERS, APART = 2, 0.1
 """Runners-up that are reported, and how far apart peaks are to count as different ones."""
 
 
+@checked
 @dataclass(frozen=True)
 class WorstCaseOptions:
     """Effort of a worst-case search.
@@ -74,6 +76,7 @@ class WorstCaseOptions:
             raise InputError(f"step must be between 0 and 0.1 of the box, got {self.step}")
 
 
+@checked
 def worst_case(
     build: Build,
     box: Box,

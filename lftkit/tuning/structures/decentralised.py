@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port, total_size
 from lftkit.tuning.structures.bounds import Bounds, bounds_of
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 
 
+@checked
 @dataclass(frozen=True)
 class Decentralised:
     """Several controllers side by side, each seeing its own measurements only.

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrix
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.structures.structures import total_size
@@ -22,6 +23,7 @@ def _triangles(n: int) -> tuple[Any, Any]:
     return np.tril_indices(n, -1), np.tril_indices(n)
 
 
+@checked
 @dataclass(frozen=True)
 class StableStateSpace:
     """Controller of fixed order that is stable at every parameter value.

@@ -18,7 +18,8 @@ from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.errors import InputError
-from lftkit.systems.ports import Port, read_only
+from lftkit.systems.arguments import checked
+from lftkit.systems.ports import Port, as_ports, read_only
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.system import System
 from lftkit.tuning.structures.bounds import Bounds, bounds_by_name, number_of
@@ -67,6 +68,7 @@ class Structure(Protocol):
         ...
 
 
+@checked
 def controller(structure: Structure, x: ArrayLike, name: str = "K") -> System:
     """Controller of `structure` at the parameters `x` (size,)."""
     n = structure.order
@@ -273,6 +275,7 @@ def _affine(
     )
 
 
+@checked
 def state_space(
     inputs: Sequence[Any], outputs: Sequence[Any], order: int, *, form: str = "full", feedthrough: bool = True
 ) -> AffineStructure:
@@ -318,11 +321,13 @@ def state_space(
     return structure
 
 
+@checked
 def gain(inputs: Sequence[Any], outputs: Sequence[Any]) -> AffineStructure:
     """Static output feedback ``u = D_K y`` with a full matrix."""
     return state_space(inputs, outputs, 0)
 
 
+@checked
 def pid(
     measurement: str, command: str, *, derivative_filter: float | None = None, terms: str = "PID", dt: float = 0.0
 ) -> AffineStructure:
@@ -374,7 +379,7 @@ def pid(
 
 def total_size(ports: Sequence[Any]) -> int:
     """Sum of the sizes of ports, given as Port or (name, size)."""
-    return sum(p.size if isinstance(p, Port) else int(p[1]) for p in ports)
+    return sum(p.size for p in as_ports(ports, "ports"))
 
 
 def jacobian(structure: Structure, x: FloatArray) -> FloatArray:

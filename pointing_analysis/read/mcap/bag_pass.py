@@ -26,6 +26,12 @@ TRIMMED = 1 << 26
 """Bytes of messages after which free memory is given back to the system."""
 
 
+def _ends(block: Block) -> tuple[int, int]:
+    """First and last log time [ns] of the messages of a block."""
+    log = block.heads["log"]
+    return int(log.min()), int(log.max())
+
+
 class BagPass:
     """One pass over a bag.
 
@@ -74,11 +80,13 @@ class BagPass:
                 info.unpacks = self._in_window
             for block in walk(file, info):
                 if self.origin is None:
-                    self.origin = int(block.heads["log"].min())
+                    self.origin = _ends(block)[0]
                     info.unpacks = self._in_window
                 if self._heads_only:
                     info.unpacks = lambda first, last: False
                     continue
+                if block.heads.size and not self._in_window(*_ends(block)):
+                    continue  # the first chunk, which is read for the origin
                 self._ledger.add(info, block)
                 passed += len(block.data)
                 yield info, block

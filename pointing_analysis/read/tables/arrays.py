@@ -96,7 +96,7 @@ def read_numpy(path: Path) -> Table:
             with np.load(path, allow_pickle=False) as content:
                 for name in content.files:
                     array = content[name]
-                    if array.dtype.kind == "U" and array.size == 1:
+                    if array.dtype.kind == "U" and len(np.unique(array)) == 1:  # of each column the same
                         found.add_setting(name, str(array.reshape(-1)[0]))
                     else:
                         found.add(name, array)

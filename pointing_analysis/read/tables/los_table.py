@@ -122,7 +122,7 @@ def read_los_table(
             times = since_first_week(when, columns, unit_of_time)
             stamps = column_stamps(when, times, rate, unit_of_time)
     except ValueError as error:
-        raise InputError(f"{path}: {error}{unused}") from None
+        raise InputError.of_file(path, InputError(f"{error}{unused}")) from None
     _check_rows(table, stamps, xy)
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
@@ -145,7 +145,8 @@ def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
         since = (int(stamps[first]) - int(stamps.min())) / NANO
         raise InputError(
             f"{table.path}: times must differ from row to row, got {int(differ.sum())} with the time of another row, "
-            f"the first in sample {first + 1}, {since:g} s after the earliest one (two records in one file?)"
+            f"the first in sample {first + 1}, {since:g} s after the earliest one (two records in one file? too few "
+            "digits? --time none --rate HERTZ reads the rows in their order)"
         )
 
 
@@ -206,6 +207,8 @@ def _lost_digits(name: str, column: Column) -> str:
 def _asked_time(table: Table, time: str) -> tuple[str, str]:
     """Column that an option ``--time`` means; a unit at its end, as in ``time_ms``, is that of a column without one."""
     base, unit = split_unit(time)
+    if not unit:  # time_d is a name with a unit, mjd_d may be one without
+        base, _, unit = time.rpartition("_")
     asked = table.find(time)
     if asked is None and unit in TIME_UNITS and (asked := table.find(base)) is not None:
         if (stated := table.unit(asked)) not in ("", *ANGLES, unit):
@@ -227,6 +230,8 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
         return _time_first(columns, x, y, asked or time_column(columns, [x, y]))
     lengths = dict.fromkeys(len(column) for column in table.columns.values())
     found = [chosen for n in lengths if (chosen := _by_names(table.of_length(n), asked)) is not None]
+    if found and _known_pair(found[0][:2]) and _known_pair(list(table.columns)) is None:
+        found = []  # one of several of the same name: the others are of another length
     if len(found) != 1 or not set(found[0]) & set(_known_pair(list(table.columns)) or ()):
         for name in _texts_of_angles(table):
             table.refuse_text(name)
@@ -247,7 +252,8 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     for part in parts:
         table.refuse_text(part)
     if len(parts) == 1:
-        parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
+        mark = " " if table.find(f"{parts[0]} x") else "."  # of a table that bag export wrote
+        parts = [f"{parts[0]}{mark}x", f"{parts[0]}{mark}y"]
     names, every = [table.find(part) for part in parts], table.names or tuple(table.columns)
     if all(name is None and part.isdecimal() and 0 < int(part) <= len(every) for name, part in zip(names, parts)):
         names = [every[int(part) - 1] for part in parts]
@@ -285,7 +291,7 @@ def _known_pair(names: Sequence[str]) -> tuple[str, str] | None:
     bases = {name: split_unit(name)[0].lower() for name in names}
 
     def named(wanted: str) -> list[str]:
-        return [name for name, base in bases.items() if base == wanted or base.endswith(f".{wanted}")]
+        return [name for name, base in bases.items() if base == wanted or base.endswith((f".{wanted}", f" {wanted}"))]
 
     for pair in X_NAMES:
         x, y = map(named, pair)

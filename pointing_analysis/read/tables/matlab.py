@@ -68,6 +68,8 @@ def _add(found: Gathered, name: str, value: Any, depth: int) -> None:
         found.add_setting(name, str(value.reshape(-1)[0]))
     elif value.dtype.kind != "O":
         found.add(name, value)
+    elif len(texts := {str(cell.item()) for cell in value.flat if np.size(cell) == 1 and hasattr(cell, "item")}) == 1:
+        found.add_setting(name, texts.pop())  # a cell array with the same text for each column
 
 
 def read_hdf5(path: Path) -> Table:

@@ -102,7 +102,7 @@ _SPELLINGS = {
     "mn": "mN",
 }
 _IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*((?:[^\[\]()]|\([^()]*\))+?)\s*[\])]$")
-_ANGLES_AT_THE_END = "mas|arcsec|arcmin|deg|degrees?|nrad|[uµμ]rad|mrad|rad"
+_ANGLES_AT_THE_END = "mas|arcsec|arcmin|mdeg|deg|degrees?|nrad|[uµμ]rad|mrad|rad"
 _OTHERS_AT_THE_END = "rad[_/]s|deg[_/]s|dps|px|pix|pixels?|mm|um"  # never taken for an angle
 _TIMES_AT_THE_END = "s|ms|us|ns|sec|msec|usec|nsec"
 _AT_THE_END = re.compile(rf"^(.+?)_((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END}|{_TIMES_AT_THE_END})|mNm|mN|Nm|N)$")

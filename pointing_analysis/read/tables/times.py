@@ -20,6 +20,8 @@ from pointing_analysis.read.tables.table import Column, Table, split_unit
 
 NAMES = ("t", "time", "timestamp", "stamp", "seconds", "zeit", "temps", "tiempo", "tempo", "x_value")
 """Names of time columns, without a unit at their end, in any case."""
+OF_DATES = ("date", "datetime", "date_time", "utc")
+"""Names of columns of dates, which are known by their cells where those can be read."""
 SAMPLE_NUMBERS = ("sample", "samples", "sample number", "sample_number", "index", "idx", "n", "k", "frame")
 """Names of columns of sample numbers, in any case."""
 WEEKS = ("week", "gps week", "gps_week", "gpsweek", "wn")
@@ -65,7 +67,7 @@ def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None
 def refuse_text_times(table: Table) -> None:
     """Refuse a column with the name of a time that was left out because of its cells."""
     for name in table.texts:
-        if _base(name) in NAMES:
+        if _base(name) in (*NAMES, *OF_DATES):
             table.refuse_text(name, f"a number or {DATES}")
 
 

@@ -203,6 +203,12 @@ def test_part_of_a_run(tmp_path: Path, signals) -> None:
         assert run.problems == ()
 
 
+def test_a_part_behind_a_chunk_that_is_left_out_is_whole() -> None:
+    """The first chunk, read for the origin, is outside; what lies between it and the part is not lost."""
+    run = Run.open(Path(__file__).parents[3] / "bags/reference", start=2.5, stop=3.5)
+    assert run.problems == () and len(run["truth/los"]) == 1000
+
+
 def test_memory_limit(tmp_path: Path, signals) -> None:
     bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
     need = Run.open(bag)["m1/accel"].nbytes

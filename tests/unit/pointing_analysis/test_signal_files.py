@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.command_line import call_command
 
+from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.signal_files import TopicSignal, signals_of, write_signals
 
@@ -64,6 +65,22 @@ def test_matlab_has_each_topic_as_a_structure(
         assert tuple(there["columns"]) == s.columns and tuple(there["units"]) == s.units
     start = (tmp_path / "run.mat").read_bytes()[:128]
     assert start.startswith(b"MATLAB 5.0" if version == "5" else b"MATLAB 7.3") and start[126:] == b"IM"
+
+
+@pytest.mark.parametrize(
+    ("name", "los"),
+    [("a.mat", "truth_los.values"), *((f"a{end}", "truth/los") for end in (".npz", ".csv", ".parquet"))],
+)
+def test_the_line_of_sight_is_read_by_its_topic(
+    name: str, los: str, signals: list[TopicSignal], tmp_path: Path
+) -> None:
+    """With the unit that the file has, also of one topic of the bag."""
+    write_signals(signals, tmp_path / name)
+    (truth,) = [s for s in signals if s.name == "truth/los"]
+    found = open_los(tmp_path / name, los=los)
+    np.testing.assert_array_equal(found["truth/los"].values, truth.values[:, :2])
+    write_signals([truth], tmp_path / f"one{name}")
+    np.testing.assert_array_equal(open_los(tmp_path / f"one{name}")["truth/los"].values, truth.values[:, :2])
 
 
 def test_numpy_has_arrays_by_topic(signals: list[TopicSignal], tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ UNITS = {
     "deg": table(head="time,x (°),y (°)", unit="deg"),
     "degrees": table(head="time,x [Degrees],y [Degrees]", unit="deg"),
     "arcmin": table(head="time,x ['],y [′]", unit="arcmin"),
+    "mdeg": table(head="time,x_mdeg,y [mdeg]", unit="mdeg"),
     "double prime": table(head="time;x [″];y [as]", mark=";", unit="arcsec"),
     "µrad at the end": table(head="time,x_µrad,y_µrad", unit="urad"),
     "behind a comma": table(head="time;x, urad;y, urad", mark=";", unit="urad"),
@@ -135,6 +136,18 @@ def test_columns_by_number_and_sample_numbers(tmp_path: Path) -> None:
         open_los(tmp_path / "b.csv")
 
 
+def test_a_unit_at_the_end_of_the_option_is_that_of_a_column_of_any_name(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(table(counted(1 / 86_400, 10, 60_000), "MJD,x_mas,y_mas"))
+    assert same(tmp_path / "a.csv", time="MJD_d")
+
+
+def test_one_of_several_pairs_of_a_name_is_not_chosen_by_its_length(tmp_path: Path) -> None:
+    arrays = {f"{name}/los": np.ones((n, 2)) for name, n in (("camera", 9), ("truth", 99), ("estimate", 99))}
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(ValueError, match="los must name two of the columns"):
+        open_los(tmp_path / "a.npz", unit="rad", rate=10.0)
+
+
 def parquet(path: Path, times: object) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
@@ -161,6 +174,11 @@ ARRAYS: dict[str, tuple[Callable[[Path], None], dict[str, str]]] = {
     ),
     "one matrix with the time first": (lambda path: io.savemat(path, {"data": np.c_[T, XY], "data_unit": "mas"}), {}),
     "its name given": (lambda path: io.savemat(path, {"d": np.c_[T, XY], "other": XY, "unit": "mas"}), {"los": "d"}),
+    "a unit for each column": (lambda path: np.savez(path.open("wb"), t=T, los=XY, los_units=["mas", "mas"]), {}),
+    "a cell of units": (
+        lambda path: io.savemat(path, {"s": {"t": T, "los": XY, "units": np.array(["mas", "mas"], object)}}),
+        {},
+    ),
     "group of HDF5": (lambda path: hdf5(path, "seconds since 2026-01-01", 1.0), {"los": "second.x,second.y"}),
     "days of netCDF": (
         lambda path: hdf5(path, "days since 2026-01-01 00:00:00", 1 / 86_400),

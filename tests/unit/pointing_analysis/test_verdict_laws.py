@@ -95,6 +95,7 @@ def test_missing_samples_count_against_either_verdict(monkeypatch: pytest.Monkey
 
         monkeypatch.setattr(confidence, name, counted)
     cases = {
+        (950, 10, 950.0, 50.0): (57, 9, 950),
         (1000, 3, 500.0, 0.0): (2, 1, 500),  # 1.5 of 500
         (1000, 4, 500.9, 0.0): (2, 2, 500),  # exactly 2
         (990, 2, 990.0, 10.0): (12, 1, 990),  # 11.88 and 1.98 of 990
@@ -108,7 +109,7 @@ def test_missing_samples_count_against_either_verdict(monkeypatch: pytest.Monkey
         assert asked[:2] == [("exceedance_upper", worst, n, 0.75), ("exceedance_lower", best, n, 0.75)]
         assert found.status == expected(LOOSE, worst, best, n)
         assert found.exceeding == above / count and found.missing == missing
-        assert math.isinf(found.quantile.upper) or not missing
+        assert (found.quantile.upper < LIMIT) == (found.status == "compliant")
 
 
 def test_equality_at_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,6 +134,8 @@ def test_the_length_that_would_decide() -> None:
     missing = decide(STRICT, samples(499, 0), 499.0, 40.0, 1.0)
     needed = confidence.samples_to_decide(0.997, 0.95, 1 / 500)
     assert missing.seconds_needed == pytest.approx(needed * 40.0 / 499.0) and needed > 998
+    gap = decide(LOOSE, samples(100, 10), 100.0, 40.0, 30.0)
+    assert math.isinf(gap.seconds_needed)  # 8 to 31 % are above the limit, of any length
     unknown = decide(STRICT, samples(500, 1), 500.0, 40.0, math.inf)
     assert unknown.seconds_needed == pytest.approx(confidence.samples_to_decide(0.997, 0.95, 1 / 500) * 40.0 / 500.0)
     above = decide(LOOSE, samples(10, 3), 10.0, 2.0)
@@ -142,6 +145,8 @@ def test_the_length_that_would_decide() -> None:
     assert above.statement == f"above limit; not yet demonstrated at {confidence_text}: {needs}"
 
 
+MISSING = "samples are missing and count against the verdict"
+CUT_OFF = "the recording is truncated: the missing part is not known"
 OPEN = "not yet demonstrated at 75 % confidence: needs 3 s"
 NEVER = "not demonstrated by a run of any length"
 
@@ -159,10 +164,10 @@ def verdict(**changes: Any) -> Verdict:
         ({"exceeding": 0.25, "seconds_needed": math.inf}, True, f"at limit; {NEVER}"),
         ({"exceeding": 0.26, "seconds_needed": math.inf}, False, f"above limit; {NEVER}"),
         ({"exceeding": 0.2, "missing": 6.0}, True, f"within limit; {OPEN}"),
-        ({"exceeding": 0.2, "missing": 20.0}, False, "not enough data: 20 samples are missing"),
+        ({"exceeding": 0.2, "missing": 20.0}, False, f"not enough data: 20 of 120 {MISSING}"),
         ({"exceeding": 0.0, "missing": 33.0}, True, f"within limit; {OPEN}"),
-        ({"exceeding": 0.0, "missing": 34.0}, False, "not enough data: 34 samples are missing"),
-        ({"missing": math.inf}, False, "not enough data: part of the run is missing"),
+        ({"exceeding": 0.0, "missing": 34.0}, False, f"not enough data: 34 of 134 {MISSING}"),
+        ({"missing": math.inf}, False, f"not enough data: {CUT_OFF}"),
         ({"status": "compliant"}, True, "compliant"),
         ({"status": "not compliant", "exceeding": 1.0}, False, "not compliant"),
     ],

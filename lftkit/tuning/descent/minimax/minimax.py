@@ -16,6 +16,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.arguments import checked
 from lftkit.tuning.descent.minimax.prox_linear import FIRST_WEIGHT, REJECTED, prox_linear
 from lftkit.tuning.source import DescentSource, Look, Merit, lower
 from lftkit.tuning.status import TuningStatus
@@ -30,6 +31,7 @@ RESTORATIONS = 2
 L = TypeVar("L", bound=Look)
 
 
+@checked
 @dataclass(frozen=True)
 class DescentOptions:
     """Limits of a descent, and what it counts as progress.

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from lftkit import InputError, RealParameter, System, balred, sampled, to_json, to_scipy
+import lftkit as lk
+from lftkit import InputError, Port, RealParameter, System, balred, sampled, to_json, to_scipy
+from lftkit.proofs import BoundOptions, complex_block, mu
+from lftkit.systems.arguments import checked
+from lftkit.tuning import HinfGain, Margins, TuningOptions, gain, tune
 
 P = RealParameter("p", 0.0, -1.0, 1.0)
 MATRICES = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]], [("u", 1)], [("y", 1)]
@@ -38,3 +48,84 @@ def test_a_message_is_one_line_whatever_came() -> None:
     with pytest.raises(InputError) as caught:
         balred(NOMINAL, NOMINAL)
     assert "\n" not in str(caught.value)
+
+
+PLANT = lk.static_gain([[2.0]], [Port("u", 1)], [Port("y", 1)])
+FEW = TuningOptions(starts=1, iterations=3)
+LAW, GOAL = gain([("y", 1)], [("u", 1)]), HinfGain("u", "y")
+WRONG = {
+    "None": None,
+    "text": "text",
+    "names": ["a", "b"],
+    "complex": 1 + 2j,
+    "NaN": float("nan"),
+    "mapping": {"a": object()},
+    "nothing": np.zeros(0),
+    "three axes": np.ones((3, 2, 2)),
+    "function": lambda: None,
+    "bytes": b"x",
+    "integers": [1, 2],
+    "integer": 0,
+    "nested": [[None]],
+}
+CALLS: list[tuple[Callable[..., Any], dict[str, Any]]] = [
+    (lk.cascade, {"first": PLANT, "second": PLANT}),
+    (lk.close_loop, {"plant": PLANT, "controller": PLANT, "inputs": ["u"], "outputs": ["y"]}),
+    (lk.connect, {"systems": {"G": PLANT}, "connections": [("u", "G.u")], "outputs": {"y": "G.y"}}),
+    (lk.disk_margin, {"loop": PLANT, "skew": 0.0}),
+    (lk.from_json, {"text": "{}"}),
+    (lk.high_pass, {"port": Port("u", 1), "corner": 1.0}),
+    (lk.invert, {"system": PLANT, "channels": {"u": "y"}}),
+    (lk.minimal_realisation, {"system": PLANT, "tolerance": 1e-11}),
+    (lk.read_mat, {"path": "none.mat", "name": "G"}),
+    (lk.read_system, {"path": "none.json"}),
+    (lk.transfer, {"num": [1.0], "den": [1.0, 1.0], "size": 1}),
+    (lk.transform, {"system": PLANT, "inputs": {"u": ([[1.0]], Port("v", 1))}, "outputs": {}}),
+    (lk.SampledSystem.from_file, {"path": "none.json"}),
+    (PLANT.select, {"inputs": ["u"], "outputs": ["y"]}),
+    (PLANT.input_port, {"name": "u"}),
+    (BoundOptions, {"gap": 0.1, "max_tests": 1}),
+    (complex_block, {"repeated": 1}),
+    (mu, {"M": np.eye(1), "structure": [complex_block()], "starts": 1}),
+    (HinfGain, {"inputs": "u", "outputs": "y", "bound": 1.0}),
+    (Margins, {"location": "u", "gain_margin": 2.0}),
+    (partial(tune, options=FEW), {"models": [PLANT], "requirements": [GOAL], "structure": LAW, "initial": [[0.1]]}),
+]
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize(("call", "given"), CALLS, ids=[getattr(call, "__qualname__", "tune") for call, _ in CALLS])
+def test_no_argument_leads_to_a_fault(call: Callable[..., Any], given: dict[str, Any], wrong: Any) -> None:
+    """It is accepted, or refused in one line."""
+    for name in given:
+        with contextlib.suppress(ValueError):
+            call(**{**given, name: wrong})
+
+
+def test_the_file_to_be_written_is_named() -> None:
+    with pytest.raises(InputError, match="path must be text or a path, got None"):
+        lk.write_system(None, PLANT)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="system must be a System"):
+        lk.write_system(Path("never.json"), None)  # type: ignore[arg-type]
+    assert not Path("never.json").exists()
+
+
+def test_a_fault_with_arguments_of_the_right_types_stays() -> None:
+    @checked
+    def wanting(values: dict[str, float], others: tuple[float, ...] = ()) -> float:
+        return values["missing"] + sum(others)
+
+    with pytest.raises(KeyError):
+        wanting({"a": 1.0})
+    with pytest.raises(TypeError, match="positional"):
+        wanting({}, (), ())  # type: ignore[call-arg]
+    with pytest.raises(InputError, match="others must be a sequence of numbers, got 'b'"):
+        wanting({"missing": 1.0}, "b")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("package", ["lftkit", "lftkit.synthesis", "lftkit.proofs", "lftkit.tuning"])
+def test_every_public_function_names_its_arguments(package: str) -> None:
+    public = import_module(package)
+    functions = {name: getattr(public, name) for name in public.__all__}
+    bare = [n for n, f in functions.items() if inspect.isfunction(f) and not hasattr(f, "__wrapped__")]
+    assert bare == (["check_mu"] if package.endswith("proofs") else ["descend"] if package.endswith("tuning") else [])

@@ -75,10 +75,12 @@ def seen(row: dict[str, Any]) -> list[str]:
     unit = row["unit"]
     not_judged = row["status"] == "not judged"
     value = "–" if row["quantile"] is None else f"{digits(row['quantile'])} {unit}"
-    bound = "–" if not_judged else "not demonstrated: record too short"
+    why = "samples are missing" if row["missing"] != 0 else "record too short"
+    bound = "–" if not_judged else f"not demonstrated: {why}"
     if row["upper_bound"] is not None:
         bound = f"{digits(row['upper_bound'])} {unit} at {100 * row['confidence']:g} %"
-    verdict = (": " if not_judged else "; ").join(filter(None, (row["statement"], row["note"])))
+    note = "" if row["note"] in row["statement"] else row["note"]
+    verdict = (": " if not_judged else "; ").join(filter(None, (row["statement"], note)))
     return [f"{row['name']}: {row['quantity']}", value, f"{row['limit']:g} {unit}", bound, verdict]
 
 

@@ -28,7 +28,7 @@ Los = Annotated[
 Unit = Annotated[
     str | None,
     typer.Option(
-        help="Its unit: rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; default: from header or attribute."
+        help="Its unit: rad, mrad, urad, nrad, deg, mdeg, arcmin, arcsec or mas; default: from header or attribute."
     ),
 ]
 Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the time stamps.")]
