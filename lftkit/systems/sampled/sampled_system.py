@@ -31,6 +31,7 @@ from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
+from lftkit.support.scalars import as_positive
 from lftkit.support.structured_text import load_json
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 FORMAT = "lftkit/sampled-system"
 VERSION = 1
+KEYS = "format", "version", "name", "dt", "inputs", "outputs", *"ABCD", "design_basis", "provenance"
 
 
 @dataclass(frozen=True)
@@ -103,8 +105,7 @@ class SampledSystem:
             raise InputError(f"{self.name}: {error}") from None
         for key, matrix in zip("ABCD", matrices):
             object.__setattr__(self, key, matrix)
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InputError(f"{self.name}: sampling period must be positive, got {self.dt}")
+        as_positive(self.dt, f"{self.name}: sampling period")
         object.__setattr__(self, "_product", OrderedProduct(np.block([[self.A, self.B], [self.C, self.D]])))
 
     def __repr__(self) -> str:
@@ -250,6 +251,8 @@ class SampledSystem:
             raise InputError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')}")
+        if unknown := [key for key in content if key not in KEYS]:
+            raise InputError(f"{path}: keys must be among {', '.join(KEYS)}, got {unknown[0]!r}")
         missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]
         if missing:
             raise InputError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
@@ -265,7 +268,7 @@ class SampledSystem:
                 D=content["D"],
                 inputs=inputs,
                 outputs=outputs,
-                dt=float(content["dt"]),
+                dt=content["dt"],
                 name=str(content.get("name", Path(path).stem)),
                 design_basis=content.get("design_basis", {}),
                 provenance=content.get("provenance", {}),
