@@ -142,6 +142,11 @@ class SampledLoop:
         """Schur form of :attr:`period`: eigenvalues and steady states from one decomposition."""
         return RealSchur.of(self.period)
 
+    @property
+    def growth(self) -> float:
+        """Largest growth factor per tick from the Schur form, which steady states need as well; stable below 1."""
+        return radius_of(self.schur.eigenvalues, self.frame_ticks)
+
     def steady_state(self, omega: FloatArray, forced: ComplexArray) -> ComplexArray:
         """State at tick 0 in the steady state under K tones ``exp(i w t)``, shape (n, K); of a constant w is zero.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from los_loop.sampled_loop import SampledLoop, radius_of
+from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
 
@@ -80,7 +80,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     ValueError
         A loop that is not stable: it has no steady state.
     """
-    radius = radius_of(model.loop.schur.eigenvalues, model.loop.frame_ticks)
+    radius = model.loop.growth
     if not radius < 1.0:
         raise InputError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"

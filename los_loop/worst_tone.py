@@ -27,7 +27,7 @@ from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
-from los_loop.sampled_loop import SampledLoop, radius_of
+from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
 from los_loop.spec import LOS_ROWS
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -172,7 +172,7 @@ def worst_tone(
     """
     if index not in INDICES:
         raise InputError(f"index must be one of {', '.join(INDICES)}, got {index!r}")
-    radius = radius_of(loop.schur.eigenvalues, loop.frame_ticks)  # the Schur form serves the steady start as well
+    radius = loop.growth
     if closed and not radius < 1.0:
         raise InputError(f"the loop must be stable, got a growth factor of {radius:.6f} per tick")
     row = figure(index)

@@ -10,16 +10,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lftkit.analysis.margins import sensitivity
 from lftkit.analysis.norms import hinf_norm, is_stable
 from lftkit.arrays import Matrices
+from lftkit.errors import InputError
+from lftkit.support.scalars import as_number
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
+
+LARGEST_SKEW = 1e6
+"""Beyond it the disk is a half plane, and the sensitivity is lost in the rounding of ``S + (skew - 1) / 2``."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +72,12 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     loop : System
         Loop transfer L of negative feedback: the loop is closed by ``u = -y``.
     skew : float
-        0: gains and their inverses alike; above 0 the disk has more room for larger gains.
+        0: gains and their inverses alike; above 0 the disk has more room for larger gains. Of magnitude 1e6 at most.
 
     Raises
     ------
     ValueError
-        An uncertain system, or one with several inputs or outputs.
+        An uncertain system, or one with several inputs or outputs; another skew.
 
     Examples
     --------
@@ -82,13 +88,21 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
     >>> round(found.size, 2), [round(g, 2) for g in found.gain], round(found.phase, 1)
     (0.46, [0.63, 1.59], 25.8)
     """
-    L = as_system(loop)
+    L, skew = as_system(loop), as_skew(skew)
     L.require_siso()
     try:
         A, B, C, D = sensitivity(L)
     except ValueError:
         return NONE
     return margin_of_shifted((A, B, C, D + 0.5 * (skew - 1.0)), L.dt, skew)
+
+
+def as_skew(value: Any) -> float:
+    """A skew of a disk margin; a ValueError for one whose margins would have no digits."""
+    skew = as_number(value, "skew")
+    if not abs(skew) <= LARGEST_SKEW:
+        raise InputError(f"skew must be from {-LARGEST_SKEW:g} to {LARGEST_SKEW:g}, got {skew:g}")
+    return float(skew)
 
 
 def margin_of_shifted(shifted: Matrices, dt: float, skew: float) -> DiskMargin:

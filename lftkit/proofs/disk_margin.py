@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.analysis.disk_margin import DiskMargin, disk_gains, disk_phase, margin_of_shifted
+from lftkit.analysis.disk_margin import DiskMargin, as_skew, disk_gains, disk_phase, margin_of_shifted
 from lftkit.analysis.margins import sensitivity as closed_sensitivity
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
@@ -74,7 +74,7 @@ def worst_case_disk_margin(
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters.
     skew : float
-        0: gain may rise and fall alike; 1: disks about S; -1: about T.
+        0: gain may rise and fall alike; 1: disks about S; -1: about T. Of magnitude 1e6 at most.
     options : BoundOptions, optional
         As for :func:`lftkit.proofs.worst_case_gain`.
 
@@ -95,6 +95,7 @@ def worst_case_disk_margin(
     >>> round(found.upper, 6), found.upper <= 1.05 * found.lower
     (2.0, True)
     """
+    skew = as_skew(skew)
     shifted = sensitivity(as_system(loop), 0.5 * (skew - 1.0))
     bounds = worst_case_gain(shifted, box, options=options)
     lower = 1.0 / bounds.upper if bounds.upper > 0.0 else math.inf
@@ -132,7 +133,7 @@ def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None =
         L of negative feedback, certain: **the loop is closed by** ``u = -y``. A sampled one goes through the bilinear
         map, and the frequencies of `together` are those of the map, ``2 / dt tan(omega dt / 2)``.
     skew : float
-        0: gain may rise and fall alike; 1: disks about S; -1: about T.
+        0: gain may rise and fall alike; 1: disks about S; -1: about T. Of magnitude 1e6 at most.
     options : BoundOptions, optional
         Of the margin at once; the gap is 1 % by default.
 
@@ -151,7 +152,7 @@ def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None =
     >>> [round(one.size, 3) for one in found.each], round(found.together.upper, 3), found.together.lower > 0.45
     ([0.458, 0.458], 0.458, True)
     """
-    L = as_system(loop)
+    L, skew = as_system(loop), as_skew(skew)
     L.require_certain()
     A, B, C, D = closed_sensitivity(L)
     S: Matrices = A, B, C, D + 0.5 * (skew - 1.0) * np.eye(len(D))

@@ -18,6 +18,8 @@ TELESCOPE = "parameters_hash"
 """Key of the hash of the telescope's parameter file."""
 START_UP, MEASURED = "start_up", "measured"
 """Key and value of a run that does not begin in its steady state (:mod:`pointing_analysis.requirements.settling`)."""
+NEVER = "never ends"
+"""Value of a run whose loop is known to be unstable: no record of it says what a longer one would."""
 NOTHING = "no disturbance"
 
 

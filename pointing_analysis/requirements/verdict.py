@@ -20,6 +20,7 @@ from pointing_analysis.indices.exceedances import IndependentSamples, block_fact
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.conditions import NEVER, START_UP
 from pointing_analysis.requirements.image_samples import finite, image_samples
 from pointing_analysis.requirements.requirement import Requirement, from_entries, load, parse
 
@@ -331,8 +332,16 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     With the temporal interpretation every run must comply and the worst verdict counts (of m runs each is refuted at a
     confidence of 1 - (1 - c) / m); the ensemble one takes the
     worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
-    puts the samples of all runs together. Recordings that contradict their own digests are not judged.
+    puts the samples of all runs together. Recordings that contradict their own digests are not judged. Nor is one of
+    a loop that is known to be unstable while it is within the limit.
     """
+    verdict = _judged(requirement, runs, transient)
+    if verdict.within_limit and any(run.parameters.get(START_UP) == NEVER for run in runs):
+        return not_judged(requirement, "the loop is unstable")
+    return verdict
+
+
+def _judged(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> Verdict:
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
         return not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 FORMAT = "lftkit/sampled-system"
 VERSION = 1
+KEYS = "format", "version", "name", "dt", "inputs", "outputs", *"ABCD", "design_basis", "provenance"
 
 
 @dataclass(frozen=True)
@@ -252,6 +253,8 @@ class SampledSystem:
             raise InputError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')}")
+        if unknown := [key for key in content if key not in KEYS]:
+            raise InputError(f"{path}: keys must be among {', '.join(KEYS)}, got {unknown[0]!r}")
         missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]
         if missing:
             raise InputError(f"{path}: expected the keys {', '.join(missing)}, which are missing")
@@ -267,7 +270,7 @@ class SampledSystem:
                 D=content["D"],
                 inputs=inputs,
                 outputs=outputs,
-                dt=float(content["dt"]),
+                dt=content["dt"],
                 name=str(content.get("name", Path(path).stem)),
                 design_basis=content.get("design_basis", {}),
                 provenance=content.get("provenance", {}),

@@ -12,7 +12,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.conditions import MEASURED
+from pointing_analysis.requirements.conditions import MEASURED, NEVER
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.settling import judge_settled, start_up
 from pointing_analysis.requirements.summary import summarise
@@ -128,3 +128,15 @@ def test_a_run_that_is_not_settled_is_not_judged(tmp_path: Path) -> None:
     assert rows[0].status == "not judged" and rows[0].verdict_text.startswith("not judged: not settled: its start-up")
     rows = summarise(bag(tmp_path / "b", values, transient_s=0, tones_rad_s=[2 * np.pi * 0.756])).rows
     assert rows[0].status != "not judged", "a run that is known to be steady"
+
+
+def test_an_unstable_loop_is_never_within_its_limit(tmp_path: Path) -> None:
+    """What keeps its limit now: of a loop that diverges a longer run would not show it."""
+    values = 1e-3 * noise(20.0, 3)
+    for number, known in enumerate(({}, {"start_up": NEVER})):
+        run = bag(tmp_path / str(number), values, **known)
+        for transient in (None, 1.0):
+            verdict = judge_settled(APE, run, transient).verdict
+            assert verdict.statement == ("not judged" if known else "compliant"), verdict
+    beyond = judge_settled(APE, bag(tmp_path / "beyond", 1e6 * values, start_up=NEVER)).verdict
+    assert beyond.status == "not compliant"

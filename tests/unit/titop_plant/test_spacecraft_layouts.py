@@ -300,6 +300,10 @@ BAD = {
     "flat wheels": ("".join(WHEEL.format(n, [1, i, 0]) for i, n in enumerate("abc")), ["span the space", "rank 2"]),
     "speeds": ("[reaction_wheel]\nazimuths_deg = [0, 120, 240]\n", ["default_speed", "each of 3 wheels", "got 4"]),
     "no wheels": ("reaction_wheel = []\n", ["reaction_wheel", "got 0 wheels"]),
+    "drives of no array": (
+        "solar_array = []\n[sadm]\ntorque_bound = 5.0\n",
+        ["line 3", "sadm.torque_bound", "no solar array is driven"],
+    ),
     "actuators": ("[pma]\nazimuths_deg = [1.0, 2.0]\n", ["pma.azimuths_deg", "3 angles, or none", "got 2"]),
 }
 

@@ -14,7 +14,7 @@ from titop_plant.structures.kinematics import check_rotation
 from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.telescope.devices import ACTUATOR, SENSOR
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVE, WHEELS, read_appendages, read_arrays, read_wheels
-from titop_plant.telescope.tables.mechanisms import OF_LISTS, check_mechanisms
+from titop_plant.telescope.tables.mechanisms import DRIVES, OF_LISTS, check_mechanisms
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_devices
 
@@ -103,7 +103,8 @@ def checked_layout(
     ------
     ValueError
         A key or value that does not fit, a missing one, a name used twice, an unknown point, an array without modes,
-        bodies that share parameters of different values, wheels that do not span the space; sensors and actuators as
+        bodies that share parameters of different values, wheels that do not span the space, values of drives where no
+        array has one; sensors and actuators as
         :func:`titop_plant.telescope.tables.placed_devices.check_devices`.
     """
     complete: Table = {}
@@ -116,6 +117,7 @@ def checked_layout(
     _check_points(whole, file)
     _check_shared(whole, file)
     _check_wheels(whole, file)
+    _check_drives(whole, file)
     check_devices(whole, file)
     azimuths = whole["pma"]["azimuths_deg"]
     if len(azimuths) not in (0, PMA_AZIMUTHS):
@@ -326,3 +328,10 @@ def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
             key = f"{WHEELS}.default_speed" if isinstance(table, Mapping) else f"{WHEELS}[{i}].default_speed"
             limit = f"{-wheel.maximum_speed:g} and {wheel.maximum_speed:g} rad/s"
             raise file.error(key, f"must be between {limit}, got {wheel.default_speed:g}")
+
+
+def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Values of all drives act on one at least."""
+    given = [key for key in file.lines if key.startswith(f"{DRIVES}.")]
+    if given and all(array.drive is None for array in read_arrays(whole)):
+        raise file.error(given[0], "must be left out where no solar array is driven")

@@ -10,6 +10,7 @@ from scipy import linalg
 
 from lftkit import System, s, sampled
 from lftkit.analysis.disk_margin import disk_margin
+from lftkit.proofs import disk_margins, worst_case_disk_margin
 
 
 def loop(expression: Any) -> System:
@@ -70,3 +71,14 @@ def test_an_unstable_loop_has_none_and_several_channels_are_refused() -> None:
     many = System([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]], [("u", 2)], [("y", 1)])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="must have one input and one output, got 2 and 1"):
         disk_margin(many)
+
+
+@pytest.mark.parametrize("skew", [1e7, -1e300, np.inf, np.nan])
+def test_a_skew_that_leaves_no_digits_is_refused(skew: float) -> None:
+    """For large skews the disk is a half plane; with 1e12 it had factors up to 3.4, of a loop that bears 1.919."""
+    assert disk_margin(loop(LOOPS[0]), 1e6).gain[1] == pytest.approx(disk_margin(loop(LOOPS[0]), 1e5).gain[1], rel=1e-4)
+    for margin in (disk_margin, disk_margins):
+        with pytest.raises(ValueError, match=r"skew must be from -1e\+06 to 1e\+06"):
+            margin(loop(LOOPS[0]), skew)
+    with pytest.raises(ValueError, match="skew must be from"):
+        worst_case_disk_margin(loop(LOOPS[0]), skew=skew)

@@ -67,6 +67,8 @@ def test_file_round_trip_is_exact(tmp_path: Path) -> None:
         ({"B": [[1.0]]}, "matrix B must be 5 x 2"),
         ({"C": [[1.0], [1.0, 2.0]]}, "matrix C must be a rectangular array"),
         ({"dt": -1.0}, "sampling period must be positive"),
+        ({"dt": "0.001"}, "sampling period must be positive, got '0.001'"),
+        ({"delay": 5}, "keys must be among .*, got 'delay'"),
         ({"inputs": ["u"]}, "expected ports as objects"),
     ],
 )

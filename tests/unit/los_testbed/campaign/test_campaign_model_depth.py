@@ -34,9 +34,9 @@ def point(index: int) -> dict[str, float]:
     return dict(zip(DELTA, map(float, members("uniform", index + 1, 4)[index])))
 
 
-def row(evaluator: MemberEvaluator, index: int) -> dict[str, Any]:
+def row(evaluator: MemberEvaluator, index: int, depth: str = "model") -> dict[str, Any]:
     values = dict(zip(REFERENCE.columns, map(float, members("uniform", index + 1, 4)[index])))
-    return evaluator.row(index, {**values, "seed": int(member_seeds(index + 1, 4)[index])}, "model")
+    return evaluator.row(index, {**values, "seed": int(member_seeds(index + 1, 4)[index])}, depth)
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +121,15 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
         verdicts.append(found["status"])
         assert (found["ape_gain"] == np.inf) == (found["status"] == "unstable")
     assert verdicts == ["ok", "unstable"]
+
+
+def test_a_short_run_of_an_unstable_loop_is_beyond_every_limit(tmp_path: Path) -> None:
+    """A slow pole in K_PMA, 1.0005 per tick: two seconds keep every limit."""
+    law = RunParts(BASE).k_pma
+    n = law.order
+    A = np.block([[law.A, np.zeros((n, 1))], [np.zeros((1, n)), 1.0005 * np.eye(1)]])
+    B, C = np.vstack([law.B, np.ones((1, 6))]), np.hstack([law.C, np.full((6, 1), 1e-9)])
+    replace(law, A=A, B=B, C=C).to_file(tmp_path / "k_pma.json")
+    changed = MemberEvaluator.of(replace(BASE, loop="fsm+pma", k_pma=str(tmp_path / "k_pma.json"), duration=2.0))
+    found = row(changed, 0, "time")
+    assert found["status"] == "unstable" and found["ape_max_arcsec"] < 10.0

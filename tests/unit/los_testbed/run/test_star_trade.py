@@ -12,7 +12,7 @@ from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, of_designs
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.star_trade import parameter_text
+from los_testbed.run.star_trade import TradePoint, measure, parameter_text, table
 from support.command_line import call_command
 
 from lftkit import SampledSystem
@@ -118,3 +118,15 @@ def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.Capt
     assert json.loads((folder / "trade.json").read_text()) == rows
     assert (folder / "trade.png").read_bytes().startswith(b"\x89PNG")
     assert len((folder / "trade.md").read_text().splitlines()) == 4
+
+
+def test_an_unstable_loop_has_no_figures(tmp_path: Path) -> None:
+    """The observer times -30: a loop that is lost, whether a record of half a second has diverged or not."""
+    observer = RunParts(RunConfig(mode="inprocess")).k_fsm
+    assert isinstance(observer, SampledSystem)
+    replace(observer, C=-30.0 * observer.C, D=-30.0 * observer.D).to_file(tmp_path / "k_fsm.json")
+    config = RunConfig(mode="inprocess", duration=0.5, loop="fsm", k_fsm=str(tmp_path / "k_fsm.json"))
+    found = measure(TradePoint(12.0, 50.0, config), tmp_path / "bag")
+    assert found["failure"] == "the loop is unstable" and found["rpe_mas"] is None
+    row = {**found, "design": "kept", "not_met": []}
+    assert "unstable" in str(table([row]).rows)

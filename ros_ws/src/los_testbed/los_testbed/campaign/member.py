@@ -201,13 +201,18 @@ class MemberEvaluator:
         return [self.row(member["index"], member, depth) for member in members]
 
     def _row(
-        self, index: int, values: Mapping[str, Any], depth: str, evaluate: Callable[[], Mapping[str, float]]
+        self,
+        index: int,
+        values: Mapping[str, Any],
+        depth: str,
+        evaluate: Callable[[], tuple[Mapping[str, float], bool]],
     ) -> dict[str, Any]:
         metrics, status, reason = dict.fromkeys(self._columns(depth), math.nan), "ok", ""
         try:
             with one_thread(), np.errstate(all="ignore"):
-                metrics |= evaluate()
-            if depth == "model" and not metrics["ape_gain"] < math.inf:
+                found, unstable = evaluate()
+            metrics |= found
+            if unstable:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
             status, reason = "diverged", str(error)
@@ -222,8 +227,8 @@ class MemberEvaluator:
     def _columns(self, depth: str) -> tuple[str, ...]:
         return metric_columns(depth, self.requirements, self.sources, self.exposure)
 
-    def _simulated(self, config: RunConfig) -> dict[str, float]:
-        """Metrics of a simulated run, start-up left out.
+    def _simulated(self, config: RunConfig) -> tuple[dict[str, float], bool]:
+        """Metrics of a simulated run, start-up left out, and whether its loop is known to be unstable.
 
         Raises
         ------
@@ -241,7 +246,8 @@ class MemberEvaluator:
         record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
         SimulatedLoop.of(parts, readings=False).run(config.ticks, record.keep)
-        return record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
+        found = record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
+        return found, parts.start.unstable
 
     def _of_sources(self, parts: RunParts) -> dict[str, float]:
         """Errors of each source of disturbance alone in a member."""
@@ -261,9 +267,10 @@ class MemberEvaluator:
     def _parameters(self) -> MemberParameters:
         return MemberParameters.of(self.base.parameters)
 
-    def _modelled(self, row: Mapping[str, Any]) -> dict[str, float]:
-        """Metrics of the sampled loop, from its matrices."""
-        return self._model.metrics(self._parameters.checked(row))
+    def _modelled(self, row: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
+        """Metrics of the sampled loop, from its matrices, and whether it is unstable."""
+        found = self._model.metrics(self._parameters.checked(row))
+        return found, not found["ape_gain"] < math.inf
 
 
 @dataclass

@@ -198,7 +198,7 @@ class RunParts:
         config = self.config
         if self.recorded_start is not None:
             return self.recorded_start
-        if config.other_plant or (config.start == "rest" and not needs_tone(config)):
+        if config.other_plant:
             return AT_REST
         if not self.recorded and self.known_family is None and (start := from_runner(config.to_plain())) is not None:
             return start

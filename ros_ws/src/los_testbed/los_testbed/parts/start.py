@@ -23,6 +23,7 @@ from lftkit.support.structured_text import load_json
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config.run_config import RunConfig
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ START_VARIABLE = "LOS_TESTBED_START"
 """File in which the runner hands the start to its nodes."""
 
 FORMAT = "los-testbed/run-start"
+FLAGS = "switched_on", "unstable"
+"""Attributes that the file has where they are true."""
 
 _KEPT = 8
 _found: dict[str, RunStart] = {}
@@ -57,12 +60,15 @@ class RunStart:
         Why it differs from the configuration; else empty.
     switched_on : bool
         Whether the states are those of the telescope without its controllers, which are switched on at tick 0.
+    unstable : bool
+        Whether the loop of telescope and acting controllers is known to be unstable.
     """
 
     tone: WorstTone | None = None
     states: LoopStart | None = None
     note: str = ""
     switched_on: bool = False
+    unstable: bool = False
 
     @property
     def steady(self) -> bool:
@@ -77,7 +83,7 @@ class RunStart:
             "tone": None if self.tone is None else self.tone.to_mapping(),
             "states": None if self.states is None else self.states.to_mapping(),
             "note": self.note,
-            **({"switched_on": True} if self.switched_on else {}),
+            **{name: True for name in FLAGS if getattr(self, name)},
         }
         return (json.dumps(content) + "\n").encode()
 
@@ -104,7 +110,7 @@ class RunStart:
             None if tone is None else WorstTone.from_mapping(tone),
             None if states is None else LoopStart.from_mapping(states),
             str(content.get("note", "")),
-            bool(content.get("switched_on", False)),
+            *(bool(content.get(name, False)) for name in FLAGS),
         )
 
     @property
@@ -163,7 +169,7 @@ def find_run_start(
     """Tone and states of a run; the last result is cached.
 
     A loop that is not stable has neither: its tone is that of the telescope without fine control, and it starts at
-    rest (`RunStart.note` says so).
+    rest (`RunStart.unstable`; `RunStart.note` says so).
 
     Parameters
     ----------
@@ -237,7 +243,20 @@ def _computed(
             states = steady_start(closed, _bias(family, settings, closed), orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
-    return RunStart(tone, states, "; ".join(notes))
+    unstable = _unstable(config.loop, loop(loop=config.loop), partial(model, settings), controllers)
+    return RunStart(tone, states, "; ".join(notes), unstable=unstable)
+
+
+def _unstable(
+    stage: str, closed: ToneModel, model: Callable[..., ToneModel], controllers: Mapping[str, SampledSystem]
+) -> bool:
+    """Whether the loop that a stage closes is unstable; a K_PMA that only listens is no part of it."""
+    if stage not in MIRROR_STAGES or closed.loop.growth < 1.0:
+        return False
+    if stage not in FORCE_STAGES:
+        silent = replace(controllers["k_pma"], A=0.0 * controllers["k_pma"].A)
+        closed = model(loop=stage, controllers={**controllers, "k_pma": silent})
+    return not closed.loop.growth < 1.0
 
 
 def _bias(family: PlantFamily, settings: PlantConfig, model: ToneModel) -> FloatArray:

@@ -26,7 +26,7 @@ from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
-from pointing_analysis.requirements.conditions import MEASURED, START_UP
+from pointing_analysis.requirements.conditions import MEASURED, NEVER, START_UP
 from pointing_analysis.requirements.requirement import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -85,12 +85,15 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
 
 
 def _start_up(parts: RunParts, start: RunStart) -> dict[str, str]:
-    """Metadata of the start-up: none in a steady state; else it is measured, except for rigs and ramps."""
+    """Metadata of the start-up: none in a steady state; else it is measured, except for rigs and ramps.
+
+    A loop that is unstable never settles.
+    """
     if start.steady and not parts.sources:
         return {"transient_s": "0"}
     config = parts.config
     moves = config.ramp_duration or config.profile not in ("linear", "trapezoidal")
-    return {} if config.device or moves else {START_UP: MEASURED}
+    return {} if config.device or moves else {START_UP: NEVER if start.unstable else MEASURED}
 
 
 def tables_of(parts: RunParts) -> dict[str, str]:

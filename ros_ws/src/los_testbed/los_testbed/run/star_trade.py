@@ -250,9 +250,11 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     dict
         ``magnitude``, ``rate_hz``, ``noise_mas`` (of a frame, in the model), ``frames`` and ``without_angles``, the
         latter by reason, ``ape_arcsec``, ``rpe_mas`` and ``mtf_nyquist``, of which 99.7 % of the instants or exposures
-        are better, ``strehl``; None for the values of a run that diverged, which ``failure`` says.
+        are better, ``strehl``; None for the values of a run that diverged or whose loop is known to be
+        unstable, which ``failure`` says.
     """
     from pointing_analysis.read.run import Run
+    from pointing_analysis.requirements.conditions import NEVER, START_UP
     from pointing_analysis.requirements.summary import summarise
 
     noise = float(RunParts(point.config).telescope.camera_noise) / RAD_PER_MAS
@@ -263,9 +265,12 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
         counts, failure = {}, str(error)
     missing = {key.removeprefix("frames_"): int(n) for key, n in counts.items() if key.startswith("frames_")}
     row |= {"frames": int(counts.get("frames", 0)), "without_angles": missing, "failure": failure}
-    if failure:
+    run = None if failure else Run.open(bag)
+    if run is not None and run.parameters.get(START_UP) == NEVER:
+        row["failure"] = UNSTABLE
+    if run is None or row["failure"]:
         return {**row, "ape_arcsec": None, "rpe_mas": None, "mtf_nyquist": None, "strehl": None}
-    found = summarise(Run.open(bag)).as_dict()
+    found = summarise(run).as_dict()
     image = found.get("image", {})
     return {
         **row,
@@ -275,6 +280,9 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
         "strehl": image.get("strehl_p997"),
     }
 
+
+UNSTABLE = "the loop is unstable"
+"""The ``failure`` of a run that did not diverge in its time."""
 
 HEADS = (
     *texts("magnitude"),
@@ -289,7 +297,9 @@ def table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     cells = []
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")
-        share = "diverged" if row["failure"] else f"{lost} of {row['frames']}"
+        share = (
+            "unstable" if row["failure"] == UNSTABLE else "diverged" if row["failure"] else f"{lost} of {row['frames']}"
+        )
         values = (digits(row[key]) for key in ("ape_arcsec", "rpe_mas", "mtf_nyquist", "strehl"))
         missed = f"{len(row['not_met'])} not met" if row["not_met"] else "all met"
         design = row["design"] if row["design"] == "kept" else f"{row['design']}, {missed}"
