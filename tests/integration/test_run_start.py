@@ -15,6 +15,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from support.true_los import true_los
 
+from lftkit import SampledSystem
 from lftkit.support.threads import THREADS
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.metrics import radial, windows
@@ -86,6 +87,7 @@ def test_a_command_starts_with_the_bits_of_one_thread_whatever_the_environment(t
 def test_a_start_knows_an_unstable_loop(biased: RunConfig, tmp_path: Path, start: str) -> None:
     """A slow pole in K_PMA: with 1.0005 per tick ten seconds look well; where it only listens it does no harm."""
     law = RunParts(biased).k_pma
+    assert isinstance(law, SampledSystem)
     n = law.order
     A = np.block([[law.A, np.zeros((n, 1))], [np.zeros((1, n)), 1.0005 * np.eye(1)]])
     B, C = np.vstack([law.B, np.ones((1, 6))]), np.hstack([law.C, np.full((6, 1), 1e-9)])

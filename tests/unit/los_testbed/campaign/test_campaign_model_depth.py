@@ -126,6 +126,7 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
 def test_a_short_run_of_an_unstable_loop_is_beyond_every_limit(tmp_path: Path) -> None:
     """A slow pole in K_PMA, 1.0005 per tick: two seconds keep every limit."""
     law = RunParts(BASE).k_pma
+    assert isinstance(law, SampledSystem)
     n = law.order
     A = np.block([[law.A, np.zeros((n, 1))], [np.zeros((1, n)), 1.0005 * np.eye(1)]])
     B, C = np.vstack([law.B, np.ones((1, 6))]), np.hstack([law.C, np.full((6, 1), 1e-9)])
