@@ -106,12 +106,12 @@ def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, w
 
 def test_a_gate_has_a_code_for_a_requirement_that_is_not_met_and_one_that_is_not_demonstrated(run, tmp_path):
     """A limit that is always kept is demonstrated for half of the time, and not for all but 1e-4 of it."""
-    base = ("run", "--mode=inprocess", "--no-report", "--gate", *run.controllers)
+    base = ("run", "--mode=inprocess", "--no-report", "--gate", "--loop=fsm", "--scenario=unit_norm")
     code, _, err = run(*base, "--duration=4", "--output=bag")
     assert code == 7 and "gate: not met: " in err
     for limit, part, expected in (("1e-6 mas", 50, 7), ("1000 arcsec", 50, 0), ("1000 arcsec", 99.99, 8)):
         own = tmp_path / "own.toml"
-        own.write_text(f'[[requirement]]\ntext = "prob(|APE| < {limit}) >= {part} % at 95 % confidence"\n')
+        own.write_text(f'[[requirement]]\ntext = "prob(rms RPE(20 ms) < {limit}) >= {part} % at 95 % confidence"\n')
         code, _, err = run("analyse", "bag", f"--requirements={own}", "--gate")
         assert (code, "gate: not" in err) == (expected, expected != 0), err
     assert run("analyse", "bag", f"--requirements={own}")[0] == 0
