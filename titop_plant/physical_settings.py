@@ -12,6 +12,8 @@ from titop_plant.settings import ANY, STRICT, Settings, grouped, setting, settin
 
 TELESCOPE, DISTURBANCES = "Telescope", "Disturbances and sensors"
 """Groups of settings."""
+PROFILES = ("linear", "trapezoidal")
+"""Shapes of a ramp; any other profile is a file."""
 
 
 @settings_class
@@ -118,6 +120,11 @@ class PhysicalSettings(Settings):
     def array_angle(self) -> float:
         """Angle theta of the solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
         return 4.0 * math.atan(self.tau) if self.tau is not None else self.theta or 0.0
+
+    @property
+    def motion_from_file(self) -> bool:
+        """Whether arrays and wheels move as a file says."""
+        return self.profile not in PROFILES
 
     @property
     def frame_ticks(self) -> int:

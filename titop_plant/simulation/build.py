@@ -18,6 +18,7 @@ from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.physical_settings import PROFILES
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
@@ -30,7 +31,6 @@ from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, control_loop_plant, disturbances_of
 from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.motion_profiles import PROFILES
 from titop_plant.telescope.telescope import Telescope
 
 SPEED_ROUNDS = 4
@@ -156,7 +156,7 @@ class PlantFamily:
         if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
             del settings["profile"]
         content: list[Any] = [self.telescope.parameters_hash, settings]
-        if config.profile not in PROFILES:
+        if config.motion_from_file:
             content.append(motion(config, self.telescope).table())
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]

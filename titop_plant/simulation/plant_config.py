@@ -14,7 +14,6 @@ from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.motion_profiles import (
-    PROFILES,
     MotionProfile,
     linear_profile,
     read_profile,
@@ -59,7 +58,7 @@ class PlantConfig(PhysicalSettings):
     def ramps(self) -> bool:
         """Whether anything varies within the run."""
         moves = self.ramp_duration > 0.0 and (self.theta_rate != 0.0 or any(self.wheel_acceleration or ()))
-        return moves or self.profile not in PROFILES
+        return moves or self.motion_from_file
 
 
 def parameter_values(config: PlantConfig, telescope: Telescope, time: float = 0.0) -> dict[str, float]:
@@ -119,7 +118,7 @@ def motion(config: PlantConfig, telescope: Telescope) -> MotionProfile:
     """
     check_wheels(config, telescope)
     speed = config.wheel_speed or telescope.default_speeds
-    if config.profile not in PROFILES:
+    if config.motion_from_file:
         return read_profile(Path(config.profile), len(telescope.wheels))
     if not config.ramps:
         return MotionProfile(np.zeros(1), np.array([config.array_angle]), np.array([speed], dtype=float))

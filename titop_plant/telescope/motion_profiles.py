@@ -18,8 +18,8 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.input_limits import LINES
+from titop_plant.physical_settings import PROFILES
 
-PROFILES = ("linear", "trapezoidal")
 REFERENCE_WHEELS = 4
 """Wheels of the reference telescope."""
 

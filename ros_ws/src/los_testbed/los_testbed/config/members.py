@@ -22,7 +22,7 @@ from los_testbed.config.run_config import RunConfig, read_yaml
 from titop_plant.simulation.plant_config import check_wheels, frequencies
 from titop_plant.telescope.layout import ANGLE, speed_names
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.motion_profiles import PROFILES, read_profile
+from titop_plant.telescope.motion_profiles import read_profile
 from titop_plant.telescope.uncertain_parameters import SPEED, further_parameters
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     for name, omega in frequencies(config, telescope).items():
         _within(_setting_of(name, config), table[name], omega)
     check_wheels(config, telescope)
-    if config.profile not in PROFILES:
+    if config.motion_from_file:
         _check_profile(config, telescope, table)
         return
     turn = config.theta_rate * config.ramp_duration

@@ -173,9 +173,9 @@ class RunConfig(PhysicalSettings):
             )
         if self.disturbance_files and self.plant:
             raise InputError(f"disturbance_files must be absent with a plant of your own, got {self.disturbance_files}")
-        if self.disturbance_files and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
+        if self.disturbance_files and (self.ramp_duration or self.motion_from_file):
             raise InputError("ramp_duration must be 0 and profile linear with files of disturbances, got a ramp")
-        if self.disturbance_source and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
+        if self.disturbance_source and (self.ramp_duration or self.motion_from_file):
             raise InputError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
 
     @property

@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pointing_analysis.requirements.conditions import ACTING, MEMBER, WHEEL_SPEEDS
-from titop_plant.telescope.motion_profiles import PROFILES
 
 if TYPE_CHECKING:
-    from los_testbed.config.run_config import RunConfig
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.parts.start import RunStart
 
@@ -20,18 +18,13 @@ def conditions(parts: RunParts, start: RunStart) -> dict[str, str]:
     """Entries of the metadata; none of a run with another plant, of which it is not known."""
     if parts.config.other_plant:
         return {}
-    speeds = {} if _by_table(parts.config) else {WHEEL_SPEEDS: json.dumps(wheel_speeds(parts))}
+    speeds = {} if parts.config.motion_from_file else {WHEEL_SPEEDS: json.dumps(wheel_speeds(parts))}
     return {ACTING: json.dumps(acting(parts, start)), MEMBER: member(parts), **speeds}
 
 
 def wheel_speeds(parts: RunParts) -> tuple[float, ...]:
     """Speeds of the wheels at the start [rad/s]: of the configuration, else of the parameter file."""
     return parts.config.wheel_speed or parts.telescope.default_speeds
-
-
-def _by_table(config: RunConfig) -> bool:
-    """Whether arrays and wheels move as a file says."""
-    return config.profile not in PROFILES
 
 
 def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
@@ -55,7 +48,7 @@ def member(parts: RunParts) -> str:
     from titop_plant.simulation.plant_config import frequencies
 
     config = parts.config
-    if _by_table(config):
+    if config.motion_from_file:
         return f"arrays and wheels as in {Path(config.profile).name}"
     speeds = ", ".join(f"{speed:.6g}" for speed in wheel_speeds(parts))
     texts = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []

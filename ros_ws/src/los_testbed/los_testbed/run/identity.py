@@ -50,8 +50,6 @@ def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
     ValueError
         A file that cannot be read.
     """
-    from titop_plant.telescope.motion_profiles import PROFILES
-
     parts = RunParts(config)
     found = {"telescope": telescope_digest(parts.telescope)}
     if controllers:
@@ -60,7 +58,7 @@ def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
         from los_testbed.parts.disturbance_files import digest, entries_of
 
         found["disturbances"] = digest(entries_of(config.files_of_disturbance))
-    if config.profile not in PROFILES:
+    if config.motion_from_file:
         found["profile"] = content_digest(Path(config.profile))
     found |= source_hashes(config.code_of_user)
     return {**software(), **{name: text[:DIGITS] for name, text in found.items()}}

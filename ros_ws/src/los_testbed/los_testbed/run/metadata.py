@@ -92,7 +92,7 @@ def _start_up(parts: RunParts, start: RunStart) -> dict[str, str]:
     if start.steady and not parts.sources:
         return {"transient_s": "0"}
     config = parts.config
-    moves = config.ramp_duration or config.profile not in ("linear", "trapezoidal")
+    moves = config.ramp_duration or config.motion_from_file
     return {} if config.device or moves else {START_UP: NEVER if start.unstable else MEASURED}
 
 
