@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.hinf.direct_gain import response_at
 from lftkit.analysis.zeros import zeros_of
 from lftkit.arrays import ComplexArray
 from lftkit.tuning.gains.loop import ExtendedPlant
@@ -39,26 +40,23 @@ def gain_out_of_reach(plant: ExtendedPlant) -> float:
 
 def _out_of_reach(plant: ExtendedPlant, point: complex, beside: float | None = None) -> float:
     """At a point; at a zero there are directions with next to no gain beside that at the frequency `beside`."""
-    found = _responses(plant, point)
-    near = found if beside is None else _responses(plant, 1j * beside)
-    if found is None or near is None:
+    try:
+        P11, P12, P21 = _responses(plant, point)
+        _, near12, near21 = (P11, P12, P21) if beside is None else _responses(plant, 1j * beside)
+    except linalg.LinAlgError:  # a pole
         return 0.0
-    (P11, P12, P21), (_, near12, near21) = found, near
     left = _null(P12.conj().T, near12) @ P11, (_null(P21, near21) @ P11.conj().T).conj().T
     rounding = ROUNDING * float(linalg.norm(P11))
     return max([0.0, *(float(linalg.norm(part, 2)) - rounding for part in left if part.size)])
 
 
-def _responses(plant: ExtendedPlant, point: complex) -> Responses | None:
-    """At a point; None at a pole."""
-    A, B, nw = plant.A, np.hstack([plant.B1, plant.B2]), plant.B1.shape[1]
-    states = np.zeros(B.shape, complex)
-    if np.isfinite(point) and len(A):
-        *_, states, singular = linalg.lapack.zgesv(point * np.eye(len(A)) - A, B)
-        if singular:
-            return None
-    from_w, from_u = states[:, :nw], states[:, nw:]
-    return plant.D11 + plant.C1 @ from_w, plant.D12 + plant.C1 @ from_u, plant.D21 + plant.C2 @ from_w
+def _responses(plant: ExtendedPlant, point: complex) -> Responses:
+    P, nw, nz = plant, plant.B1.shape[1], len(plant.C1)
+    D = np.block([[P.D11, P.D12], [P.D21, P.D22]])
+    M = np.asarray(D, complex)
+    if np.isfinite(point) and len(P.A):
+        M = response_at((P.A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2]), D), point)
+    return M[:nz, :nw], M[:nz, nw:], M[nz:, :nw]
 
 
 def _null(M: ComplexArray, near: ComplexArray) -> ComplexArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import LinAlgError, lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
@@ -30,11 +30,20 @@ def direct_gain(system: Matrices, omega: float, *, refined: bool = True) -> floa
 
 
 def response_at(system: Matrices, point: complex) -> ComplexArray:
-    """``C (point - A)^-1 B + D``, shape (p, m), by one factorisation."""
+    """``C (point - A)^-1 B + D``, shape (p, m), by one factorisation.
+
+    Raises
+    ------
+    LinAlgError
+        A pole at the point.
+    """
     A, B, C, D = system
     shifted = np.multiply(A, -1.0 + 0.0j, order="F")
     shifted.flat[:: len(A) + 1] += point
-    return np.asarray(C @ lapack.zgesv(shifted, B, overwrite_a=1)[2] + D)
+    *_, states, singular = lapack.zgesv(shifted, B, overwrite_a=1)
+    if singular:
+        raise LinAlgError(f"the response at {point} must not be that at a pole")
+    return np.asarray(C @ states + D)
 
 
 def largest_gain(response: FloatArray | ComplexArray) -> float:
