@@ -149,14 +149,15 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> Fu
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
         if design.lower > -np.inf or near >= (1.0 - CONFIRMED) * design.value:
-            return replace(design, lower=max(design.lower, min(known, design.value)))
+            above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
+            return replace(design, lower=max(design.lower, min(above, design.value)))
         return replace(design, lower=confirmed_optimum(given.system, measured, commanded, design.value))
 
     found = bounded(_controller_of_least_norm(given, generalised))
     if found.lower == -np.inf:
         better = _with_weights(given, generalised, of_states=True)
         found = bounded(better) if better is not None and better.value < found.value else found
-    return replace(found, lower=known) if found.lower == -np.inf and known > 0.0 else found
+    return replace(found, lower=known) if found.lower == -np.inf and 0.0 < known <= found.value else found
 
 
 def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:

@@ -20,6 +20,8 @@ FREQUENCIES = 0.0, *np.logspace(-6.0, 6.0, 121).tolist(), np.inf
 """Over the norm of A."""
 ROUNDING = 1e-11
 """Part of the gain of the plant without a controller that its rounding may make out of reach."""
+POLE = 1e-5
+"""Distance of a point from the poles, over the norm of A."""
 ZERO = 1e-6
 """Gain at a zero, relative to that on the axis beside it; distance of zeros from the axis, relative to their size."""
 EPS = float(np.finfo(float).eps)
@@ -32,10 +34,16 @@ def gain_out_of_reach(plant: ExtendedPlant) -> float:
     """Largest one over the imaginary axis and the zeros to the right of it, of a plant in continuous time."""
     P = plant
     rate = float(linalg.norm(P.A)) if P.A.any() else 1.0
-    axis = [_out_of_reach(P, 1j * rate * omega) for omega in FREQUENCIES]
+    poles = linalg.eigvals(P.A) if len(P.A) else np.zeros(0)
+
+    def apart(point: complex) -> bool:
+        """Not at a pole, where responses are rounding; a mode that is not reached or seen is a zero, too."""
+        return bool(np.abs(poles - point).min(initial=np.inf) > POLE * rate)
+
+    axis = [_out_of_reach(P, point) for point in (1j * rate * omega for omega in FREQUENCIES) if apart(point)]
     zeros = [*zeros_of(P.A, P.B2, P.C1, P.D12), *zeros_of(P.A, P.B1, P.C2, P.D21)]
-    right = [_out_of_reach(P, zero, abs(zero)) for zero in zeros if zero.real > ZERO * abs(zero)]
-    return max([*axis, *right])
+    right = [_out_of_reach(P, zero, abs(zero)) for zero in zeros if zero.real > ZERO * abs(zero) and apart(zero)]
+    return max([0.0, *axis, *right])
 
 
 def _out_of_reach(plant: ExtendedPlant, point: complex, beside: float | None = None) -> float:

@@ -17,6 +17,7 @@ from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
 from lftkit.tuning.full_order import central, lowest_level
+from lftkit.tuning.out_of_reach import gain_out_of_reach
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 
 
@@ -333,6 +334,32 @@ def test_without_a_weight_of_commands_a_zero_of_the_plant_is_the_bound(G: Any, b
     found = mixsyn(system(G(p)), system((0.5 * p + 1) / (p + 1e-3)))
     assert found.lower == pytest.approx(bound, rel=1e-9)
     assert found.lower < found.value < 1.001 * bound and stable(found.closed)
+
+
+def _with_hidden_modes(seed: int) -> System:
+    """Modes at the right, some of them not seen in the errors and some not reached by the disturbances."""
+    rng = np.random.default_rng(seed)
+    n, (nw, nz, nu, ny) = int(rng.integers(2, 6)), (int(k) for k in rng.integers(1, 3, 4))
+    poles = np.where(rng.random(n) < 0.5, rng.choice([1.0, 2.0, 0.0, 0.5, 3.0], n), -rng.uniform(0.2, 3, n))
+    B, C = rng.standard_normal((n, nw + nu)), rng.standard_normal((nz + ny, n))
+    for mode in range(n):
+        C[:nz, mode] *= rng.random() >= 0.5
+        B[mode, :nw] *= rng.random() >= 0.5
+    T = linalg.qr(rng.standard_normal((n, n)))[0]
+    D = np.zeros((nz + ny, nw + nu))
+    for rows, columns in ((slice(nz), slice(nw)), (slice(nz, None), slice(nw)), (slice(nz), slice(nw, None))):
+        D[rows, columns] = rng.standard_normal(D[rows, columns].shape) if rng.random() < 0.5 else 0.0
+    ports = [("w", nw), ("u", nu)], [("z", nz), ("y", ny)]
+    return System(T @ np.diag(poles) @ T.T, T @ B, C @ T.T, D, *ports)
+
+
+@pytest.mark.parametrize("seed", [41, 194, 265, 358])
+def test_a_mode_that_errors_do_not_see_bounds_nothing(seed: int) -> None:
+    """It is a zero from commands to errors, where responses are rounding: 4.8 was out of reach, 3.2 is reached."""
+    plant = _with_hidden_modes(seed)
+    found = hinfsyn(plant, "y", "u")
+    assert gain_out_of_reach(standard_plant(plant, "y", "u").extended) <= found.value * (1.0 + 1e-7)
+    assert found.lower <= found.value and stable(found.closed)
 
 
 def test_a_plant_without_states_has_a_gain_as_controller() -> None:
