@@ -14,8 +14,8 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from support.true_los import true_los
+from support.unstable_laws import with_slow_pole
 
-from lftkit import SampledSystem
 from lftkit.support.threads import THREADS
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.metrics import radial, windows
@@ -86,12 +86,7 @@ def test_a_command_starts_with_the_bits_of_one_thread_whatever_the_environment(t
 @pytest.mark.parametrize("start", ["steady", "rest"])
 def test_a_start_knows_an_unstable_loop(biased: RunConfig, tmp_path: Path, start: str) -> None:
     """A slow pole in K_PMA: with 1.0005 per tick ten seconds look well; where it only listens it does no harm."""
-    law = RunParts(biased).k_pma
-    assert isinstance(law, SampledSystem)
-    n = law.order
-    A = np.block([[law.A, np.zeros((n, 1))], [np.zeros((1, n)), 1.0005 * np.eye(1)]])
-    B, C = np.vstack([law.B, np.ones((1, 6))]), np.hstack([law.C, np.full((6, 1), 1e-9)])
-    replace(law, A=A, B=B, C=C).to_file(tmp_path / "k_pma.json")
+    with_slow_pole(RunParts(biased)).to_file(tmp_path / "k_pma.json")
     config = replace(biased, scenario="unit_norm", start=start, k_pma=str(tmp_path / "k_pma.json"))
     found = {loop: RunParts(replace(config, loop=loop)).start for loop in STAGES}
     assert [loop for loop, one in found.items() if one.unstable] == ["fsm+pma"]

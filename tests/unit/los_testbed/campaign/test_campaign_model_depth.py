@@ -13,6 +13,7 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from support.unstable_laws import with_slow_pole
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants
@@ -125,12 +126,7 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
 
 def test_a_short_run_of_an_unstable_loop_is_beyond_every_limit(tmp_path: Path) -> None:
     """A slow pole in K_PMA, 1.0005 per tick: two seconds keep every limit."""
-    law = RunParts(BASE).k_pma
-    assert isinstance(law, SampledSystem)
-    n = law.order
-    A = np.block([[law.A, np.zeros((n, 1))], [np.zeros((1, n)), 1.0005 * np.eye(1)]])
-    B, C = np.vstack([law.B, np.ones((1, 6))]), np.hstack([law.C, np.full((6, 1), 1e-9)])
-    replace(law, A=A, B=B, C=C).to_file(tmp_path / "k_pma.json")
+    with_slow_pole(RunParts(BASE)).to_file(tmp_path / "k_pma.json")
     changed = MemberEvaluator.of(replace(BASE, loop="fsm+pma", k_pma=str(tmp_path / "k_pma.json"), duration=2.0))
     found = row(changed, 0, "time")
     assert found["status"] == "unstable" and found["ape_max_arcsec"] < 10.0
