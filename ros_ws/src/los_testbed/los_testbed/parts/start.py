@@ -110,7 +110,7 @@ class RunStart:
             None if tone is None else WorstTone.from_mapping(tone),
             None if states is None else LoopStart.from_mapping(states),
             str(content.get("note", "")),
-            *(bool(content.get(name, False)) for name in FLAGS),
+            **{name: bool(content.get(name, False)) for name in FLAGS},
         )
 
     @property

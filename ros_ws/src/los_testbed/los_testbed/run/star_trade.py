@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 SETTINGS, ROW = "settings.json", "row.json"
 """Files of a trade, and of a star in it: what was asked for; what came out."""
+UNSTABLE = "the loop is unstable"
+"""The ``failure`` of a point that is not run."""
 
 
 @dataclass(frozen=True)
@@ -250,27 +252,27 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     dict
         ``magnitude``, ``rate_hz``, ``noise_mas`` (of a frame, in the model), ``frames`` and ``without_angles``, the
         latter by reason, ``ape_arcsec``, ``rpe_mas`` and ``mtf_nyquist``, of which 99.7 % of the instants or exposures
-        are better, ``strehl``; None for the values of a run that diverged or whose loop is known to be
-        unstable, which ``failure`` says.
+        are better, ``strehl``; None for the values of a run that diverged, or is left out because its loop is known to
+        be unstable, which ``failure`` says.
     """
     from pointing_analysis.read.run import Run
-    from pointing_analysis.requirements.conditions import NEVER, START_UP
     from pointing_analysis.requirements.summary import summarise
 
-    noise = float(RunParts(point.config).telescope.camera_noise) / RAD_PER_MAS
+    parts = RunParts(point.config)
+    noise = float(parts.telescope.camera_noise) / RAD_PER_MAS
     row: dict[str, Any] = {"magnitude": point.magnitude, "rate_hz": point.rate, "noise_mas": round(noise, 4)}
-    try:
-        counts, failure = run_in_process(point.config, bag)["plant"], ""
-    except LoopDivergedError as error:
-        counts, failure = {}, str(error)
+    counts: dict[str, str] = {}
+    failure = UNSTABLE if parts.start.unstable else ""
+    if not failure:
+        try:
+            counts = run_in_process(point.config, bag)["plant"]
+        except LoopDivergedError as error:
+            failure = str(error)
     missing = {key.removeprefix("frames_"): int(n) for key, n in counts.items() if key.startswith("frames_")}
     row |= {"frames": int(counts.get("frames", 0)), "without_angles": missing, "failure": failure}
-    run = None if failure else Run.open(bag)
-    if run is not None and run.parameters.get(START_UP) == NEVER:
-        row["failure"] = UNSTABLE
-    if run is None or row["failure"]:
+    if failure:
         return {**row, "ape_arcsec": None, "rpe_mas": None, "mtf_nyquist": None, "strehl": None}
-    found = summarise(run).as_dict()
+    found = summarise(Run.open(bag)).as_dict()
     image = found.get("image", {})
     return {
         **row,
@@ -280,9 +282,6 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
         "strehl": image.get("strehl_p997"),
     }
 
-
-UNSTABLE = "the loop is unstable"
-"""The ``failure`` of a run that did not diverge in its time."""
 
 HEADS = (
     *texts("magnitude"),
@@ -297,9 +296,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     cells = []
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")
-        share = (
-            "unstable" if row["failure"] == UNSTABLE else "diverged" if row["failure"] else f"{lost} of {row['frames']}"
-        )
+        failed = "unstable" if row["failure"] == UNSTABLE else "diverged"
+        share = failed if row["failure"] else f"{lost} of {row['frames']}"
         values = (digits(row[key]) for key in ("ape_arcsec", "rpe_mas", "mtf_nyquist", "strehl"))
         missed = f"{len(row['not_met'])} not met" if row["not_met"] else "all met"
         design = row["design"] if row["design"] == "kept" else f"{row['design']}, {missed}"
