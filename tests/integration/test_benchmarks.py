@@ -20,6 +20,7 @@ SHORTEST: dict[str, str] = {
     "beside_slycot": "--seconds 0.01 --json",
     "campaign": "--members 1 --workers 1 --counts 2 --duration 2 --json",
     "deadline_qos": "--seconds 1 --json",
+    "design_gap": "--designs small_telescope",
     "device_faults": "--cases silent",
     "flight_code": "--steps 1e3 --json",
     "frequency_response": "--samples 1 --json",
