@@ -143,6 +143,15 @@ def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
     assert [row.name for row in source_shares(run)] == ["my pulses", NOISE, TOGETHER]
 
 
+def test_a_law_without_a_model_is_the_reason_why_there_are_none(folder: Path) -> None:
+    (folder / f"code_{folder.name}.py").write_text(
+        "class Still:\n    def reset(self): pass\n    def step(self, measurement, out): out[:] = 0.0\n"
+    )
+    run = recorded(parameters=telescope(folder, "pulses"), k_fsm=f"code_{folder.name}:Still")
+    with pytest.raises(ValueError, match=r"^no model of user code is known, and the bag does not hold k_fsm.json$"):
+        source_shares(run)
+
+
 @pytest.mark.further
 @pytest.mark.usefixtures("folder")
 def test_wheels_and_drives_of_the_telescope_have_a_row_each(simulated: list[np.ndarray]) -> None:

@@ -115,6 +115,20 @@ def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
             raise BagError(str(error).replace(file.path, f"{run.path}: {name}.json")) from None
 
 
+def models_of_controllers(run: Run) -> dict[str, SampledSystem]:
+    """The controllers that a bag holds, by name.
+
+    Raises
+    ------
+    ValueError
+        A controller was user code, whose model is not known; a file that is no controller.
+    """
+    gone = [f"{name}.json" for name in LAWS if f"{name}.json" not in run.attachments]
+    if gone:
+        raise BagError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
+    return {name: controller_of(run, name)[0] for name in LAWS}
+
+
 def controllers(
     run: Run, k_fsm: str | Path | None = None, k_pma: str | Path | None = None, loop: str | None = None
 ) -> Controllers:

@@ -14,7 +14,7 @@ from lftkit.support.threads import one_thread
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.run import Run
@@ -74,7 +74,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
             or not np.isfinite(summary.rpe_rms)
         ):
             return None
-        controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
+        controllers = models_of_controllers(run)
         with one_thread():
             model = RunParts(replace(config, loop="isolator"), controllers, start).tone_model()
             isolated = model.relative_error(summary.window)

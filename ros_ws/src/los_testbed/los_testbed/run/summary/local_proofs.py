@@ -13,7 +13,7 @@ from typing import Any
 from los_testbed.config.run_config import RunConfig, is_code
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.proven_loop import PROOF_KEYS, proof_of
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.run import Run
@@ -40,7 +40,7 @@ def confirmed(run: Run) -> frozenset[str]:
         given = load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag")
         config = RunConfig.from_mapping(given)
         code = any(is_code(text) for name in CONTROLLERS if (text := getattr(config, name)))
-        laws = None if code else {name: controller_of(run, name)[0] for name in CONTROLLERS}
+        laws = None if code else models_of_controllers(run)
         parts = RunParts(config, laws)
         if parts.basis.parameters_hash != run.parameters.get(PARAMETERS_HASH) or not _agree(run, parts, given):
             return frozenset()

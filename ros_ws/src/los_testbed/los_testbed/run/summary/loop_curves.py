@@ -14,7 +14,7 @@ from los_loop.open_loop import OpenLoop
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.recording import Recording
@@ -44,7 +44,7 @@ def _curves(run: Run) -> tuple[LoopCurves, ...]:
         if config.loop not in MIRROR_STAGES or moves or config.frame_ticks != FRAME_TICKS:
             return ()
         start = RunStart.from_bytes(run.attachments[START_FILE])
-        parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
+        parts = RunParts(config, models_of_controllers(run), start)
         # the disturbance is no part of the loop
         telescope = value_of(known.partition(" with ")[0]) if isinstance(known, str) else known
         if parts.physical.ramps or value_of(parts.family.name(parts.physical)) != telescope:

@@ -14,7 +14,7 @@ from los_loop.tone_model import compare_tones
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import models_of_controllers
 from los_testbed.run.summary.rig_prediction import rig_tones, statistics_of
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import on_camera
@@ -27,7 +27,6 @@ from titop_plant.interface import TICK_NS, period_ticks
 LONGEST = 60.0
 """Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""
 
-CONTROLLERS = ("k_fsm", "k_pma")
 OTHER_FIGURES = "telescope has changed since the run"
 LATE = 100
 """Ticks that may be missing at the end of a record; where more are, its recorder may have come late."""
@@ -69,11 +68,9 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         if START_FILE not in run.attachments:
             raise InputError(f"the bag does not hold {START_FILE}")
         start_of_run = RunStart.from_bytes(run.attachments[START_FILE])
-        if rig:
-            _check_controllers(run)
-        else:
+        controllers = models_of_controllers(run)
+        if not rig:
             _check(run, config, start, stop)
-        controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
         if rig:
             config, start_of_run = config.emulated(), AT_REST
         unstated = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
@@ -99,15 +96,8 @@ def _emulated(run: Run) -> str:
     return "" if on_camera(run) else str(statistics_of(run, "plant").get("device_emulates", ""))
 
 
-def _check_controllers(run: Run) -> None:
-    gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
-    if gone:
-        raise InputError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
-
-
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
-    _check_controllers(run)
     if config.camera_dropout:
         raise InputError("camera frames were dropped at random, and the model drops none")
     if start > 0:

@@ -19,7 +19,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.loop.source_alone import parts_of
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import default_transient, performance_error
 from pointing_analysis.read.recording import Recording
@@ -52,12 +52,12 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     if not isinstance(run, Run) or "run.yaml" not in run.attachments or not (own or "disturbances" in run.parameters):
         return ()
     if acting is None:
-        raise InputError("the bag is of an older version without its disturbances: no shares of sources")
+        raise InputError("the bag is of an older version without its disturbances")
     config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
     start = RunStart.from_bytes(run.attachments[START_FILE]) if START_FILE in run.attachments else AT_REST
-    parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
+    parts = RunParts(config, models_of_controllers(run), start)
     if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
-        raise InputError("the disturbance files have changed since the run: no shares of them")
+        raise InputError("the disturbance files have changed since the run")
     ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
     found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]

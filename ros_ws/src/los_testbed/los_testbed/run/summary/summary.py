@@ -193,7 +193,7 @@ def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[st
     try:
         return source_shares(run), ()
     except (ValueError, OSError) as error:
-        return (), (str(error),)
+        return (), (f"no shares of sources: {error}",)
 
 
 def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
