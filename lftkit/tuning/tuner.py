@@ -32,7 +32,10 @@ from lftkit.tuning.descent.start_runner import (
     MAX_BATCHES,
     StartSearch,
     run_first,
+    run_given,
     run_starts,
+    while_feasible,
+    while_infeasible,
 )
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
@@ -187,7 +190,7 @@ def _search(
 
     Beside the one of lower order stand reduced full-order controllers. Before the lower orders there is a look at the
     order that is asked for, in half of the time left: at few states and soft gains from random starts, else from the
-    reduced controllers.
+    reduced controllers. Of these the ones that do not soon meet the hard requirements are carried on last.
     """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
@@ -199,7 +202,7 @@ def _search(
         own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
     else:
         half = limits_of(options, 0.5 * (time.monotonic() + deadline))
-        own = run_starts(problem, given_starts(reduced, options.seed), lambda _: (), half, *common[1:])
+        own = run_given(problem, given_starts(reduced, options.seed), while_feasible, half, *common[1:])
     if own.ended:
         return StartSearch(first.results + own.results, own.complete, True)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
@@ -208,8 +211,12 @@ def _search(
         points = sorted([own.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
     starts = given_starts(points, options.seed)
     rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
-    complete = own.complete and all_of_it and rest.complete
-    return StartSearch(first.results + own.results + rest.results, complete, rest.ended)
+    late = StartSearch((), True, rest.ended)
+    if not direct and rest.complete and not rest.ended:
+        infeasible = [run.x for run in own.results if run.rank[0] == 1]
+        late = run_given(problem, given_starts(infeasible, options.seed), while_infeasible, *common)
+    complete = own.complete and all_of_it and rest.complete and late.complete
+    return StartSearch(first.results + own.results + rest.results + late.results, complete, late.ended)
 
 
 def _own_order_first(problem: Problem, options: TuningOptions, deadline: float, progress: Progress) -> StartSearch:

@@ -74,7 +74,16 @@ def screen(
     return _result(status, found.point, 0.0 if found.point.settled else np.inf, count, steps)
 
 
-def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
+def tune_from(
+    problem: Problem,
+    x0: FloatArray,
+    seed: int,
+    limits: DescentOptions,
+    band: float,
+    *,
+    smooth: bool = True,
+    while_infeasible: bool = True,
+) -> StartResult:
     """One start to its end; where the structure has no parameter, the one controller that it is.
 
     Parameters
@@ -86,6 +95,10 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
         Of the whole start.
     band : float
         Peaks above this fraction of the largest enter the quadratic programs.
+    smooth : bool
+        Whether it begins with smooth phases; not where a run that began there has ended with them.
+    while_infeasible : bool
+        Whether it goes on where the smooth phases end with a hard requirement violated.
 
     Returns
     -------
@@ -95,13 +108,19 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
     if not problem.structure.size:
         return only_point(problem)
     try:
-        return _tuned_from(problem, x0, np.random.default_rng(seed), limits, band)
+        return _tuned_from(problem, x0, np.random.default_rng(seed), limits, band, smooth, while_infeasible)
     except ARITHMETIC as error:
         return failed(x0, error)
 
 
 def _tuned_from(
-    problem: Problem, x0: FloatArray, rng: np.random.Generator, limits: DescentOptions, band: float
+    problem: Problem,
+    x0: FloatArray,
+    rng: np.random.Generator,
+    limits: DescentOptions,
+    band: float,
+    smooth: bool,
+    while_infeasible: bool,
 ) -> StartResult:
     stable, steps = stabilise(problem, x0, rng, limits)
     if not problem.stable(stable.x):
@@ -112,7 +131,7 @@ def _tuned_from(
 
     run, failure = _Run(problem, oracle, limits, rng, stable.x, stable.evaluations), ""
     try:
-        status = run.to_the_end()
+        status = run.to_the_end(smooth, while_infeasible)
     except KeyboardInterrupt:
         status = TuningStatus.INTERRUPTED
     except ARITHMETIC as error:
@@ -160,14 +179,16 @@ class _Run:
         self.point = point_at(problem, x)
         self.evaluations, self.steps, self.stationarity = evaluations, 0, np.inf
 
-    def to_the_end(self) -> TuningStatus:
+    def to_the_end(self, smooth: bool, while_infeasible: bool) -> TuningStatus:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, first = self._limits, self.point
-        endless = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
+        endless = smooth and self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
         if self._settled():
             return TuningStatus.CONVERGED
         if endless or self._at_limit():
             return TuningStatus.UNBOUNDED
+        if not (self.point.feasible or while_infeasible):
+            return TuningStatus.ITERATIONS
         negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
         if self.point.feasible and -np.inf < self.point.soft <= negligible:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached

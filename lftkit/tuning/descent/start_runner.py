@@ -122,6 +122,21 @@ def run_starts(
     return runner.found()
 
 
+def run_given(
+    problem: Problem,
+    given: Sequence[Start],
+    work: Work,
+    limits: DescentOptions,
+    band: float,
+    workers: int,
+    progress: Progress,
+) -> StartSearch:
+    """The given starts alone, each by the work. The other parameters are those of :func:`run_starts`."""
+    runner = _Runner(problem, limits, band, workers, progress)
+    runner.run(work, given)
+    return runner.found()
+
+
 def run_first(
     problem: Problem,
     starts: Sequence[Start],
@@ -326,6 +341,16 @@ def _attempted(work: Work, problem: Problem, start: Start, limits: DescentOption
 
 def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
     return tune_from(problem, start.parameters(problem), start.seed, limits, band)
+
+
+def while_feasible(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """To the end, unless the smooth phases end with a hard requirement violated."""
+    return tune_from(problem, start.parameters(problem), start.seed, limits, band, while_infeasible=False)
+
+
+def while_infeasible(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """From where :func:`while_feasible` has ended so."""
+    return tune_from(problem, start.parameters(problem), start.seed, limits, band, smooth=False)
 
 
 def _screened(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:

@@ -57,12 +57,12 @@ def controller_at(K: FloatArray, order: int, omega: FloatArray) -> ControllerFac
         return ControllerFactors(response, response[:, :, :0], response[:, :0])
     finite = np.isfinite(omega)
     w = np.where(finite, np.where(omega == 0.0, ORIGIN, omega), 1.0)
-    poles, left, right = controller_modes(K, n)
-    if left is not None and right is not None:
+    poles, residues = controller_modes(K, n)
+    if residues is not None:
         r = 1.0 / (1j * w[:, None] - poles)
         r[~finite] = 0.0
-        state = _sums(r, left[:n], right[:, n:])
-        return ControllerFactors(K[n:, n:] + _sums(r, left[n:], right[:, n:]), _sums(r, left[n:], right[:, :n]), state)
+        sums = (r @ residues.reshape(n, -1)).reshape(len(w), *K.shape)
+        return ControllerFactors(K[n:, n:] + sums[:, n:, n:], sums[:, n:, :n], sums[:, :n, n:])
     resolvent = solve(
         1j * w[:, None, None] * np.eye(n) - K[:n, :n], np.broadcast_to(np.eye(n, dtype=complex), (len(w), n, n))
     )
@@ -71,11 +71,14 @@ def controller_at(K: FloatArray, order: int, omega: FloatArray) -> ControllerFac
     return ControllerFactors(K[n:, n:] + K[n:, :n] @ state, output, state)
 
 
-Modes = tuple[ComplexArray, ComplexArray | None, ComplexArray | None]
+Modes = tuple[ComplexArray, ComplexArray | None]
 
 
 def controller_modes(K: FloatArray, n: int) -> Modes:
-    """Poles (n,), ``[V; C_K V]`` (n + u, n) and ``V^-1 [I, B_K]`` (n, n + y); None for bad eigenvectors V."""
+    """Poles p_k (n,) and residues R_k (n, n + u, n + y); None for bad eigenvectors of A_K.
+
+    ``[I; C_K] (jw - A_K)^-1 [I, B_K] = sum of R_k / (jw - p_k)``.
+    """
     return _modes(np.ascontiguousarray(K).tobytes(), K.shape, n)
 
 
@@ -86,11 +89,6 @@ def _modes(data: bytes, shape: tuple[int, int], n: int) -> Modes:
     poles, V = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(K[:n, :n]))
     values = linalg.svdvals(V)
     if values[-1] * MAX_CONDITION <= values[0]:
-        return poles, None, None
-    return poles, np.vstack([V, K[n:, :n] @ V]), linalg.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
-
-
-def _sums(r: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
-    """``left diag(r_k) right`` for each row r_k of `r` (N, n)."""
-    products = left.T[:, :, None] * right[:, None, :]
-    return np.asarray((r @ products.reshape(len(right), -1)).reshape(len(r), len(left), -1))
+        return poles, None
+    left, right = np.vstack([V, K[n:, :n] @ V]), linalg.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
+    return poles, left.T[:, :, None] * right[:, None, :]

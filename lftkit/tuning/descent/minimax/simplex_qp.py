@@ -116,4 +116,4 @@ def _newton(
 
 def _longest(v: FloatArray, dv: FloatArray) -> float:
     """Largest step up to 1 that leaves no entry of v, all positive, below zero."""
-    return min(1.0, -float(np.divide(v, dv, out=np.full(len(v), -np.inf), where=dv < 0.0).max()))
+    return 1.0 / max(1.0, -float((dv / v).min()))
