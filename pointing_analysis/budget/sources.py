@@ -18,6 +18,7 @@ from scipy import linalg
 from lftkit.errors import InputError
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.indices import metrics, weights
+from pointing_analysis.indices.window_rows import ROUNDING, window_rows
 
 Draw = Callable[[np.random.Generator, FloatArray, float | None], FloatArray]
 Sigma = Callable[[float | None], FloatArray]
@@ -269,35 +270,40 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> ErrorSourc
 def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> ErrorSource:
     """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest.
 
-    For the RPE the window must be a whole number of samples, and the recording have one without gaps; else a
-    ValueError names the source when the budget is evaluated.
+    For the RPE the recording must have one window without gaps; else a ValueError names the source when the budget is
+    evaluated. A window need not be a whole number of samples: each sample stands for its period.
     """
     mean = np.nanmean(error, axis=0)
     present = error[~np.isnan(error).any(axis=1)] - mean
 
-    def table(window: float) -> FloatArray:
+    def complete(window: float) -> metrics.Windows:
         try:
-            n = metrics.window_samples(window, dt)
-            whole = metrics.rpe_instant(error, dt, window)
+            found = metrics.windows(error, dt, window)
         except ValueError as wrong:
             raise InputError(f"{' / '.join(path)}: {wrong}") from None
-        whole = whole[: len(whole) // n * n].reshape(-1, n, whole.shape[1])
-        complete = whole[~np.isnan(whole).any(axis=(1, 2))]
-        if not len(complete):
+        if not len(found.start):
             raise InputError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
-        return np.asarray(complete)
+        return found
 
     def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         if window is None:
             return np.asarray(present[rng.integers(0, len(present), u.size)])
-        windows = table(window)
-        position = np.floor(u * windows.shape[1]).astype(int)
-        return np.asarray(windows[rng.integers(0, len(windows), u.size), position])
+        found = complete(window)
+        chosen = rng.integers(0, len(found.start), u.size)
+        begin = found.begin[chosen]
+        last = np.ceil(begin + found.samples - ROUNDING) - 1.0
+        at = np.minimum(np.floor(begin + u * found.samples), last).astype(np.int64)
+        return np.asarray(error[at] - found.mean[chosen])
 
     def sigma(window: float | None) -> FloatArray:
-        return np.asarray(present.std(axis=0) if window is None else np.sqrt(np.mean(table(window) ** 2, axis=(0, 1))))
+        return np.asarray(present.std(axis=0) if window is None else complete(window).rpe_rms)
 
     def largest(window: float | None) -> FloatArray:
-        return np.asarray(np.abs(present if window is None else table(window).reshape(-1, 2)).max(axis=0))
+        if window is None:
+            return np.asarray(np.abs(present).max(axis=0))
+        found = complete(window)
+        index, weight = window_rows(found.begin, found.samples)
+        rest = error[np.minimum(index, len(error) - 1)] - found.mean[:, None, :]
+        return np.asarray(np.abs(np.where(weight[..., None] > 0.0, rest, 0.0)).max(axis=(0, 1)))
 
     return ErrorSource(path, "measured", TIME, mean, draw, sigma, largest)

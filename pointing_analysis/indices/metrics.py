@@ -148,6 +148,7 @@ class Windows:
     mean : (m, 2) mean error of each complete window (the samples of the MPE)
     variance : (m, 2) mean square about that mean, division by N
     start : (m,) index of the first sample of each window
+    begin : (m,) begin of each window [periods]
     samples : N, samples per window; a whole number, or not
     skipped : windows left out because a sample is missing
     """
@@ -155,6 +156,7 @@ class Windows:
     mean: FloatArray
     variance: FloatArray
     start: IntArray
+    begin: FloatArray
     samples: float
     skipped: int
 
@@ -192,15 +194,16 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     e = _series(error)
     n = _fits(e, window, dt)
     m, first = _count(e, n), 0
-    means, variances, starts = GrowingArray(2), GrowingArray(2), GrowingArray(None, np.int64)
+    means, variances, begins = GrowingArray(2), GrowingArray(2), GrowingArray(None)
     for mean, variance in _disjoint(e, n):
         kept = ~np.isnan(mean).any(axis=1)
         means.append(mean[kept])
         variances.append(variance[kept])
-        starts.append(np.floor((first + np.flatnonzero(kept)) * n + ROUNDING).astype(np.int64))
+        begins.append((first + np.flatnonzero(kept)) * float(n))
         first += len(mean)
-    mean, variance, start = (read_only(found.array()) for found in (means, variances, starts))
-    return Windows(mean, variance, start, n, m - len(start))
+    mean, variance, begin = (read_only(found.array()) for found in (means, variances, begins))
+    start = read_only(np.floor(begin + ROUNDING).astype(np.int64))
+    return Windows(mean, variance, start, begin, n, m - len(start))
 
 
 def _count(e: FloatArray, n: float) -> int:

@@ -38,6 +38,7 @@ SENSOR_UNITS: Mapping[str, str] = {ACCELEROMETER: "m/s2", ANGULAR: "rad/s2"}
 PLACED_SENSORS, ACTUATOR_FORCE = "placed_sensors", "actuator_force"
 """Output of the telescope with the values of all further sensors; input with the forces of all further actuators."""
 
+PROOF_MASSES = "pma"
 MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "authority")
 """Values of an actuator that are those of ``[pma]`` where its table does not give them."""
 
@@ -49,7 +50,12 @@ def read_sensors(tables: Mapping[str, Any]) -> tuple[Sensor, ...]:
 
 def read_actuators(tables: Mapping[str, Any]) -> tuple[Actuator, ...]:
     """Further actuators of the tables of a parameter file, in its order."""
-    return tuple(_actuator(table, tables["pma"]) for table in tables.get(ACTUATOR, ()))
+    return tuple(_actuator(table, tables[PROOF_MASSES]) for table in tables.get(ACTUATOR, ()))
+
+
+def usual_values(table: Mapping[str, Any]) -> tuple[str, ...]:
+    """Values of ``[pma]`` that an actuator takes: those that its table does not give, and the authority as a scale."""
+    return tuple(key for key in MECHANICS if key not in table or key == "authority")
 
 
 def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:

@@ -13,6 +13,7 @@ import pointing_analysis
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.total import axis_factor, axis_total, evaluate, norm_quantile
+from pointing_analysis.indices import metrics
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.indices.weights import rpe_exact
 
@@ -128,6 +129,18 @@ def test_a_measured_bag_replaces_a_source(tmp_path: Path) -> None:
     requirement = "prob(|RPE(20 ms)| < 10 mas) >= 0.9 at 95 % confidence"
     found = budget(tmp_path, '[sources.a]\ntype = "measured"\nbag = "bag"\ntransient = 1.0\n', requirement)
     assert found.level == pytest.approx(3 * math.sqrt(19 / 20) * math.sqrt(2 * math.log(10)), rel=0.02)
+
+
+def test_a_measured_source_takes_the_windows_of_an_analysis(tmp_path: Path) -> None:
+    """10.24 samples of 1/512 s; a steady drift is uniform over the window, as a source of type drift is."""
+    error = np.column_stack([np.arange(5120.0), np.random.default_rng(1).standard_normal(5120)])
+    source, window = kinds.measured(("a",), error, 1 / 512), 0.02
+    assert source.sigma(window) == pytest.approx(metrics.rpe_rms(error, 1 / 512, window), rel=1e-12)
+    u = (np.arange(20_000) + 0.5) / 20_000
+    drawn = source.draw(np.random.default_rng(2), u, window)
+    assert drawn.std(axis=0) == pytest.approx(source.sigma(window), rel=0.01)
+    assert np.abs(drawn[:, 0] - 10.24 * (u - 0.5)).max() <= 0.51  # half a sample
+    assert np.all(np.abs(drawn).max(axis=0) <= source.worst(window) + 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -304,6 +304,10 @@ BAD = {
         "solar_array = []\n[sadm]\ntorque_bound = 5.0\n",
         ["line 3", "sadm.torque_bound", "no solar array is driven"],
     ),
+    "masses of no actuator": (
+        "[pma]\nazimuths_deg = []\nmoving_mass = 3.0\n",
+        ["line 3", "pma.moving_mass", "no proof-mass actuator"],
+    ),
     "actuators": ("[pma]\nazimuths_deg = [1.0, 2.0]\n", ["pma.azimuths_deg", "3 angles, or none", "got 2"]),
 }
 

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from titop_plant.structures.kinematics import check_rotation
 from titop_plant.structures.modal_file import read_modal_data
-from titop_plant.telescope.devices import ACTUATOR, SENSOR
+from titop_plant.telescope.devices import ACTUATOR, PROOF_MASSES, SENSOR, usual_values
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVE, WHEELS, read_appendages, read_arrays, read_wheels
 from titop_plant.telescope.tables.mechanisms import DRIVES, OF_LISTS, check_mechanisms
 from titop_plant.telescope.tables.parameter_check import ParameterFile
@@ -104,7 +104,7 @@ def checked_layout(
     ValueError
         A key or value that does not fit, a missing one, a name used twice, an unknown point, an array without modes,
         bodies that share parameters of different values, wheels that do not span the space, values of drives where no
-        array has one; sensors and actuators as
+        array has one, and of proof-mass actuators where there are none; sensors and actuators as
         :func:`titop_plant.telescope.tables.placed_devices.check_devices`.
     """
     complete: Table = {}
@@ -119,9 +119,7 @@ def checked_layout(
     _check_wheels(whole, file)
     _check_drives(whole, file)
     check_devices(whole, file)
-    azimuths = whole["pma"]["azimuths_deg"]
-    if len(azimuths) not in (0, PMA_AZIMUTHS):
-        raise file.error("pma.azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(azimuths)}")
+    _check_proof_masses(whole, file)
     return complete
 
 
@@ -335,3 +333,19 @@ def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:
     given = [key for key in file.lines if key.startswith(f"{DRIVES}.")]
     if given and all(array.drive is None for array in read_arrays(whole)):
         raise file.error(given[0], "must be left out where no solar array is driven")
+
+
+def _check_proof_masses(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Values of proof-mass actuators act on those of the platform, or on further actuators that do not state them."""
+    azimuths = whole[PROOF_MASSES]["azimuths_deg"]
+    if len(azimuths) not in (0, PMA_AZIMUTHS):
+        raise file.error(
+            f"{PROOF_MASSES}.azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(azimuths)}"
+        )
+    if azimuths:
+        return
+    used = {"azimuths_deg", *(key for one in whole.get(ACTUATOR, ()) for key in usual_values(one))}
+    for key in file.lines:
+        table, _, value = key.partition(".")
+        if table == PROOF_MASSES and value and value not in used:
+            raise file.error(key, "must be left out where no proof-mass actuator uses it (azimuths_deg is empty)")
