@@ -38,8 +38,8 @@ def check_output(
     Raises
     ------
     ValueError
-        Another suffix, another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be written to, the
-        name is too long.
+        Another suffix, another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be
+        written to, the name is too long.
     """
     try:
         _check(Path(path), what, new, folder)
