@@ -89,7 +89,7 @@ def _not_understood(model: Any) -> str:
         return f"DMIG {name}"
     for name in sorted(model.reject_count):
         if name.startswith("C"):  # an element that pyNastran has not
-            return name
+            return str(name)
     moved = {int(grid) for cards in model.mpcs.values() for card in cards for grid in card.node_ids}
     for lump in model.masses.values():
         grids = [grid for grid in lump.node_ids if grid]
