@@ -11,7 +11,7 @@ from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
     from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
-    from lftkit.proofs.checking import check_proof
+    from lftkit.proofs.checking import check_mu, check_proof
     from lftkit.proofs.disk_margin import DiskMarginBounds, DiskMargins, disk_margins, worst_case_disk_margin
     from lftkit.proofs.options import BoundOptions
     from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.structured.bounds import MuBounds, mu
     from lftkit.proofs.trusted.lower_bound import CheckedLowerBound
     from lftkit.proofs.trusted.proof import CheckedProof, ProofError
-    from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu
+    from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock
 
 __all__ = [
     "BoundOptions",
@@ -52,7 +52,7 @@ __all__ = [
 __getattr__ = names_on_demand(
     __name__,
     {
-        "checking": ("check_proof",),
+        "checking": ("check_mu", "check_proof"),
         "disk_margin": ("DiskMarginBounds", "DiskMargins", "disk_margins", "worst_case_disk_margin"),
         "structured.bounds": ("MuBounds", "mu"),
         "blocks.structure": ("complex_block", "full_block", "real_block"),
@@ -62,6 +62,6 @@ __getattr__ = names_on_demand(
         "state_space.bounds": ("ProvenBounds",),
         "trusted.lower_bound": ("CheckedLowerBound",),
         "trusted.proof": ("CheckedProof", "ProofError"),
-        "trusted.structured": ("MuCertificate", "UncertaintyBlock", "check_mu"),
+        "trusted.structured": ("MuCertificate", "UncertaintyBlock"),
     },
 )

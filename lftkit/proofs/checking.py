@@ -21,6 +21,7 @@ from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bou
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofError, require
 from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
+from lftkit.proofs.trusted.structured import check_mu as trusted_check_mu
 from lftkit.systems.arguments import checked
 
 Checked = CheckedProof | CheckedLoop | CheckedNoise | CheckedLowerBound
@@ -47,6 +48,9 @@ KINDS = {
     NOISE: ProofKind(noise_proof, NoiseProof, check_noise_proof),
     LOWER_BOUND: ProofKind(lower_bound_proof_of, LowerBoundProof, lambda proof, each: check_lower_bound(proof)),
 }
+
+check_mu = checked(trusted_check_mu)
+"""The check of a certificate of mu, which names an argument of another type: what is trusted imports no such check."""
 
 
 @checked

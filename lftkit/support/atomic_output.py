@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from lftkit.errors import InputError
@@ -22,7 +22,9 @@ RESERVED = 32
 """Bytes of a name that are left for the additions of temporary names and of the files in a bag."""
 
 
-def check_output(path: Path, what: str, *, new: bool = False, folder: bool = False) -> None:
+def check_output(
+    path: Path, what: str, *, new: bool = False, folder: bool = False, suffixes: Sequence[str] = ()
+) -> None:
     """Refuse, before any work, a path where no output can be written.
 
     Parameters
@@ -31,17 +33,20 @@ def check_output(path: Path, what: str, *, new: bool = False, folder: bool = Fal
     what : its name in messages, for instance ``--output``
     new : refuse an existing one
     folder : it will be a folder, and its parents are made as needed
+    suffixes : ends of its name in lower case, one of which it must have; any without them
 
     Raises
     ------
     ValueError
-        Another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be written to, the
-        name is too long.
+        Another suffix, another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be
+        written to, the name is too long.
     """
     try:
         _check(Path(path), what, new, folder)
     except OSError as error:
         raise InputError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
+    if suffixes and Path(path).suffix.lower() not in suffixes:
+        raise InputError(f"{what} must end in {' or '.join(suffixes)}, got {path}")
 
 
 def _check(path: Path, what: str, new: bool, folder: bool) -> None:

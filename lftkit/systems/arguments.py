@@ -2,7 +2,8 @@
 
 A public function is tried with what came: what works, works, and costs nothing. Where it ends with a TypeError or the
 like, its arguments are compared with the types of its signature, and the first one of another type is named. Where all
-fit, the exception is a fault of the program and stays as it is.
+fit, integers beyond 64 bits, which are objects for numpy, are tried as floats; without such ones the exception is a
+fault of the program and stays as it is.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def checked(public: F) -> F:
     if isinstance(public, type):
         public.__init__ = checked(public.__init__)  # type: ignore[misc]
         return public
-    faults, misfit, refusal = FAULTS, _misfit, InputError
+    faults, misfit, refusal, as_floats = FAULTS, _misfit, InputError, _with_floats
 
     def call(*args: Any, **named: Any) -> Any:
         try:
@@ -65,7 +66,10 @@ def checked(public: F) -> F:
             text = misfit(public, args, named)
             if text:
                 raise refusal(text) from None
-            raise
+            again = as_floats(public, args, named)
+            if again is None:
+                raise
+        return public(*again.args, **again.kwargs)
 
     # with the globals of its module: doctest passes over functions of others
     made = types.FunctionType(call.__code__, public.__globals__, public.__name__, None, call.__closure__)  # type: ignore[attr-defined]
@@ -86,8 +90,7 @@ def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[
         given = signature.bind(*args, **named)
     except TypeError:
         return ""
-    stated = types.SimpleNamespace(__annotations__={**function.__annotations__, "return": Any})
-    hints = typing.get_type_hints(stated, {}, _ModuleNames(function.__globals__))  # type: ignore[attr-defined]
+    hints = _hints(function)
     arguments: list[tuple[str, Any, Any]] = []
     for name, value in given.arguments.items():
         kind, hint = signature.parameters[name].kind, hints.get(name, Any)
@@ -101,6 +104,29 @@ def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[
             if not _fits(value, hint, strict):
                 return f"{what} must be {_words(hint)}, got {value!r}"[:LONGEST]
     return ""
+
+
+def _hints(function: Callable[..., Any]) -> dict[str, Any]:
+    stated = types.SimpleNamespace(__annotations__={**function.__annotations__, "return": Any})
+    return typing.get_type_hints(stated, {}, _ModuleNames(function.__globals__))  # type: ignore[attr-defined]
+
+
+def _with_floats(
+    function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any]
+) -> inspect.BoundArguments | None:
+    """The arguments with floats for integers beyond 64 bits, where their types take floats; None without such ones."""
+    try:
+        given = inspect.signature(function).bind(*args, **named)
+    except TypeError:
+        return None
+    hints = _hints(function)
+    large = {
+        name: float(value)
+        for name, value in given.arguments.items()
+        if isinstance(value, int) and abs(value) >= 2**63 and _fits(0.5, hints.get(name, Any), True)
+    }
+    given.arguments.update(large)
+    return given if large else None
 
 
 def _fits(value: Any, hint: Any, strict: bool) -> bool:
@@ -146,9 +172,11 @@ def _is_a(value: Any, kind: type) -> bool:
         return _is_system(value)
     if kind.__name__ == TAKEN[1] and isinstance(value, tuple | list | str):
         return isinstance(value, str) or (len(value) in (2, 3) and isinstance(value[0], str))
+    if getattr(kind, "_is_protocol", False):
+        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
     try:
         return isinstance(value, kind)
-    except TypeError:  # a protocol
+    except TypeError:  # Any
         return True
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.attitude import line_of_sight, turned_about, unit_quaternions
 from pointing_analysis.read.mcap.bag_files import bag_files
@@ -328,7 +329,7 @@ def read_external(
     whole = topics.get(topic.channel.topic, topic)  # of tf2, the messages that cannot be read
     left_out = topic.left_out + whole.left_out if whole is not topic else +topic.left_out
     for reason, count in left_out.most_common(LISTED):
-        problems.append(f"{chosen.topic}: {count} messages excluded: {reason}")
+        problems.append(f"{chosen.topic}: {counted(count, 'message')} excluded: {reason}")
     logged, published = np.concatenate(topic.logged), np.concatenate(topic.published)
     by_header = chosen.stamped and time != "log" and bool(header[fitting].any())
     if time == "header" and not by_header:
@@ -340,7 +341,7 @@ def read_external(
     if (zero := int((stamps[fitting] == 0).sum())) == 1 and _is_start(stamps[fitting]):
         stamps = stamps + ORIGIN  # the clock of the samples began at zero, as one of a simulation does
     elif zero:
-        problems.append(f"{chosen.topic}: {zero} messages without a stamp are excluded")
+        problems.append(f"{chosen.topic}: {counted(zero, 'message')} without a stamp excluded")
     used = values[fitting]
     if chosen.axis:
         used = _of_attitude(used, chosen, path, problems)

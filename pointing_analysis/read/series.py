@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
@@ -189,9 +190,13 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
             "on the same tick as another one"
         )
     moved = int((np.abs(stamps - stamps[0] - place * (NANO / rate)) * rate > OFF_GRID * NANO).sum())
-    notes = [f"{moved} stamps moved to the grid of {rate:g} Hz by more than 2 % of the period"] if moved else []
+    notes = (
+        [f"{counted(moved, 'stamp')} moved to the grid of {rate:g} Hz by more than 2 % of the period"] if moved else []
+    )
     if not first.all():
-        notes.append(f"{int((~first).sum())} samples excluded: another one is on the same tick of {rate:g} Hz")
+        notes.append(
+            f"{counted(int((~first).sum()), 'sample')} excluded: another one is on the same tick of {rate:g} Hz"
+        )
     return int(stamps[0]) + on_whole_ns(place, 1 / rate), first, tuple(notes)
 
 
@@ -288,7 +293,7 @@ def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
         odd: BoolArray = np.asarray((np.abs(values) > LARGEST_ANGLE).any(axis=1))
     if not odd.any():
         return values, ()
-    note = f"{int(odd.sum())} samples are infinite or above {LARGEST_ANGLE:g} rad: counted as missing"
+    note = f"{counted(int(odd.sum()), 'sample')} infinite or above {LARGEST_ANGLE:g} rad: counted as missing"
     return np.where(odd[:, None], np.nan, values), (note,)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from lftkit.errors import InputError
 from lftkit.support.atomic_output import check_output, write_text
-from pointing_analysis.report.paper import PAPERS, Paper, is_pdf, require_pdf
+from pointing_analysis.report.paper import PAGES, PAPERS, PDF, Paper, is_pdf, require_pdf
 
 if TYPE_CHECKING:
     from pointing_analysis.report.content import ReportContent
@@ -20,7 +20,7 @@ class ReportOutputs:
 
     Parameters
     ----------
-    path : HTML file, or PDF where it ends in ``.pdf``; None for none
+    path : file that ends in ``.html`` or ``.htm``, or in ``.pdf``; None for none
     paper : size of the pages of a PDF
     export : folder for the figures and tables; None for none
     """
@@ -38,12 +38,12 @@ class ReportOutputs:
         Raises
         ------
         ValueError
-            There is no place for a file, an unknown size of pages, or a PDF without its extra.
+            Another suffix, no place for a file, an unknown size of pages, or a PDF without its extra.
         """
         if self.paper not in PAPERS:
             raise InputError(f"paper must be {' or '.join(PAPERS)}, got {self.paper!r}")
         if self.path is not None:
-            check_output(self.path, what)
+            check_output(self.path, what, suffixes=(*PAGES, PDF))
             if is_pdf(self.path):
                 require_pdf()
         if self.export is not None:

@@ -11,11 +11,13 @@ from lftkit.errors import InputError
 Paper = Literal["a4", "letter"]
 PAPERS: dict[Paper, str] = {"a4": "a4", "letter": "us-letter"}
 """Size of the pages -> its name in typst."""
+PAGES, PDF = (".html", ".htm"), ".pdf"
+"""Ends of the names of HTML pages, and of a PDF."""
 
 
 def is_pdf(path: Path) -> bool:
     """Whether a report is to be a PDF, by the end of its name."""
-    return path.suffix.lower() == ".pdf"
+    return path.suffix.lower() == PDF
 
 
 def require_pdf() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.formatting.number_text import digits, number, with_unit
 from pointing_analysis.image.optics import optics_of
@@ -350,7 +351,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     stamps = {}
     sensors = sensors_of(run)
     known = {*KNOWN, *(sensor.topic for sensor in sensors)}
-    messages, empty = ("messages", "with NaN") if run.kind == "bag" else ("samples", "without a value: missing")
+    message, empty = ("message", "with NaN") if run.kind == "bag" else ("sample", "without a value: missing")
     cameras = [sensor.topic for sensor in sensors if sensor.held] or sorted(name for name in CAMERAS if name in run)
     for name in (n for n in run.topics if n in known):
         topic = run[name]
@@ -365,18 +366,18 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
             problems.append(
                 f"{shown}: the recording is truncated: the number of missing samples at its end is not known"
             )
-        for count, what in (
-            (missing, f"samples missing in {lost_gaps(run, name, missing)} gaps"),
-            (ends, "samples missing before the first and after the last one"),
-            (state.duplicates, "stamps twice"),
-            (state.conflicts, "stamps with two different values (two publishers?)"),
-            (state.out_of_order, f"{messages} out of order"),
-            (state.irregular, "intervals off the sampling grid"),
+        for count, noun, rest in (
+            (missing, "sample", f" missing in {counted(lost_gaps(run, name, missing), 'gap')}"),
+            (ends, "sample", " missing before the first and after the last one"),
+            (state.duplicates, "stamp", " twice"),
+            (state.conflicts, "stamp", " with two different values (two publishers?)"),
+            (state.out_of_order, message, " out of order"),
+            (state.irregular, "interval", " off the sampling grid"),
         ):
             if count:
-                problems.append(f"{shown}: {count} {what}")
+                problems.append(f"{shown}: {counted(count, noun, rest)}")
         if state.nan and name not in cameras:
-            problems.append(f"{shown}: {state.nan} {messages} {empty}")
+            problems.append(f"{shown}: {counted(state.nan, message)} {empty}")
     _add_ends(lost, problems, stamps)
     failure = _failure(run)
     if failure:
@@ -421,7 +422,7 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
         # The command to the last sensor tick may fall after the end of the recording.
         if short > 1:
             lost[name] += short
-            problems.append(f"{name}: {short} samples missing at the start or the end of the run")
+            problems.append(f"{name}: {counted(short, 'sample')} missing at the start or the end of the run")
 
 
 def _knowledge(run: Recording, transient: float | None, window: float) -> Knowledge | None:

@@ -21,6 +21,8 @@ from titop_plant.structures.nastran_axes import six_axes
 from titop_plant.structures.nastran_files import grid_positions, rows_of
 
 SPRINGS = ("CELAS1", "CELAS2", "CELAS3", "CELAS4", "CBUSH", "CBUSH1D")
+DIRECTED = ("CELAS1", "CELAS2")
+"""Springs between components of grid points, wherever these are."""
 RIGID = 1e-3
 """Sum of the terms of an MPC in a rigid motion, relative to their absolute values, that is their rounding."""
 STILL = 1e-5
@@ -155,6 +157,11 @@ def _check_not_grounded(model: Any, path: str, subcase: int | None) -> None:
                 f"{path}: springs must be between two grid points, got {element.type} {element.eid} to ground or to a "
                 "scalar point: SPC at the parent must be all that holds the body"
             )
+        if element.type in DIRECTED and _turns(model, element, path):
+            raise InputError(
+                f"{path}: springs between two grid points must have no force in a rigid motion, got {element.type} "
+                f"{element.eid}, whose ends are apart across its direction, or have other directions: ask for CBUSH"
+            )
     chosen = _chosen(model, "MPC", subcase)
     for key, cards in model.mpcs.items():
         for card in cards if chosen is None or int(key) in chosen else ():
@@ -163,6 +170,23 @@ def _check_not_grounded(model: Any, path: str, subcase: int | None) -> None:
                 raise InputError(
                     f"{path}: MPC must let the body move as a rigid one, got MPC {key} of GRID {grids[:6]} against it"
                 )
+
+
+def _turns(model: Any, spring: Any, path: str) -> bool:
+    """Whether a spring between components of two grid points has a force in a rigid motion."""
+    places = np.array([node.get_position() for node in model.nodes.values()], dtype=float)
+    size = float(np.ptp(places, axis=0).max())
+    grids, components = _integers(spring.node_ids), (int(spring.c1), int(spring.c2))
+    if 0 in components:
+        return False
+    rows = [
+        (six_axes(model.nodes[grid], path) @ tau(np.asarray(model.nodes[grid].get_position(), dtype=float), places[0]))[
+            component - 1
+        ]
+        for grid, component in zip(grids, components)
+    ]
+    apart = np.abs(rows[1] - rows[0])
+    return bool(apart[:3].max() > RIGID or apart[3:].max() > RIGID * (size if components[0] <= 3 else 1.0))
 
 
 def _holds(model: Any, equation: Any, grids: list[int], path: str) -> bool:

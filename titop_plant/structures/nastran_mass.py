@@ -16,8 +16,8 @@ from titop_plant.structures.kinematics import skew, tau
 from titop_plant.structures.nastran_axes import displacement_axes, six_axes
 
 BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
-UNKNOWN = ("CPYRAM", "CBEAM3", "CBEND")
-"""Elements whose mass pyNastran has not, or not rightly: of an oblique pyramid, and of curved bars."""
+UNKNOWN = ("CPYRAM", "CBEAM3", "CBEND", "CCONEAX", "CQUADX", "CTRIAX", "CTRIAX6")
+"""Elements whose mass pyNastran has not, or not rightly: of an oblique pyramid, curved bars, and rings."""
 POINTS = ("CONM1", "CONM2", "CMASS1", "CMASS2", "CMASS3", "CMASS4")
 SAME_IN_ALL = 1e-4
 """Largest difference of the mass in two directions, relative, that is the rounding of a rigid body."""
@@ -87,9 +87,14 @@ def _not_understood(model: Any) -> str:
         return f"NSM set {number}"
     for name in model.dmigs:
         return f"DMIG {name}"
+    for name in sorted(model.reject_count):
+        if name.startswith("C"):  # an element that pyNastran has not
+            return str(name)
+    moved = {int(grid) for cards in model.mpcs.values() for card in cards for grid in card.node_ids}
     for lump in model.masses.values():
         grids = [grid for grid in lump.node_ids if grid]
-        if lump.type not in POINTS or (len(grids) > 1 and any(grid in model.nodes for grid in grids)):
+        scalar = any(grid not in model.nodes and grid in moved for grid in grids)
+        if lump.type not in POINTS or scalar or (len(grids) > 1 and any(grid in model.nodes for grid in grids)):
             return f"{lump.type} {lump.eid}"
     for element in model.elements.values():
         if element.type in UNKNOWN or (element.type == "CBUSH" and element.pid_ref and element.pid_ref.mass):

@@ -21,6 +21,8 @@ from pointing_analysis.read.tables.table import Gathered, Table, check_unpacked
 
 DEEPEST = 8
 """Levels of structures and groups that are gone into."""
+CELLS = 1000
+"""Most cells of an array, and characters of each, that are looked at: names of units, not data."""
 CLASSES = "objects of MATLAB classes (timetable, timeseries, table) are not read: save their arrays"
 PACKED = ("scale_factor", "add_offset", "_FillValue", "missing_value")
 """Attributes of packed values, by the conventions of netCDF (CF, 8.1 and 2.5.1)."""
@@ -68,8 +70,14 @@ def _add(found: Gathered, name: str, value: Any, depth: int) -> None:
         found.add_setting(name, str(value.reshape(-1)[0]))
     elif value.dtype.kind != "O":
         found.add(name, value)
-    elif len(texts := {str(cell.item()) for cell in value.flat if np.size(cell) == 1 and hasattr(cell, "item")}) == 1:
-        found.add_setting(name, texts.pop())  # a cell array with the same text for each column
+    else:
+        _add_cells(found, name, {str(one.item()) for one in value.flat if np.size(one) == 1 and hasattr(one, "item")})
+
+
+def _add_cells(found: Gathered, name: str, texts: set[str]) -> None:
+    """Texts of a cell array, which is a setting where it has the same for each column."""
+    if len(texts) == 1:
+        found.add_setting(name, texts.pop())
 
 
 def read_hdf5(path: Path) -> Table:
@@ -140,7 +148,12 @@ def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> tuple[list[tuple[
 def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
     kind = _text(dataset.attrs.get("MATLAB_class", ""))
     if kind == "char":
-        found.add_setting(name, "".join(map(chr, np.asarray(dataset[()]).reshape(-1).tolist())))
+        found.add_setting(name, _characters(dataset))
+        return
+    if kind == "cell":
+        cells = [dataset.file[one] for one in dataset[()].flat if one] if dataset.size <= CELLS else []
+        texts = [one for one in cells if _text(one.attrs.get("MATLAB_class", "")) == "char" and one.size <= CELLS]
+        _add_cells(found, name, {_characters(one) for one in texts})
         return
     _add_attributes(found, name, dataset.attrs)
     if dataset.dtype.kind in "OSU":
@@ -149,6 +162,11 @@ def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
         return
     if dataset.dtype.kind in "fiuMV" and "MATLAB_empty" not in dataset.attrs:
         found.add(name, _values(dataset))
+
+
+def _characters(dataset: Any) -> str:
+    """Text of a dataset of MATLAB: the numbers of its characters."""
+    return "".join(map(chr, np.asarray(dataset[()], dtype=np.uint16).reshape(-1).tolist()))
 
 
 def _values(dataset: Any) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.read.tables.cells import (
@@ -83,7 +84,7 @@ def rows_of(path: Path) -> Rows:
         raise InputError(f"{path}: table must have rows, got none")
     titles, separator = _titles(lines, named[1] if named else None)
     if titles:
-        notes.append(f"{titles} lines in front of the header skipped")
+        notes.append(f"{counted(titles, 'line')} in front of the header skipped")
     lines = lines[titles:]
     marks = "".join((*COMMENT, *COMMENT_IN_FRONT))
     comments = [line.lstrip().lstrip(marks).strip() for number, line in every if number < lines[0][0]]

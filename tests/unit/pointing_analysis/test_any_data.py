@@ -288,4 +288,4 @@ def test_a_sample_that_is_no_angle_counts_as_missing(value: float, rate: float |
     expected = judge_series(t, missing, unit="arcsec", rate=rate, requirements=text)
     found = judge_series(t, odd, unit="arcsec", rate=rate, requirements=text)
     assert found.verdicts == expected.verdicts and found.ape_max == expected.ape_max
-    assert any("1 samples are infinite or above" in problem for problem in found.problems)
+    assert any("1 sample infinite or above" in problem for problem in found.problems)

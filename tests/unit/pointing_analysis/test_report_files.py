@@ -119,6 +119,7 @@ def test_without_the_extra_there_is_one_line_before_any_work(
         (["--paper", "letter"], "--paper must be given with a PDF report, got --paper letter without --format pdf"),
         (["--format", "html", "--output", "x.pdf"], "--output must not end in .pdf with --format html, got x.pdf"),
         (["--format", "pdf", "--output", "x.html"], "--output must end in .pdf with --format pdf, got x.html"),
+        (["--output", "x.docx"], "--output must end in .html or .htm or .pdf, got x.docx"),
         (["--export", "file"], "the folder of figures and tables must be a folder, got file"),
     ],
 )

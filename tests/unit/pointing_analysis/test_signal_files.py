@@ -68,18 +68,22 @@ def test_matlab_has_each_topic_as_a_structure(
 
 
 @pytest.mark.parametrize(
-    ("name", "los"),
-    [("a.mat", "truth_los.values"), *((f"a{end}", "truth/los") for end in (".npz", ".csv", ".parquet"))],
+    ("name", "los", "version"),
+    [
+        ("a.mat", "truth_los.values", "5"),
+        ("a.mat", "truth_los.values", "7.3"),
+        *((f"a{end}", "truth/los", "") for end in (".npz", ".csv", ".parquet")),
+    ],
 )
 def test_the_line_of_sight_is_read_by_its_topic(
-    name: str, los: str, signals: list[TopicSignal], tmp_path: Path
+    name: str, los: str, version: str, signals: list[TopicSignal], tmp_path: Path
 ) -> None:
     """With the unit that the file has, also of one topic of the bag."""
-    write_signals(signals, tmp_path / name)
+    write_signals(signals, tmp_path / name, version)
     (truth,) = [s for s in signals if s.name == "truth/los"]
     found = open_los(tmp_path / name, los=los)
     np.testing.assert_array_equal(found["truth/los"].values, truth.values[:, :2])
-    write_signals([truth], tmp_path / f"one{name}")
+    write_signals([truth], tmp_path / f"one{name}", version)
     np.testing.assert_array_equal(open_los(tmp_path / f"one{name}")["truth/los"].values, truth.values[:, :2])
 
 

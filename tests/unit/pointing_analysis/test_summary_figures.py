@@ -99,7 +99,7 @@ def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
     one = summarise(bag(tmp_path / "one", lost=(2999,), transient_s=0))  # the command to the last tick may come late
     assert one.samples_lost == 0 and one.problems == ()
     late = summarise(bag(tmp_path / "late", lost=(2995, 2996, 2997, 2998), transient_s=0))  # a gap, not an end
-    assert late.problems == ("m1/accel: 4 samples missing in 1 gaps",) and late.samples_lost == 4
+    assert late.problems == ("m1/accel: 4 samples missing in 1 gap",) and late.samples_lost == 4
     both = summarise(bag(tmp_path / "both", lost=(0, 1, 700), transient_s=0))
     assert both.lost_by_topic == {"m1/accel": 3} and len(both.problems) == 2
 
@@ -123,7 +123,7 @@ def test_messages_that_came_twice_or_late(tmp_path: Path) -> None:
     signals = {"truth/los": NOISE, "m1/accel": np.zeros((len(order), 6))}
     given = {"truth/los": stamps, "m1/accel": stamps[order]}
     found = summarise(Run.open(write_bag(tmp_path / "a", signals, stamps=given, parameters={"transient_s": 0})))
-    assert set(found.problems) == {"m1/accel: 1 stamps twice", "m1/accel: 1 messages out of order"}
+    assert set(found.problems) == {"m1/accel: 1 stamp twice", "m1/accel: 1 message out of order"}
     assert found.samples_lost == 0
 
 
@@ -134,7 +134,7 @@ def test_frames_and_numbers_that_are_none(tmp_path: Path) -> None:
     given = {"camera/los": 20}
     one = summarise(Run.open(write_bag(tmp_path / "a", signals, periods=given, parameters={"transient_s": 0})))
     assert one.camera_dropped == 1 and one.problems == (
-        "m1/accel: 1 messages with NaN",
+        "m1/accel: 1 message with NaN",
         "camera/los: 1 frame dropped (NaN)",
     )
     signals["camera/los"][5] = np.nan
@@ -282,14 +282,14 @@ def test_samples_of_lost_periods_are_no_gaps(tmp_path: Path) -> None:
     some = bag_with_lost_periods(tmp_path / "some", (100, 101, 802, 2000), 4)
     assert some.problems == ("fsm/command: 4 samples missing in 3 gaps",)
     beside = bag_with_lost_periods(tmp_path / "beside", (302, 303), 4)
-    assert beside.problems == ("fsm/command: 2 samples missing in 1 gaps",)
+    assert beside.problems == ("fsm/command: 2 samples missing in 1 gap",)
 
 
 def test_of_periods_that_nothing_was_recorded_of_as_many_were_sent_as_the_recorder_counts(tmp_path: Path) -> None:
     """The plant says that it has lost three: the fourth was lost by the recorder, of all topics."""
     found = bag_with_lost_periods(tmp_path / "bag", (100,), 3)
     assert set(found.problems) == {
-        "truth/los: 1 samples missing in 1 gaps",
-        "isolator/accel: 1 samples missing in 1 gaps",
+        "truth/los: 1 sample missing in 1 gap",
+        "isolator/accel: 1 sample missing in 1 gap",
         "fsm/command: 2 samples missing in 2 gaps",
     }

@@ -141,6 +141,16 @@ REFUSED = {
         "CMASS2,6001,0.5,3,1,4,1\n",
         "masses must be .*PARAM,GRDPNT,0 .*, got CMASS2 6001",
     ),
+    "an element that is not read": ("PWELD,9,1,.01\nCWELD,61,9,4,ALIGN,2,3\n", "masses must be .*, got CWELD"),
+    "a mass of a scalar point that moves": (
+        "SPOINT,20\nCMASS4,71,5.,20\nMPC,1,20,0,1.,2,1,-1.\n",
+        "masses must be .*, got CMASS4 71",
+    ),
+    "a ring": ("CQUADX,80,1,1,2,3,4\n", "masses must be .*, got CQUADX 80"),
+    "a spring across its direction": (
+        "CELAS2,5001,1.+5,3,1,4,1\n",
+        "springs between two .* no force in a rigid motion, got CELAS2 5001",
+    ),
     "a mass of a bush": ("PBUSH,50,K,1.+5\n,,M,.5\nCBUSH,5001,50,3,4,,,,0\n", "masses must be .*, got CBUSH 5001"),
     "a pyramid": (
         "PSOLID,9,1\nGRID,9,,0.,0.,1.\nCPYRAM,5001,9,1,2,3,4,9\n",
@@ -159,6 +169,14 @@ def test_what_is_no_body_on_its_parent_is_refused_by_its_card(tmp_path: Path, na
     with pytest.raises(ValueError, match=rf"crane\.bdf: {message}") as caught:
         load(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_springs_in_a_joint_hold_nothing(tmp_path: Path) -> None:
+    """Between rotations about one axis of two grid points: no force in a rigid motion."""
+    written(tmp_path, frame())
+    whole = load(tmp_path)
+    written(tmp_path, frame(), "CELAS2,5001,1.+5,3,4,4,4\n")
+    same_body(load(tmp_path), whole, 1e-12)
 
 
 def test_the_equations_of_a_rigid_bar_hold_nothing(tmp_path: Path) -> None:

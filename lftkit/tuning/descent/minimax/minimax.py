@@ -120,6 +120,7 @@ class DescentState:
         return cls(**{**values, **arrays, "history": [(violation, value) for violation, value in values["history"]]})
 
 
+@checked
 def descend(
     source: DescentSource[L],
     x: FloatArray,

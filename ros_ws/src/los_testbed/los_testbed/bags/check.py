@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
 from los_testbed.config.exit_codes import ExitCode
@@ -249,13 +250,14 @@ class _Source:
         """Differences from the messages read, one sentence each."""
         known, read = self.topics, sum(self.read.values())
         found = [
-            f"{topic}: {self.name} counts {known.get(topic, 0)} messages, {self.read.get(topic, 0)} can be read"
+            f"{topic}: {self.name} counts {counted(known.get(topic, 0), 'message')}, "
+            f"{self.read.get(topic, 0)} can be read"
             for topic in (() if known is None else sorted({*known, *self.read}))
             if known is not None and known.get(topic, 0) != self.read.get(topic, 0)
         ]
         if self.total is None or self.total == read or (self.at_least and self.total < read):
             return found
-        return [*found, f"{self.name} counts {self.total} messages in all, {read} can be read"]
+        return [*found, f"{self.name} counts {counted(self.total, 'message')} in all, {read} can be read"]
 
 
 def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Mapping[str, Any]) -> list[_Source]:
@@ -293,7 +295,7 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     names = [source.name for source in sources if not source.at_least]
     if len(names) > NAMED:
         names[NAMED - 1 :] = [f"{len(names) - NAMED + 1} further summaries"]
-    text = f"{contents.topics.total()} messages of {len(contents.topics)} topics"
+    text = f"{counted(contents.topics.total(), 'message')} of {counted(len(contents.topics), 'topic')}"
     if not names:
         return BagCheckRow("counts", "none", text)
     return BagCheckRow(
@@ -309,7 +311,7 @@ def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[T
     if end.text:
         return BagCheckRow("end of the run", "early", end.text)
     if end.by_plan:
-        return BagCheckRow("end of the run", "agrees", f"as planned, after {end.done} ticks")
+        return BagCheckRow("end of the run", "agrees", f"as planned, after {counted(end.done, 'tick')}")
     return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")
 
 
@@ -317,8 +319,8 @@ def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     """Sums over the topics; what did not come is no damage of the bag."""
     lost = sum(found.lost or 0 for found in arrived.values())
     counts = {kind: sum(len(found.of(kind)) for found in arrived.values()) for kind in KINDS}
-    parts = [f"{count} {kind}{'s' * (count > 1)}" for kind, count in counts.items() if count]
-    text = ", ".join([*parts, *([f"{lost} message{'s' * (lost > 1)} not recorded"] if lost else [])])
+    parts = [counted(count, kind) for kind, count in counts.items() if count]
+    text = ", ".join([*parts, *([counted(lost, "message", " not recorded")] if lost else [])])
     return BagCheckRow("times of the messages", "none" if parts else "agrees", text or "no gap, stall or clock step")
 
 

@@ -79,15 +79,17 @@ def budget(
     from los_testbed.run.summary.worst_pointing_budget import members_of
     from pointing_analysis.budget.result_table import result_rows
     from pointing_analysis.budget.source_table import COLUMNS, source_rows
-    from pointing_analysis.budget.table_files import require_writable, write_rows
+    from pointing_analysis.budget.table_files import ENDINGS, require_writable, write_rows
     from pointing_analysis.budget.total import as_dict, evaluate
+    from pointing_analysis.report.paper import PAGES
     from pointing_analysis.report.pointing_budget_page import render_budget
 
     number("--members", members, 0, 100_000)
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
-    for path, what in ((output, "the page"), (table, "--table"), (sources, "--sources")):
+    outputs = ((output, "--output", PAGES), (table, "--table", ENDINGS), (sources, "--sources", ENDINGS))
+    for path, what, suffixes in outputs:
         if path is not None:
-            check_output(path, what)
+            check_output(path, what, suffixes=suffixes)
             require_writable(path)
 
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
 from los_testbed.run.summary.screen import Screen, say
@@ -66,7 +67,7 @@ def repair(
     with Progress("repair"):
         found = repair_bag(source, target, limit)
     console = Screen(stderr=json_)
-    say(console, f"{found.messages} messages of {len(found.copied)} topics copied")
+    say(console, f"{counted(found.messages, 'message')} of {counted(len(found.copied), 'topic')} copied")
     for sentence in found.sentences():
         say(console, sentence)
     say(console, f"bag     {target}")

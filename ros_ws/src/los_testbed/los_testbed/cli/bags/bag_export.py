@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
@@ -56,6 +57,6 @@ def export(
         found = signals_of(run, names)
         write_signals(found, output, mat_version)
     samples = {signal.name: len(signal.stamp) for signal in found}
-    say(Screen(stderr=json_), f"{len(samples)} topics, {sum(samples.values())} samples: {output}")
+    say(Screen(stderr=json_), f"{counted(len(samples), 'topic')}, {counted(sum(samples.values()), 'sample')}: {output}")
     if json_:
         print_json({"output": str(output), "samples": samples})

@@ -128,7 +128,7 @@ def _make(
     from titop_plant.telescope.load import load_telescope
 
     path = given_output(output, "a file for the design")
-    check_output(path, "--output")
+    check_output(path, "--output", suffixes=(".json",))
     telescope = load_telescope(file)
     name_unseen_requirements(telescope)
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
