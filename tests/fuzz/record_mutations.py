@@ -285,7 +285,7 @@ def _forged_content(found: list[Record], m: RecordMutation, _: list[Record]) -> 
     at = _choose_chunk(found, m.which)
     if at is None:
         return found
-    _, kind, data = chunk_of(found[at][1])
+    kind, data = chunk_of(found[at][1])[1:]
     before = unpacked(kind, data)
     if before is None:
         return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,8 @@ def test_a_run_of_the_worst_tone_keeps_the_limits(name: str, tmp_path: Path) -> 
 def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The member that is named has that total in a budget of its own, and no other has more."""
     folder = EXAMPLES / "small_telescope"
+    controllers = [shutil.copy(folder / name, tmp_path) for name in ("k_fsm.json", "k_pma.json")]
+    apart = ["--designs", str(Path(controllers[0]).parent), "--parameters", str(folder / "telescope.toml")]
     assert main(["budget", "--designs", str(folder), "--members", "1", "--json"]) == 0
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
     for row, at in zip(content["over_members"], content["requirements"], strict=True):
@@ -97,6 +100,6 @@ def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys
         own = tmp_path / "own.toml"
         text = 'unit = "mas"\n[sources.loop]\ntype = "testbed"\nscenario = "imbalance"\nloop = "fsm"\n'
         own.write_text(f"{text}[sources.loop.settings]\n{settings}\n")
-        assert main(["budget", str(own), "--designs", str(folder), "--json"]) == 0
+        assert main(["budget", str(own), *apart, "--json"]) == 0
         alone = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
         assert [r["total"] for r in alone if r["text"] == row["requirement"]] == pytest.approx([row["worst"]], rel=1e-6)

@@ -310,7 +310,7 @@ def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[T
     end = run_end(known, contents.covered_ticks(known, losses))
     if end.text:
         return BagCheckRow("end of the run", "early", end.text)
-    if end.by_plan:
+    if end.by_plan and end.done is not None:
         return BagCheckRow("end of the run", "agrees", f"as planned, after {counted(end.done, 'tick')}")
     return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.options.options import Designs, Gate, Json
+from los_testbed.cli.options.options import Designs, Gate, Json, TelescopeFile
 from los_testbed.cli.output import leave_by_gate, number, print_json
 from los_testbed.run.summary.screen import Screen, on_screen
 from pointing_analysis.formatting.number_text import digits, percent
@@ -65,6 +65,7 @@ def budget(
         Path | None, typer.Option(help="Sources file to write (.csv, .xlsx); it is a valid FILE.")
     ] = None,
     designs: Designs = None,
+    parameters: TelescopeFile = None,
     members: Annotated[
         int,
         typer.Option(help="Also evaluate this many random members of the telescope's family, and its worst points."),
@@ -93,7 +94,7 @@ def budget(
             require_writable(path)
 
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
-        return with_designs(table, designs) if designs else table
+        return with_designs(table, designs, parameters)
 
     def load(overlay: Overlay) -> PointingBudget:
         return budget_file.load_budget(

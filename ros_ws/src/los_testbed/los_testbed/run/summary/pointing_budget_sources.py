@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,8 +83,8 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     return found
 
 
-def with_designs(table: Mapping[str, Any], designs: str) -> dict[str, Any]:
-    """A table of type ``testbed`` for the telescope and controllers of a folder of designs.
+def with_designs(table: Mapping[str, Any], designs: str | None, parameters: Path | None = None) -> Mapping[str, Any]:
+    """A table of type ``testbed`` for the controllers of a folder of designs, and its telescope or that of a file.
 
     Its own settings win. A stage that the telescope does not have is its last one.
 
@@ -92,7 +93,10 @@ def with_designs(table: Mapping[str, Any], designs: str) -> dict[str, Any]:
     ValueError
         A controller is missing.
     """
-    settings = {**of_designs(designs), **dict(table.get("settings", {}))}
+    if designs is None and parameters is None:
+        return table
+    telescope_file = {} if parameters is None else {"parameters": str(parameters)}
+    settings = {**of_designs(designs or ""), **telescope_file, **dict(table.get("settings", {}))}
     telescope = RunParts(RunConfig.from_mapping(settings)).telescope
     stages, loop = telescope.stages, table.get("loop", RunConfig().loop)
     return {**table, "settings": settings, "loop": loop if loop in stages or loop not in STAGES else stages[-1]}
