@@ -28,9 +28,9 @@ help:
 	@echo "make test-further  more whole programs, foreign nodes and damage; CI has them, a quarter of an hour"
 	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"
-	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
+	@echo "make fuzz MINUTES=10  random damaged and forged bags, files and command lines"
 	@echo "make attacks MINUTES=10  runs beside random foreign nodes on their domain; CASES=200: so many instead"
-	@echo "make forgeries MINUTES=10  files of proofs and signed bags that are forged, and whether anything false is said"
+	@echo "make forgeries MINUTES=10  files of proofs that are forged, and whether anything false is said"
 	@echo "make faults MINUTES=10  runs with signals, full disks, too little memory ..., and what is left of them"
 	@echo "                SEED=N repeats what one of these four has found: they print it"
 	@echo "make stages     the four stages of control side by side"
@@ -109,7 +109,6 @@ attacks: $(EVERYTHING)
 
 forgeries: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/forge_proofs.py --minutes=$(MINUTES) $(SEED:%=--seed=%)
-	$(BIN)/python tests/fuzz/forged_bag_campaign.py --minutes=$(MINUTES) $(SEED:%=--seed=%)
 
 faults: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)

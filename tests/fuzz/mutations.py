@@ -6,7 +6,7 @@ import contextlib
 import io
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from hypothesis import strategies as st
@@ -15,13 +15,14 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from pointing_analysis.read.mcap.framing import Framing
-from pointing_analysis.read.mcap.records import MAGIC, RECORD
+from pointing_analysis.read.mcap.records import MAGIC, OP_MANIFEST, RECORD
 
 MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message's record."""
 
 Key = tuple[str, int]
 Content = tuple[int, int, bytes]
+Found = tuple[Key, Content]
 
 
 @dataclass(frozen=True)
@@ -149,22 +150,37 @@ def messages(data: bytes) -> dict[Key, Content]:
     return {(c.topic, m.sequence): (m.log_time, m.publish_time, m.data) for _, c, m in found}
 
 
+def seeking(data: bytes) -> Iterator[Found]:
+    """Messages that the mcap package gets by the summary."""
+    # in the order of time: in that of the file this reader takes all chunks before it gives the first message
+    for _, channel, m in make_reader(io.BytesIO(data)).iter_messages():
+        yield (channel.topic, m.sequence), (m.log_time, m.publish_time, m.data)
+
+
+def streaming(data: bytes) -> Iterator[Found]:
+    """Messages that it gets from the beginning to the end."""
+    topics: dict[int, str] = {}
+    for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            key = topics.get(record.channel_id, ""), record.sequence
+            yield key, (record.log_time, record.publish_time, record.data)
+
+
+def as_far_as_it_gets(found: Iterator[Found]) -> Iterator[Found]:
+    """What a reader of others gives before it fails, however it does."""
+    with contextlib.suppress(Exception):
+        yield from found
+
+
 def others_find(data: bytes, original: dict[Key, Content]) -> tuple[set[Key], set[Key]]:
     """Messages equal to the original's that the mcap package gets: by its seeking and by its streaming reader."""
-    seeking: set[Key] = set()
-    streaming: set[Key] = set()
-    with contextlib.suppress(Exception):  # whatever a reader of others raises on a damaged file
-        # in the order of time: in that of the file this reader takes all chunks before it gives the first message
-        for _, channel, message in make_reader(io.BytesIO(data)).iter_messages():
-            _keep(seeking, channel.topic, message, original)
-    channels: dict[int, str] = {}
-    with contextlib.suppress(Exception):
-        for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
-            if isinstance(record, Channel):
-                channels[record.id] = record.topic
-            elif isinstance(record, Message):
-                _keep(streaming, channels.get(record.channel_id, ""), record, original)
-    return seeking, streaming
+    first, second = (
+        {key for key, content in as_far_as_it_gets(reader(data)) if original.get(key) == content}
+        for reader in (seeking, streaming)
+    )
+    return first, second
 
 
 def others_get(data: bytes, original: dict[Key, Content]) -> int:
@@ -174,17 +190,14 @@ def others_get(data: bytes, original: dict[Key, Content]) -> int:
 
 def without_checksum(data: bytes, whole: bytes, keys: set[Key]) -> int:
     """How many of some messages of a whole file have no checksum in a damaged one any more: nobody can say if they are
-    right where the checksum of their chunk is not."""
+    right where the checksum of their chunk is not, or no manifest names it."""
     count = 0
+    manifests = b"".join(whole[begin:end] for begin, end in records(whole) if whole[begin] == OP_MANIFEST)
     for _, channel, m in make_reader(io.BytesIO(whole)).iter_messages(log_time_order=False):
         if (channel.topic, m.sequence) in keys:
             size = MESSAGE.size - RECORD.size + len(m.data)
             head = MESSAGE.pack(5, size, channel.id, m.sequence, m.log_time, m.publish_time)
-            count += zlib.crc32(head + m.data).to_bytes(4, "little") not in data
+            at = manifests.find(zlib.crc32(head + m.data).to_bytes(4, "little"))
+            # with what is beside it: four bytes alone are in a file of a megabyte by chance
+            count += manifests[max(at - 8, 0) : at + 4] not in data and manifests[at : at + 12] not in data
     return count
-
-
-def _keep(found: set[Key], topic: str, message: Message, original: dict[Key, Content]) -> None:
-    key = (topic, message.sequence)
-    if original.get(key) == (message.log_time, message.publish_time, message.data):
-        found.add(key)

@@ -100,24 +100,26 @@ def put_together(found: list[Record], trusted: bool) -> bytes:
     return MAGIC + b"".join(parts) + MAGIC
 
 
-def _text(text: str) -> bytes:
+def as_text(text: str) -> bytes:
+    """A text as MCAP writes it, with its length."""
     data = text.encode(errors="replace")
     return struct.pack("<I", len(data)) + data
 
 
-def _places(found: list[Record], *ops: int) -> list[int]:
+def places(found: list[Record], *ops: int) -> list[int]:
+    """Where the records of some types are."""
     return [i for i, (op, _) in enumerate(found) if op in ops]
 
 
 def _choose(found: list[Record], number: int, *ops: int) -> int | None:
-    places = _places(found, *ops)
-    return places[number % len(places)] if places else None
+    own = places(found, *ops)
+    return own[number % len(own)] if own else None
 
 
 def _choose_chunk(found: list[Record], number: int) -> int | None:
     """One of the chunks that an earlier change has left long enough to be taken apart."""
-    places = [i for i in _places(found, OP_CHUNK) if _is_chunk(found[i][1])]
-    return places[number % len(places)] if places else None
+    own = [i for i in places(found, OP_CHUNK) if _is_chunk(found[i][1])]
+    return own[number % len(own)] if own else None
 
 
 def _is_chunk(body: bytes) -> bool:
@@ -125,21 +127,45 @@ def _is_chunk(body: bytes) -> bool:
     return len(body) >= begin and len(body) >= begin + struct.unpack_from("<I", body, _CHUNK.size)[0] + 8
 
 
-def _chunk_of(body: bytes) -> tuple[tuple[int, ...], str, bytes]:
+def chunk_of(body: bytes) -> tuple[tuple[int, ...], str, bytes]:
+    """Head, compression and data of a chunk."""
     (length,) = struct.unpack_from("<I", body, _CHUNK.size)
     at = _CHUNK.size + 4 + length
     return _CHUNK.unpack_from(body), body[_CHUNK.size + 4 : at].decode(errors="replace"), body[at + 8 :]
 
 
 def _packed(head: tuple[int, ...], kind: str, data: bytes) -> bytes:
-    return _CHUNK.pack(*head) + _text(kind) + struct.pack("<Q", len(data)) + data
+    return _CHUNK.pack(*head) + as_text(kind) + struct.pack("<Q", len(data)) + data
+
+
+def chunk_with(body: bytes, content: bytes) -> bytes:
+    """The chunk with another content and a checksum that agrees."""
+    head = (*_CHUNK.unpack_from(body)[:2], len(content), zlib.crc32(content))
+    return _packed(head, "zstd", zstandard.compress(content))
+
+
+def inside(body: bytes) -> list[Record]:
+    """Type and content of each record in a whole chunk."""
+    _, kind, data = chunk_of(body)
+    content, found, at = unpacked(kind, data) or b"", [], 0
+    while at + RECORD.size <= len(content):
+        op, length = RECORD.unpack_from(content, at)
+        found.append((op, content[at + RECORD.size : at + RECORD.size + length]))
+        at += RECORD.size + length
+    return found
+
+
+def without_summary(found: list[Record]) -> list[Record]:
+    """The records up to the end of the data, and a footer that names no summary: nothing counts the messages then."""
+    end = max(places(found, OP_DATA_END), default=len(found) - 1)
+    return [*found[: end + 1], (OP_FOOTER, bytes(20))]
 
 
 def _compression(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
     """Another name of the compression over the same data."""
     at = _choose_chunk(found, m.which)
     if at is not None:
-        head, _old, data = _chunk_of(found[at][1])
+        head, _old, data = chunk_of(found[at][1])
         names = ("", "lz4", "zstd", "zst", "brotli", "ZSTD", m.text)
         found[at] = (OP_CHUNK, _packed(head, names[m.other % len(names)], data))
     return found
@@ -149,8 +175,8 @@ def _repacked(found: list[Record], m: RecordMutation, _: list[Record]) -> list[R
     """The same content, where it can be unpacked, under another compression: nothing is lost."""
     at = _choose_chunk(found, m.which)
     if at is not None:
-        head, kind, data = _chunk_of(found[at][1])
-        content = _content(kind, data)
+        head, kind, data = chunk_of(found[at][1])
+        content = unpacked(kind, data)
         if content is None:
             return found
         kind, pack = (("", bytes), ("lz4", lz4.frame.compress), ("zstd", zstandard.ZstdCompressor().compress))[
@@ -160,7 +186,7 @@ def _repacked(found: list[Record], m: RecordMutation, _: list[Record]) -> list[R
     return found
 
 
-def _content(kind: str, data: bytes) -> bytes | None:
+def unpacked(kind: str, data: bytes) -> bytes | None:
     """The data unpacked; None where an earlier change has given them the name of another compression."""
     try:
         if kind == "lz4":
@@ -174,7 +200,7 @@ def _chunk_head(found: list[Record], m: RecordMutation, _: list[Record]) -> list
     """Another time, size or checksum in the head of a chunk."""
     at = _choose_chunk(found, m.which)
     if at is not None:
-        head, kind, data = _chunk_of(found[at][1])
+        head, kind, data = chunk_of(found[at][1])
         fields, i = list(head), m.other % 4
         fields[i] = m.number % 2**32 if i == 3 else m.number
         found[at] = (OP_CHUNK, _packed(tuple(fields), kind, data))
@@ -228,7 +254,7 @@ def _summary_number(found: list[Record], m: RecordMutation, _: list[Record]) -> 
 
 def _foreign_summary(found: list[Record], m: RecordMutation, foreign: list[Record]) -> list[Record]:
     """The summary of another bag."""
-    mine, its = _places(found, OP_DATA_END), _places(foreign, OP_DATA_END)
+    mine, its = places(found, OP_DATA_END), places(foreign, OP_DATA_END)
     return found[: mine[-1] + 1] + foreign[its[-1] + 1 :] if mine and its else found
 
 
@@ -245,11 +271,11 @@ def _beside(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Rec
     name = names[m.which % len(names)] or m.text
     if m.other % 2:
         data = m.data * (20_000 if m.number % 3 == 0 else 1)
-        body = bytes(16) + _text(name) + _text(m.text) + struct.pack("<Q", len(data)) + data
+        body = bytes(16) + as_text(name) + as_text(m.text) + struct.pack("<Q", len(data)) + data
         record = (OP_ATTACHMENT, body + struct.pack("<I", zlib.crc32(body)))
     else:
-        table = _text(m.text) + _text(m.data.hex())
-        record = (OP_METADATA, _text(name) + struct.pack("<I", len(table)) + table)
+        table = as_text(m.text) + as_text(m.data.hex())
+        record = (OP_METADATA, as_text(name) + struct.pack("<I", len(table)) + table)
     found.insert(1 + m.other % len(found), record)
     return found
 
@@ -259,18 +285,17 @@ def _forged_content(found: list[Record], m: RecordMutation, _: list[Record]) -> 
     at = _choose_chunk(found, m.which)
     if at is None:
         return found
-    head, kind, data = _chunk_of(found[at][1])
-    unpacked = _content(kind, data)
-    if unpacked is None:
+    _, kind, data = chunk_of(found[at][1])
+    before = unpacked(kind, data)
+    if before is None:
         return found
-    content = bytearray(unpacked)
+    content = bytearray(before)
     place = m.number % (len(content) + 1) if m.other % 2 else m.other % 200
     if m.other % 3:
         content[place : place + len(m.data)] = m.data
     else:
         content[place:place] = RECORD.pack(KINDS_OF_RECORDS[m.which % len(KINDS_OF_RECORDS)], len(m.data)) + m.data
-    packed = zstandard.ZstdCompressor().compress(bytes(content))
-    found[at] = (OP_CHUNK, _packed((*head[:2], len(content), zlib.crc32(content)), "zstd", packed))
+    found[at] = (OP_CHUNK, chunk_with(found[at][1], bytes(content)))
     if at and found[at - 1][0] == OP_MANIFEST:
         del found[at - 1]
     return found

@@ -7,8 +7,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import zstandard
-from fuzz.record_mutations import Record, put_together, taken_apart
+from fuzz.record_mutations import Record, chunk_with, places, put_together, taken_apart
 from los_testbed.bags.writer import BagWriter
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
@@ -38,11 +37,6 @@ from pointing_analysis.read.mcap.records import (
 from pointing_analysis.read.run import Run
 
 TRUTH = "/telescope/truth/los"
-
-
-def places(found: list[Record], op: int) -> list[int]:
-    """Where the records of one type are."""
-    return [at for at, (kind, _) in enumerate(found) if kind == op]
 
 
 def right_places(found: list[Record]) -> list[Record]:
@@ -85,9 +79,7 @@ def scaled(body: bytes, topic: str = TRUTH, factor: float = 0.01, whole: bool = 
                 values *= factor
             elif whole:
                 content[start + HEAD + 16] ^= 1
-    data = zstandard.compress(bytes(content))
-    head = struct.pack("<QQQI", *struct.unpack_from("<QQ", body), len(content), zlib.crc32(content))
-    return head + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(data)) + data, bytes(content)
+    return chunk_with(body, bytes(content)), bytes(content)
 
 
 def forge(bag: Path, number: int = 1, whole: bool = False) -> None:

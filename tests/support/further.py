@@ -8,10 +8,7 @@ that are the first to look at a part. `.ci/run` has them all.
 from __future__ import annotations
 
 FURTHER = {
-    "fuzz/test_fuzz_bags.py": "damaged bags: unit/pointing_analysis/test_foreign_bags.py",
     "fuzz/test_fuzz_hostile_files.py": "hostile files: unit/los_testbed/cli/test_unusual_files.py",
-    "fuzz/test_fuzz_records.py": "damaged records: unit/los_testbed/bags/test_bag_repair_records.py",
-    "fuzz/test_repair_keeps_analysis.py": "repair: unit/los_testbed/bags/test_bag_repair.py",
     "integration/test_campaign_commands.py": "campaigns: unit/los_testbed/campaign/test_campaign_member.py",
     "integration/test_campaign_leaves_nothing.py": "the cluster: integration/test_campaign_cluster.py",
     "integration/test_campaign_tls_files.py": "the cluster: integration/test_campaign_cluster.py",

@@ -14,12 +14,12 @@ import yaml
 from cryptography.hazmat.primitives import serialization as pem
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
-from fuzz.record_mutations import put_together, taken_apart
+from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import TRUTH_LOS
-from support.forged_bags import forge, forge_with_manifest, places, without_chain
+from support.forged_bags import forge, forge_with_manifest, without_chain
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import OP_CHUNK, RefutedBagError

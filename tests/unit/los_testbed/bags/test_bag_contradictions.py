@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.record_mutations import put_together, taken_apart
+from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config.exit_codes import ExitCode
-from support.forged_bags import forge, places
+from support.forged_bags import forge
 
 from pointing_analysis.read.mcap.records import OP_MANIFEST
 from pointing_analysis.read.run import Run

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 import yaml
-from fuzz.record_mutations import put_together, taken_apart
+from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.check import BagCheck, BagCheckRow, check_bag
-from support.forged_bags import cut_short, places, with_metadata
+from support.forged_bags import cut_short, with_metadata
 
 from pointing_analysis.read.mcap.records import OP_STATISTICS
 from pointing_analysis.read.run import Run
