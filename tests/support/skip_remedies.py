@@ -36,8 +36,6 @@ REMEDIES = {
     "extra nastran": "install the extra: pip install 'los-testbed[nastran]'",
     "network namespaces are not permitted": "run as root (CAP_SYS_ADMIN) with iproute2: apt-get install iproute2",
     "user namespaces are not permitted": "allow them: sysctl user.max_user_namespaces, user.max_net_namespaces",
-    "time namespaces are not permitted": "run as root (CAP_SYS_ADMIN) on Linux 5.6 or later",
-    "not a clone": "run in a git clone: an archive of the source has no history to clone",
     "no unshare": "install the program: apt-get install util-linux",
     "only root can give rights up": "run as root with util-linux: apt-get install util-linux",
     "real time is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",

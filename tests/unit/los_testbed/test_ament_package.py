@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 import setuptools
-import yaml
-from los_testbed.config.run_config import RunConfig
 
 PACKAGE = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed"
 
@@ -40,10 +38,3 @@ def test_every_node_has_a_program_that_can_be_imported(described):
     for target in programs.values():
         module, function = target.split(":")
         assert callable(getattr(importlib.import_module(module), function))
-
-
-def test_the_configuration_that_ships_is_valid_and_default():
-    values = yaml.safe_load((PACKAGE / "config" / "run.yaml").read_text())["/**"]["ros__parameters"]
-    assert set(values) <= set(RunConfig.SETTINGS)
-    config = RunConfig.from_mapping(values)
-    assert config == RunConfig(wait_for_recorder=True)

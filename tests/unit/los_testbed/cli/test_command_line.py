@@ -12,9 +12,6 @@ from los_testbed.config.exit_codes import ExitCode
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lftkit.systems.ports import Port
-from lftkit.systems.sampled.sampled_system import SampledSystem
-
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
 
@@ -50,58 +47,6 @@ def test_options_beat_settings_which_beat_the_file(run):
     (run.files / "run.yaml").write_text("duration: 4.0\nseed: 5\nloop: fsm\n")
     config = configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
     assert (config.duration, config.seed, config.loop, config.theta) == (4.0, 6, "isolator", 0.5)
-
-
-def _system(path, D, inputs, outputs):
-    SampledSystem([], [], [], D, inputs, outputs, 1e-3).to_file(path)
-    return path
-
-
-def _bad_controllers(folder):
-    good = (folder / "k_fsm.json").read_text()
-    content = json.loads(good)
-    content["D"][0][0] = float("nan")
-    (folder / "nan.json").write_text(json.dumps(content))
-    content["D"][0][0] = 0.0
-    content["A"] = [[0.5]]
-    (folder / "shape.json").write_text(json.dumps(content))
-    (folder / "text.json").write_text("not a controller")
-    (folder / "other.json").write_text('{"format": "something"}')
-    _system(folder / "ports.json", np.zeros((1, 2)), (Port("u", 2),), (Port("y", 1),))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--duration=nan"], ["duration", "nan"]),
-        (["--mode=fast"], ["mode", "inprocess", "fast"]),
-        (["--set=seed"], ["NAME=VALUE", "'seed'"]),
-        (["--set=wheel_speed=[1, 2]"], ["wheel_speed", "hold 4 numbers", "2"]),
-        (["--no-such-option"], ["--no-such-option"]),
-        (["--k-fsm={files}/text.json"], ["text.json", "not a controller file"]),
-        (["--k-fsm={files}/other.json"], ["other.json", "not a controller file"]),
-        (["--k-fsm={files}/nan.json"], ["nan.json", "finite", "nan"]),
-        (["--k-fsm={files}/shape.json"], ["shape.json", "matrix B", "1 x 22", "2 x 22"]),
-        (["--k-fsm={files}/ports.json"], ["inputs must be accel_Ip[6]", "u[2]"]),
-        (["--output={files}"], ["exists already", "never overwritten"]),
-    ],
-)
-def test_a_mistake_is_one_line_exit_code_2_and_nothing_written(run, arguments, words):
-    _bad_controllers(run.files)
-    before = sorted(run.files.rglob("*"))
-    given = [a.format(files=run.files) for a in arguments]
-    named = {a.split("=")[0] for a in given}
-    rest = [c for c in run.controllers if c.split("=")[0] not in named]
-    rest += [] if "--mode" in named else ["--mode=inprocess"]
-    code, out, err = run("run", *rest, *given)
-    assert code == 2
-    assert out == ""
-    assert err.startswith("los-testbed: ")
-    assert err.count("\n") == 1
-    for word in words:
-        assert word in err
-    assert not list(run.here.iterdir())
-    assert sorted(run.files.rglob("*")) == before
 
 
 def test_a_gate_has_a_code_for_a_requirement_that_is_not_met_and_one_that_is_not_demonstrated(run, tmp_path):

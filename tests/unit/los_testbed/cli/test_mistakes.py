@@ -112,6 +112,19 @@ SHIPPED = design_file("k-fsm")
         (["replay", "{bag}", "--domain=999"], ["domain", "232", "999"]),
         (["replay", "{bag}", "--to-ros", "--timeout=inf"], ["--timeout", "inf"]),
         (["run", "--set=seed=.inf"], ["seed", "inf"]),
+        (["run", "--set=seed=1.5"], ["seed", "whole number", "1.5"]),
+        (["run", "--set=seed"], ["NAME=VALUE", "'seed'"]),
+        (["run", "--set=durtion=1"], ["unknown parameter 'durtion'", "duration"]),
+        (["run", "--set=duration=true"], ["duration", "a number", "True"]),
+        (["run", "--duration=0.0015"], ["whole number of milliseconds"]),
+        (["run", "--camera-rate=30"], ["camera_rate", "divide", "30"]),
+        (["run", "--set=loop=pma"], ["loop", "none, isolator, fsm, fsm+pma", "'pma'"]),
+        (["run", "--set=noise=1"], ["noise", "true or false", "1"]),
+        (["run", "--mode=fast"], ["mode", "inprocess", "fast"]),
+        (["run", "--no-such-option"], ["--no-such-option"]),
+        (["image", "noise", "--magnitudes=12", "--output=new"], ["--magnitudes must be two or more, got 1"]),
+        (["image", "noise", "--magnitudes=25,26", "--frames=10", "--output=new"], ["half of the frames, got 0"]),
+        (["image", "noise", "--exposures=-1", "--output=new"], ["camera.exposure must be above 0 s, got -1.0"]),
         (["run", "--set=seed=" + "9" * 400], ["seed", "digits"]),
         (["run", "--set=wheel_speed=" + "[" * 100], ["wheel_speed", "nested"]),
         (["run", "--duration=1e999"], ["duration"]),
@@ -186,15 +199,26 @@ def nested(depth: int) -> str:
     return "[" * depth + "]" * depth
 
 
-@pytest.mark.parametrize("text", ["9" * 400, nested(100_000), "1e999"])
-def test_odd_numbers_and_nesting_in_a_controller_name_the_file(
-    call: Call, made: Path, tmp_path: Path, text: str
+@pytest.mark.parametrize(
+    ("entry", "keys", "words"),
+    [
+        *((text, {}, ["odd.json"]) for text in ("9" * 400, nested(100_000), "1e999")),
+        ("NaN", {}, ["odd.json", "finite", "nan"]),
+        ("0.0", {"A": [[0.5]]}, ["odd.json", "matrix B", "1 x 22", "2 x 22"]),
+        ("0.0", {"inputs": [{"name": "u", "size": 22}]}, ["inputs must be accel_Ip[6]", "u[22]"]),
+        ("0.0", {"format": "something"}, ["odd.json", "not a controller file"]),
+    ],
+    ids=range(7),
+)
+def test_a_controller_that_cannot_be_used_is_named_by_its_file(
+    call: Call, made: Path, tmp_path: Path, entry: str, keys: dict[str, object], words: list[str]
 ) -> None:
-    content = json.loads((made / "k_fsm.json").read_text())
+    content = json.loads((made / "k_fsm.json").read_text()) | keys
     content["D"][0][0] = "ODD"
-    (tmp_path / "odd.json").write_text(json.dumps(content).replace('"ODD"', text))
+    (tmp_path / "odd.json").write_text(json.dumps(content).replace('"ODD"', entry))
     code, _, err = call("run", "--mode=inprocess", "--k-fsm=odd.json", f"--k-pma={made / 'k_pma.json'}")
-    assert code == 2 and one_line(err) and "odd.json" in err
+    assert code == 2 and one_line(err) and all(word in err for word in words)
+    assert [path.name for path in tmp_path.iterdir()] == ["odd.json"]
 
 
 def test_a_changed_letter_in_the_metadata_is_told_everywhere(call: Call, bag: Path, tmp_path: Path) -> None:

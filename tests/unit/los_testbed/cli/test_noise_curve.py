@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from support.command_line import refused
 
 from pointing_analysis.image.centroid import noise_equivalent_angle
 from pointing_analysis.image.noise_curve import NoiseCurve, NoisePoint, curve_for, load_curves, measure
@@ -97,18 +96,3 @@ def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
     with pytest.raises(ValueError, match=message) as refused:
         load_telescope(user(tmp_path, f'noise_curve = "curve.json"\n{camera}'))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--magnitudes", "12"], "--magnitudes must be two or more, got 1"),
-        (["--magnitudes", "25,26", "--frames", "10"], "two stars detected in half of the frames, got 0"),
-        (["--exposures", "-1"], "camera.exposure must be above 0 s, got -1.0"),
-    ],
-)
-def test_a_mistake_is_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert message in refused(capsys, "image", "noise", *arguments, "--output", tmp_path / "noise.json")
-    assert not (tmp_path / "noise.json").exists()

@@ -97,6 +97,8 @@ def option_of(name: str) -> typer.core.TyperOption:
 
 def test_the_values_below_are_those_of_all_settings() -> None:
     assert set(OTHER) == set(RunConfig.SETTINGS)
+    for name, own in RunConfig.SETTINGS.items():
+        assert bool(own.absent) == own.optional == (own.default is None), name
 
 
 @pytest.mark.parametrize("name", RunConfig.SETTINGS)

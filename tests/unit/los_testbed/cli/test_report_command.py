@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from command_line import CommandLine
+from command_line import CommandLine, refused
 
 from pointing_analysis.indices.synthetic import write_bag
 
@@ -21,17 +21,6 @@ def los(seconds: float, scale: float = 5.0) -> np.ndarray:
     return scale * MAS * RNG.standard_normal((round(1000 * seconds), 2))
 
 
-def refused(call, *arguments, words=()):
-    """One line, exit code 2, nothing written."""
-    code, out, err = call(*arguments)
-    assert code == 2, err
-    assert out == ""
-    assert err.startswith("los-testbed: ") and err.count("\n") == 1
-    for word in words:
-        assert word in err
-    assert not list(call.here.iterdir())
-
-
 def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> None:
     """As `run` and `analyse` do; of several bags with the name of the one that it is of."""
     told, quiet = (
@@ -45,10 +34,14 @@ def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> N
     assert code == 0 and "note: fsm: no start <is> known" in out
 
 
-def test_not_a_bag(call, tmp_path) -> None:
+def test_not_a_bag(call, tmp_path, capsys) -> None:
     (tmp_path / "text.mcap").write_text("this is no bag at all, whatever its name says")
-    refused(call, tmp_path / "text.mcap", words=["text.mcap", "must begin with"])
     (tmp_path / "empty").mkdir()
-    refused(call, tmp_path / "empty", words=["rosbag2 folder"])
     (tmp_path / "los.csv").write_text("t,x,y\n0,1,2\n")
-    refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --output PAGE"])
+    for name, words in (
+        ("text.mcap", ["text.mcap", "must begin with"]),
+        ("empty", ["rosbag2 folder"]),
+        ("los.csv", ["must be a bag", "got CSV", "analyse FILE --output PAGE"]),
+    ):
+        error = refused(capsys, "report", tmp_path / name)
+        assert all(word in error for word in words) and not list(call.here.iterdir())

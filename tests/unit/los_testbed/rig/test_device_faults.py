@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.device_contract import ACTIVE, ERROR, FINALIZED, DeviceError, Sample
+from los_testbed.parts.device_contract import ACTIVE, ERROR, FINALIZED, DeviceError
 from los_testbed.rig.emulator import Mirror, RigSettings
 from los_testbed.rig.serial import SerialRig
-from los_testbed.rig.supervisor import EVERY_TICK, Supervisor
+from los_testbed.rig.supervisor import Supervisor
 from los_testbed.rig.udp import UdpRig
 from los_testbed.rig.wire import Kind, encode
 
-from titop_plant.interface import COLUMNS, COMMANDS
+from titop_plant.interface import COMMANDS
 
 SUPPORT = Path(__file__).parents[3] / "support"
 PLANT = "simple_telescope:SimpleTelescope"
@@ -206,22 +206,6 @@ def test_a_rig_is_free_again_when_its_host_died_before_its_first_command(rig):
     supervisor.end()
 
 
-class Broken:
-    """A device whose methods fail."""
-
-    def __init__(self):
-        self.called = []
-
-    def __getattr__(self, name):
-        def method(*arguments):
-            self.called.append(name)
-            if name in ("read", "safe"):
-                raise OSError("the cable is out")
-            return {}
-
-        return method
-
-
 def test_the_rig_has_limits_of_its_own_and_a_resonance():
     mirror = Mirror(5e-3, RigSettings(rate=1.0, resonance=100.0, damping=0.1))
     step = np.array([1e-4, 0.0])
@@ -236,35 +220,3 @@ def test_the_rig_has_limits_of_its_own_and_a_resonance():
     assert slow[0] < 2e-3, "no more than 1 mrad in a tick, and its swing"
     mirror.stop()
     assert not mirror.step(np.zeros(2)).any()
-
-
-class Beating(Broken):
-    """Samples that come at about the deadline: two in one tick, none in the next; then one in each."""
-
-    def __init__(self):
-        super().__init__()
-        self.pattern = [0, 2, 1, 0, 2, 0, 2, 1, 0, *[1] * 300]
-        self.number = 0
-
-    def read(self, now_ns):
-        found = []
-        for _ in range(self.pattern.pop(0)):
-            self.number += 1
-            for port in EVERY_TICK:
-                size = COLUMNS[port].stop - COLUMNS[port].start
-                found.append(Sample(port, self.number, np.full(size, float(self.number))))
-        return found
-
-
-def test_a_tick_without_a_sample_gets_the_one_that_came_with_another():
-    device = Beating()
-    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"))
-    supervisor.open()
-    complete = [supervisor.read(1000) for _ in range(9)]
-    assert complete == [False, *[True] * 8]
-    used = []
-    for _ in range(300):
-        assert supervisor.read(1000)
-        used.append(supervisor.measurement[0])
-    assert set(np.diff(used)) <= {1.0, 2.0}, "in order, none twice"
-    assert used[-1] == device.number, "a sample that is not needed is given up: the newest is used again"

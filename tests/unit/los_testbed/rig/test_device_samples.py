@@ -230,3 +230,34 @@ def test_packets_of_before_the_run_that_come_late_are_in_no_count():
     assert read(3) is not None and reader.statistics() == {}
     read(8), read(7)
     assert reader.statistics() == {"packets_lost": "1", "packets_reordered": "1"}
+
+
+class Beating(Rig):
+    """Samples that come at about the deadline: two in one tick, none in the next; then one in each."""
+
+    def __init__(self):
+        super().__init__()
+        self.pattern = [0, 2, 1, 0, 2, 0, 2, 1, 0, *[1] * 300]
+        self.number = 0
+
+    def read(self, now_ns):
+        found = []
+        for _ in range(self.pattern.pop(0)):
+            self.number += 1
+            for port in EVERY_TICK:
+                size = COLUMNS[port].stop - COLUMNS[port].start
+                found.append(Sample(port, self.number, np.full(size, float(self.number))))
+        return found
+
+
+def test_a_tick_without_a_sample_gets_the_one_that_came_with_another():
+    device = Beating()
+    supervisor = watched(device)
+    complete = [supervisor.read(1000) for _ in range(9)]
+    assert complete == [False, *[True] * 8]
+    used = []
+    for _ in range(300):
+        assert supervisor.read(1000)
+        used.append(supervisor.measurement[0])
+    assert set(np.diff(used)) <= {1.0, 2.0}, "in order, none twice"
+    assert used[-1] == device.number, "a sample that is not needed is given up: the newest is used again"

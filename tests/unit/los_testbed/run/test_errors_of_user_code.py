@@ -121,17 +121,24 @@ def test_an_exception_while_it_is_made_names_its_place(
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("port", "name"), [("measurement[8]", "accel_M1[2]"), ("truth[1]", "[1]")])
+@pytest.mark.parametrize(
+    ("port", "name", "value"),
+    [
+        ("measurement[8]", "accel_M1[2]", "1e+308"),
+        ("measurement[12]", "accel_M2[0]", "nan"),
+        ("truth[1]", "[1]", "nan"),
+    ],
+)
 def test_a_value_that_no_telescope_has_is_named_and_the_bag_ends_before_it(
-    call: Call, module: Callable[..., str], tmp_path: Path, port: str, name: str
+    call: Call, module: Callable[..., str], tmp_path: Path, port: str, name: str, value: str
 ) -> None:
     body = "\nclass Plant(SimpleTelescope):\n    def step(self, command, measurement, truth):\n"
     body += "        tick = self._tick\n        super().step(command, measurement, truth)\n"
-    body += "        if tick >= 1500:\n            {port} = 1e308\n"
-    made = module(body, port=port)
+    body += "        if tick >= 1500:\n            {port} = {value}\n"
+    made = module(body, port=port, value=f'float("{value}")')
     code, out, err = call(*command("--plant", f"{made}:Plant"))
     assert code == 1 and out == "" and err.count("\n") == 1, err
-    assert f"at tick 1500 the {port.partition('[')[0]} {name} is 1e+308" in err
+    assert f"at tick 1500 the {port.partition('[')[0]} {name} is {value}" in err
     run = Run.open(tmp_path / "bag")
     assert len(run["truth/los"]) == 1500
     assert any("tick 1500" in problem for problem in summarise(run).problems)

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from los_testbed.cli import app
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.loop.closed_loop import LoopDivergedError
-from los_testbed.run.loop.contract import RunFailedError
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 from support.command_line import refused
 
 from lftkit.errors import InputError
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.summary import scenario_of, summarise
+from pointing_analysis.requirements.summary import scenario_of
 
 
 class Own(SimpleTelescope):
@@ -62,23 +60,6 @@ def test_a_broken_contract_is_named_before_the_run(tmp_path: Path, fault: Any, w
         run_in_process(config, tmp_path / "bag", Own(fault))
     assert all(word in str(told.value) for word in words)
     assert not (tmp_path / "bag").exists()
-
-
-def test_a_plant_that_fails_leaves_a_bag_that_says_where(tmp_path: Path) -> None:
-    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(tmp_path))
-    with pytest.raises(RunFailedError, match="plant failed at tick 2345: ZeroDivisionError: own mistake"):
-        run_in_process(config, tmp_path / "bag", Own(raises, 2345))
-    run = Run.open(tmp_path / "bag")
-    assert len(run["truth/los"]) == 2345
-    found = summarise(run)
-    assert any("failed at tick 2345" in problem for problem in found.problems)
-
-
-def test_a_value_that_is_not_finite_is_named_with_tick_and_port(tmp_path: Path) -> None:
-    config = RunConfig(duration=3.0, mode="inprocess", **write_controllers(tmp_path))
-    with pytest.raises(LoopDivergedError, match=r"tick 1500 the measurement accel_M2\[0\] is nan"):
-        run_in_process(config, tmp_path / "bag", Own(nan("measurement", 12), 1500))
-    assert any("tick 1500" in problem for problem in summarise(Run.open(tmp_path / "bag")).problems)
 
 
 MODULE = """
