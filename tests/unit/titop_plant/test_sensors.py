@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lftkit import Port
-from titop_plant.interface import ACCELEROMETERS, COLUMNS, MEASURED
-from titop_plant.sensors import SensorEntry
+from titop_plant.interface import ACCELEROMETERS, COLUMNS, HELD, HELD_PARTS, MEASURED, period_ticks, sample_ticks
+from titop_plant.sensors import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.load import load_telescope
 
 TABLE: dict[str, Any] = {
@@ -44,6 +44,15 @@ def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(telescope) -> None:
     ratio = telescope.loop_ports.reference.noise_of_ticks(25) / telescope.loop_ports.reference.noise
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2
+
+
+def test_columns_and_ticks_follow_from_the_table() -> None:
+    assert tuple(entry.port.name for entry in MEASURED_SENSORS) == MEASURED
+    groups = [entry.group for entry in MEASURED_SENSORS]
+    assert groups[: len(ACCELEROMETERS)] == ["accelerometers"] * len(ACCELEROMETERS)
+    assert "accelerometers" not in groups[len(ACCELEROMETERS) :]
+    assert HELD.tolist() == [18, 19] and HELD_PARTS["camera_los"] == slice(0, 2)
+    assert sample_ticks() == {"camera_los": 20} and sample_ticks(7) == {"camera_los": 7} and period_ticks(7) == 7
 
 
 @pytest.mark.parametrize(
