@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -12,7 +11,7 @@ pytest.importorskip("rclpy")
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_faults import run_with_fault
-from ros_runs import PLANT, assert_plant_is_recorded, config_for
+from ros_runs import PLANT, assert_plant_is_recorded, config_for, until
 
 from pointing_analysis.read.run import Run
 
@@ -29,10 +28,7 @@ def until_replaced(name):
     def fault(runner):
         before = runner.processes[name]
         os.kill(before, signal.SIGTERM)
-        end = time.monotonic() + 200
-        while runner.processes[name] == before or (name, "ready") not in runner._seen:
-            assert time.monotonic() < end, f"no other {name}"
-            time.sleep(0.02)
+        until(lambda: runner.processes[name] != before and (name, "ready") in runner._seen, f"no other {name}")
 
     return fault
 

@@ -11,13 +11,10 @@ pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config.topics import image_topic
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.runner import Runner
 from rclpy.serialization import deserialize_message
-from ros_runs import config_for, topic_hashes
+from ros_runs import config_for, lockstep_and_alone
 
 from pointing_analysis.read.messages.message_types import IMAGE
-from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 
@@ -44,11 +41,8 @@ def test_lockstep_has_the_bytes_of_one_process(tmp_path: Path) -> None:
     config = config_for(
         tmp_path, mode="lockstep", duration=0.5, start="steady", seed=5, parameters=parameters(tmp_path)
     )
-    results = Runner(config, lambda ticks: None).run()
-    run_in_process(config, tmp_path / "alone")
-    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
-    assert ours["/telescope/camera/image"][0] == 25
-    assert {topic: ours[topic] for topic in theirs if topic in ours} == theirs
-    counts = [Run.open(bag).parameters["statistics"]["plant"] for bag in (results.bag, tmp_path / "alone")]
+    hashes, *runs = lockstep_and_alone(config, tmp_path)
+    assert hashes["/telescope/camera/image"][0] == 25
+    counts = [run.parameters["statistics"]["plant"] for run in runs]
     ours, theirs = ({key: c[key] for key in c if key.startswith("frames")} for c in counts)
     assert ours == theirs and ours["frames"] == "25" and ours["frames_before_start"] == "2"

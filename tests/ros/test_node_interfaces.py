@@ -23,7 +23,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_runs import PLANT, config_for
+from ros_runs import PLANT, config_for, until
 
 pytestmark = pytest.mark.ros
 
@@ -177,10 +177,7 @@ def test_nodes_end_when_their_runner_is_killed(tmp_path):
     finally:
         runner.kill()
         runner.communicate()
-    end = time.monotonic() + 60
-    while any(os.path.exists(f"/proc/{pid}") for pid in children) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not [pid for pid in children if os.path.exists(f"/proc/{pid}")]
+    until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in children), "nodes are left")
 
 
 def _children(pid):

@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.runner import Runner
-from ros_runs import config_for, topic_hashes
+from ros_runs import config_for, lockstep_and_alone
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -28,8 +26,5 @@ def test_lockstep_has_the_bytes_of_one_process(tmp_path: Path, monkeypatch: pyte
         parameters=str(EXAMPLES / "spacecraft/damper_at_an_array.toml"),
         k_pma="classes_for_a_run:DampedRoot",
     )
-    results = Runner(config, lambda ticks: None).run()
-    run_in_process(config, tmp_path / "alone")
-    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
-    assert ours["/telescope/actuator/damper/command"][0] == ours["/telescope/sensor/root"][0] == 300
-    assert {topic: ours[topic] for topic in theirs if topic in ours} == theirs
+    hashes, *_ = lockstep_and_alone(config, tmp_path)
+    assert hashes["/telescope/actuator/damper/command"][0] == hashes["/telescope/sensor/root"][0] == 300

@@ -8,11 +8,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.runner import Runner
-from ros_runs import config_for, topic_hashes
-
-from pointing_analysis.read.run import Run
+from ros_runs import config_for, lockstep_and_alone
 
 pytestmark = pytest.mark.ros
 
@@ -42,11 +38,5 @@ def test_a_ramp_in_lockstep_has_the_bytes_of_the_ramp_in_one_process(profile: st
         (tmp_path / "profile.csv").write_text(TABLE, "utf-8")
         moves = {"profile": str(tmp_path / "profile.csv")}
     config = config_for(tmp_path, mode="lockstep", scenario="ramp", duration=0.4, start="steady", seed=5, **moves)
-    results = Runner(config, lambda ticks: None).run()
-    run_in_process(config, tmp_path / "alone")
-    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
-    loop = [topic for topic in theirs if topic in ours]
-    assert len(loop) >= 8 and ours["/telescope/truth/los"][0] == 400
-    assert {topic: ours[topic] for topic in loop} == {topic: theirs[topic] for topic in loop}
-    motions = [Run.open(bag).parameters["motion"] for bag in (results.bag, tmp_path / "alone")]
-    assert motions[0] == motions[1]
+    hashes, ours, theirs = lockstep_and_alone(config, tmp_path)
+    assert hashes["/telescope/truth/los"][0] == 400 and ours.parameters["motion"] == theirs.parameters["motion"]

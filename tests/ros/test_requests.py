@@ -5,6 +5,7 @@ import rclpy
 from los_testbed.nodes.support.requests import Requests
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from ros_runs import until
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
@@ -22,16 +23,6 @@ def nodes():
     rclpy.try_shutdown(context=context)
 
 
-def _until(condition, tries=6000):
-    import time
-
-    for _ in range(tries):
-        if condition():
-            return True
-        time.sleep(0.01)
-    return False
-
-
 def test_a_request_waits_until_the_executor_has_answered_it(nodes):
     server, user = nodes
     requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
@@ -47,7 +38,7 @@ def test_a_request_waits_until_the_executor_has_answered_it(nodes):
     client = user.create_client(Trigger, "/server/go")
     assert client.wait_for_service(60.0)
     future = client.call_async(Trigger.Request())
-    assert _until(requests.waiting)
+    until(requests.waiting)
     assert requests.waiting(), "asking does not take it"
     executor.spin_once(timeout_sec=0.0)
     assert not requests.waiting()

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("std_srvs")
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, config_for
+from ros_runs import PLANT, config_for, until
 from std_srvs.srv import Trigger
 from user_node import UserNode
 
@@ -40,13 +39,6 @@ def control(runner, *requests):
     return [(process.returncode, text) for process, text in zip(started, told)]
 
 
-def await_ticks(runner, condition, timeout=120.0):
-    end = time.monotonic() + timeout
-    while not condition(runner.ticks_done):
-        assert time.monotonic() < end, f"{runner.ticks_done} ticks after {timeout:g} s"
-        time.sleep(0.005)
-
-
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """Bytes of a run that nobody touches."""
@@ -70,16 +62,16 @@ def served(tmp_path_factory):
             found["waiting"] = {name: ask(user, name) for name in ("stop", "reset")}
             found["ticks before the start"] = runner.ticks_done
             found["start"] = ask(user, "start")
-            await_ticks(runner, lambda ticks: ticks >= 300)
+            until(lambda: runner.ticks_done >= 300)
             found["running"] = ask(user, "start")
             found["commands"] = control(runner, ["reset", "--at", "0.001"], ["stage", "isolator"])
             user.remote.change("noise", False)
             ticks = runner.ticks_done
-            await_ticks(runner, lambda done: done >= ticks + 300)
+            until(lambda: runner.ticks_done >= ticks + 300)
             found["reset"] = ask(user, "reset")
-            await_ticks(runner, lambda done: done == 0)
+            until(lambda: runner.ticks_done == 0)
             found["start again"] = ask(user, "start")
-            await_ticks(runner, lambda ticks: ticks >= PLAIN_TICKS + 200)
+            until(lambda: runner.ticks_done >= PLAIN_TICKS + 200)
             found["stage after the reset"] = user.dump("controller")["loop"]
             found["stop"] = ask(user, "stop")
         except BaseException as error:

@@ -14,7 +14,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 import simple_telescope
-from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -24,6 +23,7 @@ from ros_runs import (
     assert_plant_is_recorded,
     config_for,
     judged_at_pace,
+    lockstep_and_alone,
     span_of,
     topic_hashes,
 )
@@ -61,13 +61,9 @@ def test_every_sample_of_every_topic_is_in_the_bag(real_time):
 
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):
-    (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.1, seed=4, camera_dropout=0.2)
-    Runner(config, commands={"plant": PLANT}).run()
-    run_in_process(config, tmp_path / "inprocess", SimpleTelescope(seed=4, dropout=0.2))
-    ours, theirs = topic_hashes(tmp_path / "lockstep" / "bag"), topic_hashes(tmp_path / "inprocess")
-    assert ours == theirs
-    assert ours["/telescope/fsm/command"][0] == 1100
+    config = config_for(tmp_path, mode="lockstep", duration=1.1, seed=4, camera_dropout=0.2)
+    hashes, *_ = lockstep_and_alone(config, tmp_path, SimpleTelescope(seed=4, dropout=0.2))
+    assert hashes["/telescope/fsm/command"][0] == 1100 and hashes == topic_hashes(tmp_path / "alone")
 
 
 SECOND = f"""

@@ -17,7 +17,7 @@ from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 from ros_faults import diagnostics, run_with_fault
-from ros_runs import PLANT, assert_plant_is_recorded, config_for, span_of
+from ros_runs import PLANT, assert_plant_is_recorded, config_for, span_of, until
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import unsent
@@ -38,10 +38,7 @@ def false_report():
 
 def await_report(runner, topic):
     """Wait until the runner knows of the second publisher: during the run, not after it."""
-    end = time.monotonic() + 60.0
-    while not any(line.startswith(f"{topic} ") for line in runner.results.failures):
-        assert time.monotonic() < end, f"nothing is said of {topic}"
-        time.sleep(0.005)
+    until(lambda: any(line.startswith(f"{topic} ") for line in runner.results.failures), f"nothing is said of {topic}")
 
 
 def intrude(runner):
@@ -49,10 +46,7 @@ def intrude(runner):
     rogue = Bystander(runner.domain, (FSM_COMMAND, TRUTH_LOS), [TRUTH_LOS])
     reports = [rogue.node.create_publisher(DiagnosticArray, name, 100) for name in ("/diagnostics", OWN)]
     try:
-        end = time.monotonic() + 60.0
-        while reports[1].get_subscription_count() < 1:
-            assert time.monotonic() < end, "nobody hears the reports"
-            time.sleep(0.05)
+        until(lambda: reports[1].get_subscription_count() >= 1, "nobody hears the reports")
         time.sleep(0.3)
         for topic in ("/telescope/truth/los", "/telescope/fsm/command", OWN):
             await_report(runner, topic)

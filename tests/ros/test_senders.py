@@ -14,7 +14,7 @@ from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_runs import private_domain
+from ros_runs import private_domain, until
 from std_srvs.srv import Trigger
 
 from pointing_analysis.read.messages.message_types import VECTOR3
@@ -35,14 +35,6 @@ def nodes():
     for node in made:
         node.destroy_node()
         node.context.shutdown()
-
-
-def until(condition, timeout=30.0):
-    end = time.monotonic() + timeout
-    while not (found := condition()):
-        assert time.monotonic() < end, "nothing came"
-        time.sleep(0.002)
-    return found
 
 
 def test_each_message_comes_with_the_identifier_of_its_publisher(nodes):

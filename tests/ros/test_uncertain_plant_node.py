@@ -10,10 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.config.members import random_member
-from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment
-from los_testbed.run.runner import Runner
-from ros_runs import config_for, private_domain, topic_hashes
+from ros_runs import config_for, lockstep_and_alone, private_domain
 
 pytestmark = pytest.mark.ros
 
@@ -40,10 +38,6 @@ def test_a_node_outside_the_family_says_so_and_ends(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_random_member_in_lockstep_is_the_one_in_one_process(tmp_path: Path) -> None:
     """Same bytes on every topic: the parameters reach the node whole."""
-    config = config_for(tmp_path, mode="lockstep", duration=0.5, start="steady", **random_member(5))
-    results = Runner(config, lambda ticks: None).run()
-    run_in_process(config, tmp_path / "alone")
-    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
-    loop = [topic for topic in theirs if topic in ours]
-    assert len(loop) >= 8
-    assert {topic: ours[topic] for topic in loop} == {topic: theirs[topic] for topic in loop}
+    lockstep_and_alone(
+        config_for(tmp_path, mode="lockstep", duration=0.5, start="steady", **random_member(5)), tmp_path
+    )

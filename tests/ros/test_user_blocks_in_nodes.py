@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, config_for, topic_hashes
+from ros_runs import PLANT, config_for, lockstep_and_alone
 from user_code import STORED_LAW
 
 from pointing_analysis.read.run import Run
@@ -88,11 +87,7 @@ def settings(module: str, **more: object) -> dict[str, object]:
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path: Path, module: str) -> None:
     config = config_for(tmp_path, mode="lockstep", duration=0.5, **settings(module))
-    results = Runner(config, lambda ticks: None).run()
-    run_in_process(config, tmp_path / "alone")
-    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
-    assert ours == theirs
-    assert ours["/telescope/pma/command"][0] == 500
+    assert lockstep_and_alone(config, tmp_path)[0]["/telescope/pma/command"][0] == 500
 
 
 def test_a_value_that_is_not_finite_ends_the_run_and_names_tick_and_port(tmp_path: Path, module: str) -> None:

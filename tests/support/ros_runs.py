@@ -5,10 +5,15 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
 from support.unjudged import judged
@@ -18,6 +23,8 @@ from titop_plant.interface import TICK_NS
 
 PLANT_TOPICS = ("truth/los", "isolator/accel", "m1/accel", "m2/accel", "fsm/strain_gauge")
 """Topics that the plant sends at every tick."""
+
+Hashes = dict[str, tuple[int, str]]
 
 PLANT = [sys.executable, str(Path(__file__).with_name("simple_telescope.py"))]
 
@@ -41,6 +48,29 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         **write_controllers(folder),
     }
     return RunConfig.from_mapping({**base, **values})
+
+
+def until(condition: Callable[[], Any], what: str = "nothing came", seconds: float = 200.0) -> Any:
+    """What a condition gives as soon as it is true."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, what
+        time.sleep(0.005)
+    return found
+
+
+def lockstep_and_alone(
+    config: RunConfig, folder: Path, plant: Any = None
+) -> tuple[dict[str, tuple[int, str]], Run, Run]:
+    """A run of four processes in lockstep has the bytes of the run in one process, on all topics of this one.
+
+    Returns what :func:`topic_hashes` has of it, and both bags.
+    """
+    bag = Runner(config, commands={} if plant is None else {"plant": PLANT}).run().bag
+    run_in_process(config, folder / "alone", plant)
+    ours, theirs = topic_hashes(bag), topic_hashes(folder / "alone")
+    assert {topic: ours[topic] for topic in theirs if topic in ours} == theirs and len(theirs) >= 8
+    return ours, Run.open(bag), Run.open(folder / "alone")
 
 
 def span_of(run: Run) -> np.ndarray:
@@ -107,7 +137,7 @@ def assert_plant_is_recorded(run: Run, ticks: int, frame_ticks: int = 20, *, joi
             assert after.sum() - (found >= found_all).sum() <= 0.2 * after.sum(), name
 
 
-def topic_hashes(bag: Path) -> dict[str, tuple[int, str]]:
+def topic_hashes(bag: Path) -> Hashes:
     """Number of messages and hash of all their bytes, topic by topic."""
     hashes: dict[str, tuple[int, hashlib._Hash]] = {}
     with next(bag.glob("*.mcap")).open("rb") as stream:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from scipy import linalg
 
@@ -88,11 +86,3 @@ def small_family() -> System:
     D = np.pad(plant.D, ((1, 0), (1, 0)))
     stiffness = RealParameter("stiffness", 1.0, -5.0, 200.0)
     return System(plant.A, B, C, D, INPUTS, OUTPUTS, channels=("stiffness",), elements=(stiffness,))
-
-
-class SmallFamily:
-    """The small plant over its stiffness: stands in for an uncertain system."""
-
-    def at(self, values: Mapping[str, float]) -> System:
-        """The plant at a parameter point."""
-        return small_plant(values.get("stiffness", 1.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -10,8 +9,6 @@ import numpy as np
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
-
-worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 
 OPEN = System.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
 

@@ -25,76 +25,54 @@ from titop_plant.simulation.sensor_samples import SensorModel
 STAGES = ("none", "isolator", "fsm", "fsm+pma")
 
 
-@pytest.mark.parametrize("frame_ticks", [1, 5, 20])
+@pytest.mark.parametrize(
+    ("frame_ticks", "delays"),
+    [(1, Delays()), (5, Delays()), (20, Delays()), (20, Delays(2, 0)), (20, Delays(0, 7)), (20, Delays(3, 19))],
+)
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("basis", [{"los_sensitivity": 0.125}, {}])
-def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame_ticks: int, basis: dict) -> None:
+def test_the_matrices_step_like_plant_estimator_and_controller(
+    stage: str, frame_ticks: int, delays: Delays, basis: dict
+) -> None:
     """From a random state, with a constant error on every sensor in the place of noise.
 
-    The mirror law divides by the sensitivity of the observer's file, else by that of the telescope, here 0.2.
+    The mirror law divides by the sensitivity of the observer's file, else by that of the telescope, here 0.2. With the
+    delays of a rig commands are on their way, and frames are used late, corrected by the motion of the mirror since
+    (with the telescope's sensitivity): the error of the correction is that of two samples of the gauges.
     """
     data, (k_fsm, k_pma) = small_plant(), small_controllers()
-    k_fsm = replace(k_fsm, design_basis=basis)
+    k_fsm, of_telescope = replace(k_fsm, design_basis=basis), 0.2
     rng = np.random.default_rng(0)
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
     plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
-    estimator, controller = (
-        LosEstimator(k_fsm),
-        FsmPmaController(
-            k_pma, stage, los_sensitivity=basis.get("los_sensitivity", 0.2), fsm_authority=1e9, pma_authority=1e9
-        ),
-    )
-    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, 0.2), frame_ticks=frame_ticks)
-    z: FloatArray = np.zeros(len(loop.hold))
-    z[:10] = state
-    measured, estimate, command, los = np.zeros(22), np.zeros(2), np.zeros(8), np.zeros(2)
-    for k in range(60):
-        assert z[10:18] == pytest.approx(command, rel=1e-9, abs=1e-12)
-        plant.step(command, measured, los)
-        assert loop.truth @ z == pytest.approx(los, rel=1e-9, abs=1e-12)
-        estimator.step(measured, estimate)
-        controller.step(estimate, measured[:6], command)
-        A, N = (loop.hold, loop.noise_hold) if k % frame_ticks else (loop.frame, loop.noise_frame)
-        z = A @ z + N @ error
-    assert (stage == "fsm+pma") == bool(np.any(command[2:])) and (stage in STAGES[:2]) == (not np.any(command[:2]))
-    assert (loop.frame_ticks, loop.plant_order) == (frame_ticks, 10)
-
-
-@pytest.mark.parametrize("delays", [Delays(2, 0), Delays(0, 7), Delays(3, 19)])
-def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
-    """Commands on their way, and frames that are used late, corrected by the motion of the mirror since.
-
-    The sensors have a constant error, so that the correction has that of two samples of the gauges.
-    """
-    data, (k_fsm, k_pma), sensitivity = small_plant(), small_controllers(), 0.2
-    k_fsm = replace(k_fsm, design_basis={})
-    rng = np.random.default_rng(0)
-    error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
-    sensors = SensorModel(np.zeros(22), error, 20, 0.0, 0)
-    plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
     estimator = LosEstimator(k_fsm)
-    controller = FsmPmaController(k_pma, "fsm+pma", los_sensitivity=sensitivity, fsm_authority=1e9, pma_authority=1e9)
-    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, "fsm+pma", sensitivity), frame_ticks=20, delays=delays)
+    of_law = basis.get("los_sensitivity", of_telescope)
+    controller = FsmPmaController(k_pma, stage, los_sensitivity=of_law, fsm_authority=1e9, pma_authority=1e9)
+    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, of_telescope), frame_ticks=frame_ticks, delays=delays)
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, los = np.zeros(22), np.zeros(2), np.zeros(2)
     under_way = deque(np.zeros(8) for _ in range(1 + delays.commands))
     frame: FloatArray = np.zeros(2)
     for k in range(100):
-        plant.step(under_way.popleft(), measured, los)
+        applied = under_way.popleft()
+        assert delays.commands or z[10:18] == pytest.approx(applied, rel=1e-9, abs=1e-12)
+        plant.step(applied, measured, los)
         assert loop.truth @ z == pytest.approx(los, rel=1e-9, abs=1e-12)
         if delays.frames:
-            if k % 20 == 0:
-                frame = measured[CAMERA] - sensitivity * measured[FSM_ANGLE]
-            due = k >= delays.frames and k % 20 == delays.frames
-            measured[CAMERA] = frame + sensitivity * measured[FSM_ANGLE] if due else np.nan
+            if k % frame_ticks == 0:
+                frame = measured[CAMERA] - of_telescope * measured[FSM_ANGLE]
+            due = k >= delays.frames and k % frame_ticks == delays.frames
+            measured[CAMERA] = frame + of_telescope * measured[FSM_ANGLE] if due else np.nan
         estimator.step(measured, estimate)
         command = np.zeros(8)
         controller.step(estimate, measured[:6], command)
         under_way.append(command)
         A, N = loop.at(k)
         z = A @ z + N @ error
+    assert (stage == "fsm+pma") == bool(np.any(command[2:])) and (stage in STAGES[:2]) == (not np.any(command[:2]))
+    assert (loop.frame_ticks, loop.plant_order) == (frame_ticks, 10)
 
 
 def test_a_frame_that_is_later_than_the_next_one_is_refused() -> None:

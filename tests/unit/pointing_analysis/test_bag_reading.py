@@ -224,20 +224,6 @@ def test_memory_limit(tmp_path: Path, signals) -> None:
 # -- bad input ---------------------------------------------------------------------------------------------------
 
 
-def test_not_a_bag(tmp_path: Path) -> None:
-    file = tmp_path / "x.mcap"
-    file.write_text("hello, this is no bag at all")
-    with pytest.raises(BagError, match="an MCAP file must begin with"):
-        Run.open(file)
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(BagError, match=r"must hold \.mcap files, got none"):
-        Run.open(tmp_path / "folder")
-    empty = tmp_path / "empty.mcap"
-    empty.write_bytes(b"")
-    with pytest.raises(BagError, match="got b''"):
-        Run.open(empty)
-
-
 def test_two_plants_in_one_bag(tmp_path: Path) -> None:
     los = np.random.default_rng(0).standard_normal((100, 2))
     a = write_bag(tmp_path / "a", {"/one/truth/los": los})

@@ -31,7 +31,6 @@ from titop_plant.telescope.load import load_telescope
 
 MASS = from_inertia(5.0, np.eye(3), [0.1, 0.0, 0.0])
 TURNED = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-MIRRORED = np.diag([1.0, 1.0, -1.0])
 
 
 def panel(**changes: Any) -> ModalData:

@@ -76,12 +76,15 @@ def test_both_sides_for_other_tolerances(rtol: float) -> None:
     check(near_the_circle(np.random.default_rng(3)), rtol)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_pole_at_one_or_minus_one_to_nine_digits(side: float) -> None:
-    """1 / (z - a) has the norm 1 / (1 - |a|), which the double holds to its last digit."""
-    a = side * (1.0 - 1e-9)
-    norm = hinf_norm([[a]], [[1.0]], [[1.0]], [[0.0]], dt=1.0)
+@pytest.mark.parametrize("dt", [1.0, 0.01])
+@pytest.mark.parametrize("inside", [0.1, 1e-9])
+@pytest.mark.parametrize(("side", "omega"), [(1.0, 0.0), (-1.0, np.pi)])
+def test_pole_at_one_or_minus_one_to_nine_digits(side: float, omega: float, inside: float, dt: float) -> None:
+    """1 / (z - a) has the norm 1 / (1 - |a|) at z = 1 or z = -1, which the double holds to its last digit."""
+    a = side * (1.0 - inside)
+    norm = hinf_norm([[a]], [[1.0]], [[1.0]], [[0.0]], dt=dt)
     exact = 1.0 / (1.0 - abs(a))
+    assert norm.omega == pytest.approx(omega / dt)
     assert norm.value == pytest.approx(exact, rel=1e-12) and exact <= norm.upper <= exact * (1 + 1.01e-7)
 
 

@@ -53,15 +53,6 @@ def test_peak_of_a_matrix_with_feedthrough(certificate: str) -> None:
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.01])
-@pytest.mark.parametrize(("a", "omega"), [(0.9, 0.0), (-0.9, np.pi)])
-def test_discrete_lag(dt: float, a: float, omega: float) -> None:
-    """1 / (z - a) is largest at z = 1 or z = -1."""
-    norm = hinf_norm([[a]], [[1.0]], [[2.0]], [[0.0]], dt=dt)
-    assert norm.value == pytest.approx(20.0, rel=1e-12) and norm.omega == pytest.approx(omega / dt)
-    assert norm.value <= norm.upper <= norm.value * (1 + 1.01e-7)
-
-
-@pytest.mark.parametrize("dt", [1.0, 0.01])
 @pytest.mark.parametrize(("radius", "angle"), [(0.99, 0.3), (0.999, 2.5)])
 def test_discrete_resonance(dt: float, radius: float, angle: float) -> None:
     for certificate, found in (("auto", "hamiltonian"), ("interval", "interval")):
