@@ -61,7 +61,8 @@ def test_a_run_whose_first_second_does_not_fit_leaves_nothing(tmp_path: Path, sm
 
 @pytest.mark.parametrize("small", [12], indirect=True)
 @pytest.mark.parametrize(
-    "command", ["analyse {bag} --output={output}", "report {bag} --output={output}", "replay {bag} --output={output}"]
+    "command",
+    ["analyse {bag} --output={output}.html", "report {bag} --output={output}.html", "replay {bag} --output={output}"],
 )
 def test_an_output_that_does_not_fit_is_named_and_not_left(
     bag: Path, small: Path, command: str, capsys: pytest.CaptureFixture[str]
