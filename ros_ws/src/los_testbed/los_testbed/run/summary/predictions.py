@@ -69,10 +69,10 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
             raise InputError(f"the bag does not hold {START_FILE}")
         start_of_run = RunStart.from_bytes(run.attachments[START_FILE])
         controllers = models_of_controllers(run)
-        if not rig:
-            _check(run, config, start, stop)
         if rig:
             config, start_of_run = config.emulated(), AT_REST
+        else:
+            _check(run, config, start, stop)
         unstated = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
         parts = RunParts(config, controllers, None if unstated else start_of_run)
         if parts.physical.ramps:
@@ -97,7 +97,7 @@ def _emulated(run: Run) -> str:
 
 
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
-    """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
+    """Refuse a record that the model does not follow from its first sample on."""
     if config.camera_dropout:
         raise InputError("camera frames were dropped at random, and the model drops none")
     if start > 0:
