@@ -10,13 +10,13 @@ import numpy as np
 
 from lftkit.errors import InputError
 
-LARGEST = 2**1024
-"""Integers from here on are no doubles."""
+LARGEST = int(np.finfo(float).max)
+"""The largest double."""
 
 
 def is_number(value: Any) -> bool:
     """Whether the value is one real number that a double holds; True and False are none."""
-    if isinstance(value, int) and abs(value) >= LARGEST:
+    if isinstance(value, int) and abs(value) > LARGEST:
         return False
     return isinstance(value, Real | np.number) and not isinstance(value, complex | np.complexfloating | bool)
 

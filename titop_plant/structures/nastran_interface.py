@@ -151,13 +151,15 @@ def check_clamped(
 
 def _check_not_grounded(model: Any, path: str, subcase: int | None) -> None:
     """Refuse springs to ground or scalar points, and MPC against rigid motions: P does not hold the body alone."""
+    places = np.array([node.get_position() for node in model.nodes.values()], dtype=float)
+    size = float(np.ptp(places, axis=0).max())
     for element in model.elements.values():
         if element.type in SPRINGS and any(grid not in model.nodes for grid in element.node_ids):
             raise InputError(
                 f"{path}: springs must be between two grid points, got {element.type} {element.eid} to ground or to a "
                 "scalar point: SPC at the parent must be all that holds the body"
             )
-        if element.type in DIRECTED and _turns(model, element, path):
+        if element.type in DIRECTED and _turns(model, element, size, path):
             raise InputError(
                 f"{path}: springs between two grid points must have no force in a rigid motion, got {element.type} "
                 f"{element.eid}, whose ends are apart across its direction, or have other directions: ask for CBUSH"
@@ -172,19 +174,15 @@ def _check_not_grounded(model: Any, path: str, subcase: int | None) -> None:
                 )
 
 
-def _turns(model: Any, spring: Any, path: str) -> bool:
-    """Whether a spring between components of two grid points has a force in a rigid motion."""
-    places = np.array([node.get_position() for node in model.nodes.values()], dtype=float)
-    size = float(np.ptp(places, axis=0).max())
-    grids, components = _integers(spring.node_ids), (int(spring.c1), int(spring.c2))
+def _turns(model: Any, spring: Any, size: float, path: str) -> bool:
+    """Whether a spring between components of two grid points has a force in a rigid motion of a model of some size."""
+    components = int(spring.c1), int(spring.c2)
     if 0 in components:
         return False
-    rows = [
-        (six_axes(model.nodes[grid], path) @ tau(np.asarray(model.nodes[grid].get_position(), dtype=float), places[0]))[
-            component - 1
-        ]
-        for grid, component in zip(grids, components)
-    ]
+    nodes = [model.nodes[grid] for grid in _integers(spring.node_ids)]
+    places = [np.asarray(node.get_position(), dtype=float) for node in nodes]
+    motions = [six_axes(node, path) @ tau(place, places[0]) for node, place in zip(nodes, places)]
+    rows = [motion[component - 1] for motion, component in zip(motions, components)]
     apart = np.abs(rows[1] - rows[0])
     return bool(apart[:3].max() > RIGID or apart[3:].max() > RIGID * (size if components[0] <= 3 else 1.0))
 
