@@ -9,7 +9,6 @@ import typer
 from rich.console import Console
 from rich.table import Table as ScreenTable
 
-from lftkit.errors import InputError
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
 from los_testbed.config.members import CASES, check_ranges, named_cases
@@ -170,13 +169,11 @@ def export(
     from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.load import load_telescope
 
-    if output.suffix not in (".mat", ".json"):
-        raise InputError(f"--output must end with .mat or .json, got {output}")
-    check_output(output, "--output", new=True)
+    check_output(output, "--output", new=True, suffixes=(".mat", ".json"))
     telescope = load_telescope(parameters)
     with one_thread():
         system = build_telescope(telescope, loads=telescope.loaded_nodes if loads else ()).system
-    if output.suffix == ".json":
+    if output.suffix.lower() == ".json":
         write_system(output, system)
     else:
         write_mat(output, P=system)

@@ -128,11 +128,9 @@ def export(
 
     seconds("--transient", transient)
     number("--step", step, 1e-6, 1e6, "mas")
-    if output.suffix.lower() not in (".fits", ".csv"):
-        raise InputError(f"--output must end in .fits or .csv, got {output}")
     if number_ is not None and exposure is None:
         raise InputError(f"--exposure must be given with --number, got none with {number_}")
-    check_output(output, "--output")
+    check_output(output, "--output", suffixes=(".fits", ".csv"))
     (run,) = open_runs([bag], _opener(los, unit, rate), max_chunk)
     series = performance_error(run, transient)
     if output.suffix.lower() == ".csv" or path:
