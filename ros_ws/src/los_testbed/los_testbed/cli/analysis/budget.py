@@ -105,8 +105,7 @@ def budget(
 
     content = budget_file.read_content(file or shipped)
     named = budget_file.testbed_table(content.get("sources", {}))
-    if members and named is None:
-        raise InputError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
+    _check_testbed(named, {"--members": members, "--designs": designs, "--parameters": parameters})
     found = load(lambda table: table)
     rows = [] if sources is None else source_rows(content)
     verdicts = evaluate(found)
@@ -146,6 +145,16 @@ def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBu
         axes = ", ".join(found.axes)
         text = f"{rule.index}, factor {rule.factor:g}, {axes}: RSS {vector(total.rss.tolist())}"
         console.print(f"{text}; level {vector(total.level.tolist())}", highlight=False, soft_wrap=True)
+
+
+def _check_testbed(table: Mapping[str, Any] | None, options: Mapping[str, Any]) -> None:
+    """Refuse options that would have no effect: no source is of the testbed, or it names its telescope itself."""
+    for name, value in options.items():
+        if value and table is None:
+            raise InputError(f"{name} must be left out for a budget without a source of type testbed, got {value}")
+    own = {} if table is None else table.get("settings", {})
+    if options["--parameters"] and "parameters" in own:
+        raise InputError(f"--parameters must be left out where the budget names parameters, got {own['parameters']}")
 
 
 def _over_members(
