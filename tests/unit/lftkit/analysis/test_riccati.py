@@ -72,6 +72,15 @@ def test_the_discrete_equations_are_solved_with_slow_modes(slowest: float) -> No
     assert np.allclose(X, linalg.solve_discrete_are(A, B, C.T @ C, np.eye(1)), rtol=1e-8)
 
 
+def test_digits_that_the_doubling_loses_are_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here by too few doublings."""
+    monkeypatch.setattr("lftkit.analysis.riccati.DOUBLINGS", 4)
+    rng = np.random.default_rng(5)
+    A, B, C = np.diag([0.97, 0.9, -0.3]), rng.normal(size=(3, 3)), rng.normal(size=(2, 3))
+    X = discrete_riccati(A, B @ B.T, C.T @ C)
+    assert np.allclose(X, linalg.solve_discrete_are(A, B, C.T @ C, np.eye(3)), rtol=1e-9)
+
+
 def test_a_discrete_equation_without_a_solution_is_not_solved() -> None:
     with pytest.raises(ArithmeticError, match="no bounded solution"):
         discrete_riccati(np.array([[2.0]]), np.zeros((1, 1)), np.ones((1, 1)))
