@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
-import os
+import socket
 import sys
 import time
 from collections.abc import Callable
@@ -26,12 +27,25 @@ PLANT_TOPICS = ("truth/los", "isolator/accel", "m1/accel", "m2/accel", "fsm/stra
 
 Hashes = dict[str, tuple[int, str]]
 
+_HELD: list[socket.socket] = []
+"""Names of the kernel that are freed when this process ends."""
+
 PLANT = [sys.executable, str(Path(__file__).with_name("simple_telescope.py"))]
 
 
+@functools.cache
 def private_domain() -> int:
-    """Domain that another test session on this machine hardly uses; above 101 ports may be taken."""
-    return 10 + os.getpid() % 90
+    """Domain that no other tests on this machine use until this process ends; above 101 ports may be taken."""
+    for domain in range(10, 100):
+        held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            held.bind(f"\0los_testbed_tests_{domain}")
+        except OSError:
+            held.close()
+            continue
+        _HELD.append(held)
+        return domain
+    raise RuntimeError("a ROS domain from 10 to 99 must be free of other tests")
 
 
 def config_for(folder: Path, **values: object) -> RunConfig:

@@ -9,10 +9,19 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from los_testbed.run.processes.domains import free_domain
+
+
+@pytest.fixture(scope="module", autouse=True)
+def domain():
+    """A domain in which no other node of this machine is."""
+    with free_domain("/test_node") as number, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(number))
+        yield
+
 
 def start(*arguments):
-    domain = str(10 + os.getpid() % 90)
-    variables = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    variables = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     variables["LOS_TESTBED_EVENTS"] = str(os.getpid())
     command = [sys.executable, "-m", "los_testbed.nodes.controller", "--ros-args", *arguments]
     return subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
