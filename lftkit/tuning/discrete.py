@@ -25,7 +25,6 @@ from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.options import TuningOptions
-from lftkit.tuning.problem import MIN_DECAY
 from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.status import TuningStatus, inaccurate
@@ -42,7 +41,7 @@ def tune_discrete(
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
-    min_decay: float = MIN_DECAY,
+    min_decay: float | None = None,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune a discrete controller on discrete models, as :func:`lftkit.tuning.tune` does in continuous time.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,14 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
-from lftkit.tuning.problem import Problem
+from lftkit.tuning.structures.structures import Structure
 
+MIN_DECAY = 1e-6
+"""Decay [rad/s] that every pole of a stable loop exceeds where no fixed pole is slower."""
 ROUNDING = 10 * np.finfo(float).eps
 """Singular value, relative to the norm and per state, that counts as zero."""
+SLOWEST = 1e-13
+"""Decay, relative to the norm of the model, below which computed eigenvalues do not show that a loop is stable."""
 MARGIN = 1e-3
 """Share of the least decay by which a fixed pole must be faster: at the limit itself no step is possible."""
 
@@ -27,18 +32,22 @@ class FixedPole:
     value : complex
     missing : str
         What does not reach it: ``commands`` or ``measurements``.
+    stable : bool
+        Whether its real part is negative by more than `SLOWEST` times the norm of the model.
     """
 
     model: str
     value: complex
     missing: str
+    stable: bool
 
     def advice(self, min_decay: float) -> str:
         """What to do about it."""
+        smaller = "give a smaller min_decay, " if self.stable else ""
         return (
             f"no controller moves the pole {_shown(self.value)} rad/s of {self.model or 'the model'}: the "
-            f"{self.missing} do not reach it; every pole must be faster than min_decay = {min_decay:g} rad/s: give a "
-            "smaller min_decay, make the pole of the weight faster, or change the model"
+            f"{self.missing} do not reach it; every pole must be faster than min_decay = {min_decay:g} rad/s: "
+            f"{smaller}make the pole of the weight faster, or change the model"
         )
 
 
@@ -46,30 +55,40 @@ def _shown(value: complex) -> str:
     return f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
 
 
-def slow_fixed_pole(problem: Problem) -> FixedPole | None:
-    """The slowest fixed pole that is not faster than the least decay of a problem; None where there is none.
+def least_decay(models: Sequence[System], structure: Structure) -> float:
+    """Decay [rad/s] that a loop of these models is asked for: `MIN_DECAY`, or half that of a slower stable fixed pole.
+
+    Such a pole is that of a nearly integrating weight.
+    """
+    slowest = slow_fixed_pole(models, structure, MIN_DECAY)
+    return -0.5 * slowest.value.real if slowest is not None and slowest.stable else MIN_DECAY
+
+
+def slow_fixed_pole(models: Sequence[System], structure: Structure, min_decay: float) -> FixedPole | None:
+    """The slowest fixed pole of the models that is not faster than `min_decay` [rad/s]; None where there is none.
 
     By the test of Popov, Belevitch and Hautus: a pole s is fixed if [A - s I, B] of the commands or [A - s I; C] of the
     measurements has not the full rank.
     """
-    found = [pole for model in problem.models for pole in _of(model, problem)]
+    found = [pole for model in models for pole in _of(model, structure, min_decay)]
     return max(found, key=lambda pole: pole.value.real, default=None)
 
 
-def _of(model: System, problem: Problem) -> list[FixedPole]:
+def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole]:
     if not model.order:
         return []
-    commands = model.input_indices([port.name for port in problem.structure.outputs])
-    measurements = model.output_indices([port.name for port in problem.structure.inputs])
+    commands = model.input_indices([port.name for port in structure.outputs])
+    measurements = model.output_indices([port.name for port in structure.inputs])
     A, B, C = model.A, model.B[:, commands], model.C[measurements]
+    slowest = SLOWEST * float(linalg.norm(A))
     found = []
     for value in linalg.eigvals(A):
-        if value.real < -(1.0 + MARGIN) * problem.min_decay or value.imag < 0.0:
+        if value.real < -(1.0 + MARGIN) * min_decay or value.imag < 0.0:
             continue
         shifted = A - value * np.eye(len(A))
         for missing, matrix in (("commands", np.hstack([shifted, B])), ("measurements", np.vstack([shifted, C]))):
             if _loses_rank(np.asarray(matrix)):
-                found.append(FixedPole(model.name, complex(value), missing))
+                found.append(FixedPole(model.name, complex(value), missing, bool(value.real < -slowest)))
                 break
     return found
 

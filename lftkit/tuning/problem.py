@@ -14,6 +14,7 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
+from lftkit.tuning.fixed_poles import least_decay
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
@@ -30,8 +31,9 @@ from lftkit.tuning.requirements.requirement import check_names
 from lftkit.tuning.structures.bounds import ParameterBounds, bounds_of
 from lftkit.tuning.structures.structures import Structure
 
-MIN_DECAY = 1e-6
 GAINS_OVER_LIMIT = 1e4  # largest entry of a gain matrix over the largest magnitude of a parameter
+NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
+EXCLUDED = 0.5  # of a lower bound: no value is so small
 AT_LIMIT = 0.2  # of the largest magnitude of a parameter, from which on it counts as reached
 
 
@@ -75,13 +77,19 @@ class Problem:
     loop_delay : float
         Delay of the loop [s]: exact in the H-infinity gains, Padé of order `pade_order` in poles and H2 norms.
     pade_order : int
-    min_decay : float
-        A loop counts as stable when every pole decays faster than this [rad/s].
+    min_decay : float, optional
+        A loop counts as stable when every pole decays faster than this [rad/s]; without it
+        :func:`lftkit.tuning.fixed_poles.least_decay`.
     limit : float or ndarray, shape (size,)
         Magnitude of the parameters beyond which no point is looked at.
     responses_of : Problem, optional
         Another problem with the same models and requirements and the same ports of the controller: the responses of
         its plants are taken over.
+
+    Attributes
+    ----------
+    least : float
+        Lower bound of the largest soft value; 0 where none is known.
 
     Raises
     ------
@@ -98,7 +106,7 @@ class Problem:
         *,
         loop_delay: float = 0.0,
         pade_order: int = 6,
-        min_decay: float = MIN_DECAY,
+        min_decay: float | None = None,
         limit: float | FloatArray = np.inf,
         responses_of: Problem | None = None,
     ) -> None:
@@ -111,9 +119,9 @@ class Problem:
             self.requirements = (*self.given, ParameterBounds())
         self.structure = structure
         self.limit = limit
+        self.least = 0.0
         self.loop_delay = loop_delay
         self.pade_order = pade_order
-        self.min_decay = min_decay
         self.models: tuple[System, ...] = ()
         self._bare: list[ExtendedPlant] = []
         self.gains: list[LoopGains] = []
@@ -125,6 +133,7 @@ class Problem:
         self.gain_numbers = self.hinf + self.h2
         for k, model in enumerate(models):
             self.add_model(model, None if responses_of is None else responses_of.gains[k])
+        self.min_decay = least_decay(models, structure) if min_decay is None else min_decay
         if any(plant.D22.any() for plant in self._bare):
             self.requirements = (*self.requirements, WellPosedness())
 
@@ -138,11 +147,12 @@ class Problem:
             self.pade_order,
             self.min_decay,
             self.limit,
+            self.least,
         )
 
     def with_structure(self, structure: Structure) -> Problem:
         """The same problem for another structure with the same ports."""
-        return Problem(
+        problem = Problem(
             self.models,
             self.given,
             structure,
@@ -151,6 +161,13 @@ class Problem:
             min_decay=self.min_decay,
             responses_of=self,
         )
+        problem.least = self.least
+        return problem
+
+    def negligible(self, value: float) -> float:
+        """What counts as zero beside a soft value: so small only an infimum of zero is, which is approached."""
+        part = NEGLIGIBLE * value
+        return min(part, EXCLUDED * self.least) if self.least > 0.0 else part
 
     def inside(self, x: FloatArray) -> bool:
         """The magnitudes of the parameters (size,) are within the limit."""
@@ -392,9 +409,12 @@ def _rebuilt(
     pade_order: int,
     min_decay: float,
     limit: float | FloatArray,
+    least: float,
 ) -> Problem:
     common: dict[str, Any] = {"loop_delay": loop_delay, "pade_order": pade_order, "min_decay": min_decay}
-    return Problem(models, requirements, structure, **common, limit=limit)
+    problem = Problem(models, requirements, structure, **common, limit=limit)
+    problem.least = least
+    return problem
 
 
 def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float]:

@@ -46,7 +46,7 @@ from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.lower_bound import full_order_bounds
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.options import TuningOptions
-from lftkit.tuning.problem import MIN_DECAY, Problem
+from lftkit.tuning.problem import Problem
 from lftkit.tuning.refinement import agree, refined_runs
 from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.result import TuningResult
@@ -61,6 +61,7 @@ NEAR_BOUND = "the largest soft value is {:.2g} % above what any controller of an
 IMPOSSIBLE = "no controller of any order brings {} below {:.4g} times its bound: relax it, or make it soft"
 FEW_ITERATIONS = 20  # of the one random start where hard requirements cannot be met
 SHOWN = 1e-2  # excess of a lower bound over 1 from which on a hard requirement counts as one that cannot be met
+WITHIN_GAP = 0.5  # part of the gap at which a descent ends
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
@@ -73,7 +74,7 @@ def tune(
     *,
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
-    min_decay: float = MIN_DECAY,
+    min_decay: float | None = None,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune `structure` against `requirements` on all `models` at once.
@@ -94,8 +95,9 @@ def tune(
         Given starts, taken before the random ones.
     loop_delay : float
         Delay of the loop [s].
-    min_decay : float
-        Stable means that every closed-loop pole decays faster than this [rad/s].
+    min_decay : float, optional
+        Stable means that every closed-loop pole decays faster than this [rad/s]. Without it 1e-6, or half the decay of
+        a slower stable pole that no controller moves, as that of a nearly integrating weight.
     options : TuningOptions, optional
 
     Returns
@@ -138,16 +140,18 @@ def tune(
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     bounds = full_order_bounds(problem)
     least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
+    problem.least = max(least, 0.0)
     impossible = _impossible(problem, bounds)
-    met = max(options.met, (1.0 + options.gap) * least if options.gap and least > 0.0 else -np.inf)
+    within, near = (((1.0 + share * options.gap) * least if least > 0.0 else -np.inf) for share in (1.0, WITHIN_GAP))
+    met = max(options.met, within)
     # a little below, so that the upper side of the certificate is not above
-    options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
+    options = replace(options, target=max(options.target, options.met * (1.0 - AGREEMENT), near))
     if impossible:
         options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
-    if (fixed := slow_fixed_pole(problem)) is not None:
+    if (fixed := slow_fixed_pole(problem.models, structure, problem.min_decay)) is not None:
         first = replace(only_point(problem, next(iter(given), None)), status=TuningStatus.NOT_STABILISED)
         found = result_of(problem, [first], time.monotonic() - start_time)
-        return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(min_decay))
+        return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(problem.min_decay))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         alone = StartSearch((only_point(problem),), True) if not structure.size else None

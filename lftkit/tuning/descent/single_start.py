@@ -12,7 +12,7 @@ from lftkit.tuning.descent.bundle_method import BundleResult, minimise
 from lftkit.tuning.descent.gain_moves import descended, gain_moves
 from lftkit.tuning.descent.grid_source import FEASIBLE, GridSource, Point, point_at
 from lftkit.tuning.descent.minimax.minimax import VISIBLE, DescentOptions, lower_point
-from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, negligible_value, smooth_phase
+from lftkit.tuning.descent.smooth_phase import negligible_value, smooth_phase
 from lftkit.tuning.descent.starts import lowered_gain
 from lftkit.tuning.pieces import HARD_TARGET, Oracle, OracleResult
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
@@ -189,7 +189,7 @@ class _Run:
             return TuningStatus.UNBOUNDED
         if not (self.point.feasible or while_infeasible):
             return TuningStatus.ITERATIONS
-        negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
+        negligible = self._problem.negligible(first.soft) if first.feasible else 0.0
         if self.point.feasible and -np.inf < self.point.soft <= negligible:
             return TuningStatus.ITERATIONS  # the infimum is zero, and only approached
         confirmed = False

@@ -29,7 +29,6 @@ RETRIES = 2  # working sets in a row that raised the values
 PER_STEP = 2  # evaluations, at least
 RESTORED = 1e-4  # relative decrease of a violated hard value that is worth another round
 MORE_PENALTY = 10.0  # factor of the penalty after a round that came near the largest violation that is admitted
-NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
 SCALE = 0.9  # quantile over frequency of the gain without feedback with which values are compared
 
 
@@ -59,7 +58,7 @@ def smooth_phase(
         if not rounds.restore():
             break
     if rounds.point.feasible and np.isfinite(rounds.point.soft):
-        floor = max(target, NEGLIGIBLE * rounds.point.soft, 1e-12)
+        floor = max(target, problem.negligible(rounds.point.soft), 1e-12)
         rounds.smooth(floor)
         rounds.descend(floor)
     return SmoothPhase(rounds.checked(), rounds.source.evaluations)
@@ -72,7 +71,7 @@ def negligible_value(problem: Problem) -> float:
         for loop in problem.gains
         for P11 in loop.grid.P11.values()
     ]
-    return max(NEGLIGIBLE * max(parts, default=1.0), 1e-290)
+    return max(problem.negligible(max(parts, default=1.0)), 1e-290)
 
 
 class _Rounds:
@@ -154,7 +153,7 @@ class _Rounds:
             objective.metric(start.x),
             steps=STEPS,
             tolerance=SLOW,
-            floor=float(np.log(HARD_TARGET if restoring else NEGLIGIBLE * max(start.soft, 1e-290))),
+            floor=float(np.log(HARD_TARGET if restoring else self._problem.negligible(max(start.soft, 1e-290)))),
             renewed=objective.metric,
             stop=self._late,
         ).x
