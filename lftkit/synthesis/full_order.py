@@ -21,6 +21,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.support.scalars import as_positive
 from lftkit.synthesis.lower_bound import CONFIRMED, confirmed_optimum, lower_bound_proof
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
@@ -36,7 +37,6 @@ from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
-from lftkit.tuning.full_order import FullOrderEstimator
 
 REGULARISED = 1e-7, 1e-6, 1e-5, 1e-4, 1e-3
 """Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and

@@ -13,11 +13,11 @@ from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
+from lftkit.synthesis.extended_plant import ExtendedPlant
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, names_of_ports
 from lftkit.systems.system import System
-from lftkit.tuning.gains.loop import ExtendedPlant
 
 Names = str | Sequence[str]
 

@@ -14,10 +14,10 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.support.state_units import in_balanced_units
+from lftkit.synthesis.extended_plant import ExtendedPlant
+from lftkit.synthesis.out_of_reach import gain_out_of_reach
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.synthesis.standard_plant import RANK, has_rank
-from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
-from lftkit.tuning.gains.loop import ExtendedPlant
-from lftkit.tuning.out_of_reach import gain_out_of_reach
 
 ROUNDS = 4
 """Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""

@@ -3,9 +3,10 @@
 The infimum of an H-infinity norm over all controllers is the lowest level at which two Riccati equations have solutions
 (Doyle, Glover, Khargonekar and Francis 1989; Zhou, Doyle and Glover 1996, theorem 17.1), that of an H2 norm is reached
 by the LQG controller. Both need every command in the error and noise on every measurement (D12 of full column rank, D21
-of full row rank); without them an H-infinity norm has the bound of single points (:mod:`lftkit.tuning.out_of_reach`),
-and with a delay or with a band of frequencies there is none here. A bound is numerical, not a proof: that of the
-equations counts only if the controller just above it reaches it on the assembled loop.
+of full row rank). Without them an H-infinity norm has the bound of :func:`~lftkit.synthesis.hinfsyn`, by linear matrix
+inequalities, for the soft gains and the first model; for others and for more states it has that of single points
+(:mod:`lftkit.synthesis.out_of_reach`). With a delay or with a band of frequencies there is none here. A bound is
+numerical, not a proof: it counts only if a controller nearly reaches it on the assembled loop.
 """
 
 from __future__ import annotations
@@ -17,10 +18,14 @@ from scipy import linalg
 
 from lftkit.analysis.norms import h2_norm, hinf_norm
 from lftkit.arrays import FloatArray
+from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
+from lftkit.synthesis.full_order import hinfsyn
+from lftkit.synthesis.lower_bound import MAX_ORDER as MAX_STATES
+from lftkit.synthesis.out_of_reach import gain_out_of_reach
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.systems.system import System
-from lftkit.tuning.full_order import MAX_ORDER, FullOrderEstimator, central, lowest_level, lqg
-from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
-from lftkit.tuning.out_of_reach import gain_out_of_reach
+from lftkit.tuning.full_order import MAX_ORDER
+from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 
@@ -44,11 +49,11 @@ def full_order_bounds(problem: Problem) -> FloatArray:
         return found
     for i, requirement in enumerate(problem.given):
         for k, model in enumerate(problem.models):
-            found[i, k] = _bound(problem, model, requirement)
+            found[i, k] = _bound(problem, model, requirement, closely=not (k or requirement.hard))
     return found
 
 
-def _bound(problem: Problem, model: System, requirement: TuningRequirement) -> float:
+def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, closely: bool) -> float:
     synthesis = _hinf_level if type(requirement) is HinfGain else _h2_norm if type(requirement) is H2Gain else None
     if synthesis is None or getattr(requirement, "band", ANY) != ANY:
         return -np.inf
@@ -64,11 +69,22 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement) -> f
             return -np.inf
         if len(alone.A) and _of_full_rank(alone):
             return synthesis(alone, lambda full: plant(len(full.A)).closed(full.gain_matrix))
+        if synthesis is _hinf_level and closely and 0 < len(alone.A) <= MAX_STATES:
+            return _of_full_order(alone)
         if synthesis is _hinf_level:
             return gain_out_of_reach(alone) or -np.inf
     except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
         pass
     return -np.inf
+
+
+def _of_full_order(plant: ExtendedPlant) -> float:
+    """Bound by the program of :func:`~lftkit.synthesis.hinfsyn`, or by single points; minus infinity for none."""
+    P = plant
+    B, C = np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2])
+    sides = [("w", P.B1), ("u", P.B2)], [("z", P.C1.T), ("y", P.C2.T)]
+    ports = ([(name, matrix.shape[1]) for name, matrix in side if matrix.size] for side in sides)
+    return hinfsyn(System(P.A, B, C, np.block([[P.D11, P.D12], [P.D21, P.D22]]), *ports), "y", "u").lower or -np.inf
 
 
 def _of_full_rank(plant: ExtendedPlant) -> bool:

@@ -12,12 +12,13 @@ import scipy.linalg
 
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.errors import InputError
+from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
 from lftkit.tuning.fixed_poles import least_decay
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
-from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
+from lftkit.tuning.gains.loop import LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.pieces import Piece
 from lftkit.tuning.requirements import (

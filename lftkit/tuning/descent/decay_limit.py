@@ -16,7 +16,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrix
-from lftkit.tuning.gains.loop import ClosedLoopMatrices, eigenvectors
+from lftkit.synthesis.extended_plant import ClosedLoopMatrices
+from lftkit.tuning.gains.loop import eigenvectors
 from lftkit.tuning.problem import Evaluation, Problem
 
 REACH = 0.05  # relative change of the parameters: poles that it brings to the limit are followed

@@ -15,8 +15,9 @@ from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.hinf.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.tuning.gains.algebraic_loop import WellPosedness
-from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
+from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.requirements.sector import SectorGain

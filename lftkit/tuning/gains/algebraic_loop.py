@@ -27,20 +27,6 @@ class WellPosedness:
     name: str = "distance of the algebraic loop from being singular"
 
 
-def loop_inverse(M: FloatArray) -> FloatArray:
-    """Inverse of ``I - D22 K``, without a warning where it is nearly singular: the poles of the loop show it.
-
-    Raises
-    ------
-    LinAlgError
-        It is singular.
-    """
-    factors, pivots, info = linalg.lapack.dgetrf(M)
-    if info:
-        raise linalg.LinAlgError("the algebraic loop is singular")
-    return np.asarray(linalg.lapack.dgetri(factors, pivots)[0])
-
-
 def algebraic_values(D22: FloatArray, K: FloatArray) -> list[tuple[float, FloatArray]]:
     """``LEAST / |eigenvalue|`` of ``I - D22 K`` for the small eigenvalues, with gradients by K.
 

@@ -7,7 +7,6 @@ A controller of order n_K is a static gain for the plant extended by n_K integra
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -17,81 +16,11 @@ from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.norms import schur_lyapunov
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
-from lftkit.tuning.gains.algebraic_loop import loop_inverse
 from lftkit.tuning.requirements import H2Gain, HinfGain
-
-
-@dataclass(frozen=True)
-class ExtendedPlant:
-    """Plant with weights folded in, extended by the controller's states.
-
-    Parameters
-    ----------
-    A, B1, B2, C1, C2 : ndarray
-        States (n + n_K), disturbances, (n_K + u), performance outputs, (n_K + y).
-    D11, D12, D21, D22 : ndarray
-    """
-
-    A: FloatArray
-    B1: FloatArray
-    B2: FloatArray
-    C1: FloatArray
-    C2: FloatArray
-    D11: FloatArray
-    D12: FloatArray
-    D21: FloatArray
-    D22: FloatArray
-
-    @cached_property
-    def _through(self) -> bool:
-        return bool(self.D22.any())
-
-    def closed(self, K: FloatArray) -> ClosedLoopMatrices:
-        """Closed loop with the gain matrix K (n_K + u, n_K + y)."""
-        if not self._through:
-            left, right = self.B2 @ K, K @ self.C2
-            return ClosedLoopMatrices(
-                self.A + left @ self.C2,
-                self.B1 + left @ self.D21,
-                self.C1 + self.D12 @ right,
-                self.D11 + self.D12 @ (K @ self.D21),
-                self.B2,
-                self.D12,
-                self.C2,
-                self.D21,
-            )
-        inner = loop_inverse(np.eye(K.shape[1]) - self.D22 @ K)
-        KS = K @ inner
-        left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
-        left_z = self.D12 + self.D12 @ KS @ self.D22
-        right, right_w = inner @ self.C2, inner @ self.D21
-        return ClosedLoopMatrices(
-            self.A + self.B2 @ KS @ self.C2,
-            self.B1 + self.B2 @ KS @ self.D21,
-            self.C1 + self.D12 @ KS @ self.C2,
-            self.D11 + self.D12 @ KS @ self.D21,
-            left,
-            left_z,
-            right,
-            right_w,
-        )
-
-
-@dataclass(frozen=True)
-class ClosedLoopMatrices:
-    """Matrices of the closed loop and the factors of their derivatives: ``dA = left dK right`` and so on."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    left: FloatArray
-    left_z: FloatArray
-    right: FloatArray
-    right_w: FloatArray
 
 
 def extended_plant(

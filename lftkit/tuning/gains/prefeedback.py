@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
-from lftkit.tuning.gains.algebraic_loop import loop_inverse
+from lftkit.synthesis.extended_plant import loop_inverse
 
 UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
 SUFFICIENT = 2e-3  # damping ratio that is enough for every pole

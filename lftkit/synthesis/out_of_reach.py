@@ -14,7 +14,7 @@ from scipy import linalg
 from lftkit.analysis.hinf.direct_gain import response_at
 from lftkit.analysis.zeros import zeros_of
 from lftkit.arrays import ComplexArray
-from lftkit.tuning.gains.loop import ExtendedPlant
+from lftkit.synthesis.extended_plant import ExtendedPlant
 
 FREQUENCIES = 0.0, *np.logspace(-6.0, 6.0, 121).tolist(), np.inf
 """Over the norm of A."""

@@ -1,0 +1,178 @@
+"""Controllers of two Riccati equations: LQG and the central H-infinity controller at a level.
+
+The H-infinity controller is that of Doyle, Glover, Khargonekar and Francis (1989). A direct path from disturbance to
+error is taken out first (Safonov, Limebeer and Chiang 1989): a static gain makes it as small as it can be (Parrott),
+and the plant with the rest of it has the same controllers at this level as one without. **Sign: u = + K y.**
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.norms import is_stable
+from lftkit.analysis.riccati import riccati
+from lftkit.arrays import FloatArray
+from lftkit.support.regular_solve import regular_solve
+from lftkit.synthesis.extended_plant import ExtendedPlant
+
+LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
+
+
+@dataclass(frozen=True)
+class FullOrderEstimator:
+    """Full-order controller ``x' = A x + B u - L y, u = F x + D y``."""
+
+    A: FloatArray
+    B: FloatArray
+    L: FloatArray
+    F: FloatArray
+    D: FloatArray
+
+    @property
+    def gain_matrix(self) -> FloatArray:
+        """The controller as one matrix, (states + commands, states + measurements)."""
+        return np.block([[self.A + self.B @ self.F, self.B @ self.D - self.L], [self.F, self.D]])
+
+
+def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
+    """Controller with the least H2 norm, D11 left out; None where an equation has no solution."""
+    X = riccati(plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, plant.C1.T @ plant.D12)
+    Y = riccati(plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, plant.B1 @ plant.D21.T)
+    if X is None or Y is None:
+        return None
+    try:
+        F = -regular_solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
+        L = -regular_solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
+    except linalg.LinAlgError:
+        return None
+    D = np.zeros((len(F), L.shape[1]))
+    return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)
+
+
+def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
+    """Levels of the H-infinity norm without and with a controller, close to each other; None where none is found."""
+    high = 1.0
+    for _ in range(LEVELS):
+        if central(plant, high) is not None:
+            break
+        high *= 10.0
+    else:
+        return None
+    for _ in range(LEVELS):
+        if central(plant, high / 10.0) is None:
+            break
+        high /= 10.0
+    else:
+        return None
+    low = high / 10.0
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if central(plant, middle) is not None else (middle, high)
+    return low, high
+
+
+def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
+    """Central controller at a level; None where the equations have no solution that is one."""
+    try:
+        return _central(plant, level)
+    except linalg.LinAlgError:  # at the least level the coupling of both solutions is singular
+        return None
+
+
+def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
+    K = _parrott(plant, level)
+    shifted = None if K is None else _without_direct_path(_with_static_gain(plant, K), level)
+    if K is None or shifted is None:
+        return None
+    A, B1, B2, C1, C2 = shifted.A, shifted.B1, shifted.B2, shifted.C1, shifted.C2
+    nw, nz = B1.shape[1], len(C1)
+    D1, D2 = np.hstack([np.zeros((nz, nw)), shifted.D12]), np.vstack([np.zeros((nz, nw)), shifted.D21])
+    B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
+    R = D1.T @ D1 - linalg.block_diag(level**2 * np.eye(nw), np.zeros((B2.shape[1],) * 2))
+    S = D2 @ D2.T - linalg.block_diag(level**2 * np.eye(nz), np.zeros((len(C2),) * 2))
+    X, Y = riccati(A, B, C1.T @ C1, R, C1.T @ D1), riccati(A.T, C.T, B1 @ B1.T, S, B1 @ D2.T)
+    if X is None or Y is None:
+        return None
+    F = -regular_solve(R, B.T @ X + D1.T @ C1)
+    L = -regular_solve(S, C @ Y + D2 @ B1.T).T
+    # X is positive semidefinite exactly where A + B2 F2 is stable: it solves a Lyapunov equation of this matrix, and a
+    # mode of it that is not stable, with X >= 0, would be one of the closed loop. Y likewise; rounding hardly matters.
+    if not (is_stable(A + B2 @ F[nw:]) and is_stable(A + L[:, nz:] @ C2)):
+        return None
+    product = X @ Y / level**2
+    if float(np.abs(linalg.eigvals(product)).max(initial=0.0)) >= 1.0:
+        return None
+    ZL = regular_solve(np.eye(len(X)) - product.T, L[:, nz:])
+    seen = C2 + shifted.D21 @ F[:nw]
+    into = B2 + ZL @ shifted.D22
+    return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
+
+
+def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
+    """Static gain with which the direct path from disturbance to error is below a level; None where there is none."""
+    nu, ny = plant.D12.shape[1], len(plant.D21)
+    U, sizes, V = linalg.svd(plant.D12)
+    Q, widths, W = linalg.svd(plant.D21)
+    D = np.vstack([U[:, nu:].T, U[:, :nu].T]) @ plant.D11 @ np.hstack([W[ny:].T, W[:ny].T])
+    z, w = len(D) - nu, D.shape[1] - ny
+    a, b, c, d = D[:z, :w], D[:z, w:], D[z:, :w], D[z:, w:]
+    if max(_gain(D[:z]), _gain(D[:, :w])) >= level:
+        return None
+    inner = -c @ regular_solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
+    gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
+    return np.asarray(gain @ _inverse(np.eye(len(plant.D22)) + plant.D22 @ gain))  # of what the commands add to y
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return regular_solve(matrix, np.eye(len(matrix)))
+
+
+def _inverse_root(matrix: FloatArray) -> FloatArray:
+    """Inverse of the square root of a positive definite matrix."""
+    values, vectors = linalg.eigh(matrix)
+    return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+
+
+def _gain(matrix: FloatArray) -> float:
+    return float(linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def _with_static_gain(plant: ExtendedPlant, K: FloatArray) -> ExtendedPlant:
+    """The plant behind ``u = K y + v``, with v as command."""
+    closed = plant.closed(K)
+    inner = _inverse(np.eye(len(K)) - K @ plant.D22)
+    return ExtendedPlant(
+        closed.A,
+        closed.B,
+        closed.left,
+        closed.C,
+        closed.right,
+        closed.D,
+        closed.left_z,
+        closed.right_w,
+        plant.D22 @ inner,
+    )
+
+
+def _without_direct_path(plant: ExtendedPlant, level: float) -> ExtendedPlant | None:
+    """A plant without D11 whose controllers at this level are the same; None where D11 is not below it."""
+    D = plant.D11 / level
+    if _gain(D) >= 1.0:
+        return None
+    left, right = np.eye(len(D)) - D @ D.T, np.eye(D.shape[1]) - D.T @ D
+    through = D.T @ _inverse(left) / level
+    root_left, root_right = (_inverse_root(M) for M in (left, right))
+    return ExtendedPlant(
+        plant.A + plant.B1 @ through @ plant.C1,
+        plant.B1 @ root_right,
+        plant.B2 + plant.B1 @ through @ plant.D12,
+        root_left @ plant.C1,
+        plant.C2 + plant.D21 @ through @ plant.C1,
+        np.zeros_like(D),
+        root_left @ plant.D12,
+        plant.D21 @ root_right,
+        plant.D22 + plant.D21 @ through @ plant.D12,
+    )
