@@ -22,15 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.errors import InputError
-from lftkit.support.scalars import is_number
+from lftkit.support.scalars import LONGEST, fits_64_bits, is_number
 
 F = TypeVar("F", bound=Callable[..., Any])
-FAULTS = (TypeError, AttributeError, LookupError, OverflowError)
-"""What Python raises for values of other types."""
+FAULTS = (TypeError, AttributeError, LookupError, OverflowError, ValueError)
+"""What Python raises for values of other types, and numpy for sizes beyond those of an array."""
 TAKEN = "System", "Port"
 """Types for which many functions take others: numbers and expressions, names and sizes."""
-LONGEST = 200
-"""Characters of a message."""
 WORDS: dict[Any, tuple[str, str]] = {
     float: ("a number", "numbers"),
     complex: ("a number", "numbers"),
@@ -62,8 +60,10 @@ def checked(public: F) -> F:
     def call(*args: Any, **named: Any) -> Any:
         try:
             return public(*args, **named)
-        except faults:
-            text = misfit(public, args, named)
+        except refusal:
+            raise
+        except faults as fault:
+            text = misfit(public, args, named, fault)
             if text:
                 raise refusal(text) from None
             again = as_floats(public, args, named)
@@ -83,8 +83,11 @@ class _ModuleNames(dict[str, Any]):
         return getattr(builtins, name, Any)
 
 
-def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any]) -> str:
-    """The first argument of another type, in words; empty where all fit, or where there are too many or too few."""
+def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any], fault: Exception) -> str:
+    """The first argument of another type, in words; empty where all fit, or where there are too many or too few.
+
+    A ValueError may be that of a function of the user, and say more than a doubt about what some functions take.
+    """
     signature = inspect.signature(function)
     try:
         given = signature.bind(*args, **named)
@@ -99,10 +102,11 @@ def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[
         )
         each = value if kind is inspect.Parameter.VAR_KEYWORD else several or {name: value}
         arguments += [(what, one, hint) for what, one in each.items()]
-    for strict in (False, True):
+    for strict in (False,) if isinstance(fault, ValueError) else (False, True):
         for what, value, hint in arguments:
             if not _fits(value, hint, strict):
-                return f"{what} must be {_words(hint)}, got {value!r}"[:LONGEST]
+                within = " within 64 bits" if hint is int and type(value) is int else ""
+                return f"{what} must be {_words(hint)}{within}, got {value!r}"[:LONGEST]
     return ""
 
 
@@ -123,7 +127,7 @@ def _with_floats(
     large = {
         name: float(value)
         for name, value in given.arguments.items()
-        if isinstance(value, int) and abs(value) >= 2**63 and _fits(0.5, hints.get(name, Any), True)
+        if isinstance(value, int) and not fits_64_bits(value) and _fits(0.5, hints.get(name, Any), True)
     }
     given.arguments.update(large)
     return given if large else None
@@ -182,10 +186,9 @@ def _is_a(value: Any, kind: type) -> bool:
 
 def _is_integer(value: Any) -> bool:
     try:
-        operator.index(value)
+        return fits_64_bits(operator.index(value))
     except TypeError:
         return False
-    return True
 
 
 def _is_system(value: Any) -> bool:

@@ -72,5 +72,5 @@ def real_array(what: str, value: ArrayLike) -> FloatArray:
         if np.iscomplexobj(value) or np.asarray(value).dtype.kind in "US":
             raise TypeError
         return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what} must be a rectangular array of real numbers, got {type(value).__name__}") from None

@@ -55,12 +55,12 @@ def _shown(value: complex) -> str:
     return f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
 
 
-def least_decay(models: Sequence[System], structure: Structure) -> float:
-    """Decay [rad/s] that a loop of these models is asked for: `MIN_DECAY`, or half that of a slower stable fixed pole.
+def least_decay(model: System, structure: Structure) -> float:
+    """Decay [rad/s] that a loop of this model is asked for: `MIN_DECAY`, or half that of a slower stable fixed pole.
 
     Such a pole is that of a nearly integrating weight.
     """
-    slowest = slow_fixed_pole(models, structure, MIN_DECAY)
+    slowest = slow_fixed_pole([model], structure, MIN_DECAY)
     return -0.5 * slowest.value.real if slowest is not None and slowest.stable else MIN_DECAY
 
 

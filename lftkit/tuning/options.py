@@ -72,6 +72,8 @@ class TuningOptions:
     parameter_limit: float = 1e8
 
     def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed must be zero or positive, got {self.seed}")
         if self.starts < 0 or self.workers < 1 or self.iterations < 1:
             raise InputError(
                 "expected starts >= 0, workers >= 1 and iterations >= 1, got "

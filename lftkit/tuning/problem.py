@@ -15,7 +15,7 @@ from lftkit.errors import InputError
 from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
-from lftkit.tuning.fixed_poles import least_decay
+from lftkit.tuning.fixed_poles import MIN_DECAY, least_decay
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import LoopSpectrum, extended_plant, h2_value, spectrum
@@ -80,7 +80,7 @@ class Problem:
     pade_order : int
     min_decay : float, optional
         A loop counts as stable when every pole decays faster than this [rad/s]; without it
-        :func:`lftkit.tuning.fixed_poles.least_decay`.
+        the smallest :func:`lftkit.tuning.fixed_poles.least_decay` of the models.
     limit : float or ndarray, shape (size,)
         Magnitude of the parameters beyond which no point is looked at.
     responses_of : Problem, optional
@@ -90,7 +90,7 @@ class Problem:
     Attributes
     ----------
     least : float
-        Lower bound of the largest soft value; 0 where none is known.
+        No largest soft value below it is reached, or asked for; minus infinity where none is known.
 
     Raises
     ------
@@ -120,7 +120,7 @@ class Problem:
             self.requirements = (*self.given, ParameterBounds())
         self.structure = structure
         self.limit = limit
-        self.least = 0.0
+        self.least = -np.inf
         self.loop_delay = loop_delay
         self.pade_order = pade_order
         self.models: tuple[System, ...] = ()
@@ -132,9 +132,9 @@ class Problem:
         self.hinf = tuple(i for i, r in enumerate(requirements) if isinstance(r, HinfGain))
         self.h2 = tuple(i for i, r in enumerate(requirements) if isinstance(r, H2Gain))
         self.gain_numbers = self.hinf + self.h2
+        self.min_decay, self._decay_asked = MIN_DECAY if min_decay is None else min_decay, min_decay is not None
         for k, model in enumerate(models):
             self.add_model(model, None if responses_of is None else responses_of.gains[k])
-        self.min_decay = least_decay(models, structure) if min_decay is None else min_decay
         if any(plant.D22.any() for plant in self._bare):
             self.requirements = (*self.requirements, WellPosedness())
 
@@ -212,6 +212,8 @@ class Problem:
         self._bare.append(bare)
         self._variances.append(variances)
         self.models = (*self.models, model)
+        if not self._decay_asked:
+            self.min_decay = min(self.min_decay, least_decay(model, self.structure))
 
     def _refuse_feedthrough(self, plant: ExtendedPlant, name: str) -> None:
         x = np.random.default_rng(0).standard_normal(self.structure.size)

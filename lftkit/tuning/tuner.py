@@ -25,7 +25,7 @@ from lftkit.tuning.certificate import AGREEMENT, Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import FEASIBLE, point_at
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import StartResult, only_point
+from lftkit.tuning.descent.single_start import StartResult, only_point, tune_from
 from lftkit.tuning.descent.start_runner import (
     CARRIED,
     FIRST,
@@ -140,12 +140,14 @@ def tune(
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     bounds = full_order_bounds(problem)
     least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
-    problem.least = max(least, 0.0)
+    problem.least = least
     impossible = _impossible(problem, bounds)
-    within, near = (((1.0 + share * options.gap) * least if least > 0.0 else -np.inf) for share in (1.0, WITHIN_GAP))
+    known = options.gap > 0.0 and least > 0.0
+    within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, WITHIN_GAP))
     met = max(options.met, within)
     # a little below, so that the upper side of the certificate is not above
-    options = replace(options, target=max(options.target, options.met * (1.0 - AGREEMENT), near))
+    own = max(options.target, options.met * (1.0 - AGREEMENT))
+    options = replace(options, target=max(own, near))
     if impossible:
         options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
     if (fixed := slow_fixed_pole(problem.models, structure, problem.min_decay)) is not None:
@@ -160,7 +162,8 @@ def tune(
         further: Any = options.seed, limits_of(options, deadline), options.band
         runs = [*runs, *feasibility_runs(problem, runs, *further, impossible=bool(impossible))]
         runs = [*runs, *refined_runs(problem, runs, *further)]
-        result = replace(result_of(problem, runs, time.monotonic() - start_time), lower_bound=least)
+        runs = [*runs, *_gone_on(problem, runs, *further, own=own, met=met)]
+        result = result_of(problem, runs, time.monotonic() - start_time)
     if all_met(problem.given, result.certificate, met):
         advice = ALL_MET if met <= options.met else NEAR_BOUND.format(100.0 * max(result.gap, 0.0))
         return replace(result, status=TuningStatus.CONVERGED, advice=advice, stationarity=0.0)
@@ -170,6 +173,29 @@ def tune(
     if search.complete or settled or result.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET):
         return result
     return replace(result, status=TuningStatus.OUT_OF_TIME, advice=_advice(TuningStatus.OUT_OF_TIME, result.at_bounds))
+
+
+def _gone_on(
+    problem: Problem,
+    runs: Sequence[StartResult],
+    seed: int,
+    limits: DescentOptions,
+    band: float,
+    *,
+    own: float,
+    met: float,
+) -> list[StartResult]:
+    """The best start gone on with, to the target that was given, where only the tuner has it within the gap.
+
+    The upper side of the certificate may be above `met` where the gap is less than their distance.
+    """
+    best = min(reversed(runs), key=lambda run: run.rank)
+    if best.status is not TuningStatus.TARGET or best.soft <= own:
+        return []
+    certificate = certify(problem.models, controller(problem.structure, best.x), problem.given, problem.loop_delay)
+    if all_met(problem.given, certificate, met):
+        return []
+    return [tune_from(problem, best.x, seed, replace(limits, target=own), band)]
 
 
 def _impossible(problem: Problem, bounds: FloatArray) -> str:
@@ -305,6 +331,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         tuple(r.soft if r.hard <= 1.0 + FEASIBLE else np.inf for r in runs),
         tuple(r.name for r in problem.given),
         at_bounds,
+        lower_bound=problem.least,
     )
 
 

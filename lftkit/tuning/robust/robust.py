@@ -251,6 +251,7 @@ class _Design:
         if count and self.structure.size and not _enough(runs[0]) and time.monotonic() < self.deadline:
             runs.append(self._started((), replace(options, starts=count, seed=options.seed + alone.starts)))
         self.starts = tuple(value for run in runs for value in run.starts)
+        self.problem.least = runs[0].lower_bound  # and so that of more models
         return runs
 
     def _started(self, given: Sequence[FloatArray], options: TuningOptions) -> TuningResult:

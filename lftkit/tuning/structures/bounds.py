@@ -9,6 +9,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_number
+from lftkit.systems.arguments import checked
 from lftkit.systems.ports import read_only
 from lftkit.tuning.pieces import HARD_TARGET, Piece
 
@@ -16,6 +18,7 @@ AT_BOUND = 1e-4  # distance from a bound, of its scale, at which a parameter cou
 NEAR_BOUND = 0.5  # distance, of its scale, from which a bound is told to the descent
 
 
+@checked
 @dataclass(frozen=True)
 class Bounds:
     """Lowest and highest values of the parameters (size,), infinite where there is none."""
@@ -109,8 +112,9 @@ def bounds_by_name(names: Sequence[str], before: Bounds | None, limits: Mapping[
     """
     lower = np.full(len(names), -np.inf) if before is None else before.lower.copy()
     upper = np.full(len(names), np.inf) if before is None else before.upper.copy()
-    for name, (low, high) in limits.items():
+    for name, given in limits.items():
         number = number_of(name, names)
+        low, high = (as_number(value, f"bound of {name}") for value in given)
         if not low < high:
             raise InputError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
         lower[number], upper[number] = low, high

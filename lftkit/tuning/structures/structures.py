@@ -18,6 +18,7 @@ from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_number
 from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port, as_ports, read_only
 from lftkit.systems.sampled.bilinear import to_discrete
@@ -173,6 +174,7 @@ class AffineStructure:
             raise InputError(f"{model.name} does not have this structure: an entry differs by {residual:.3g}")
         return np.asarray(x, dtype=float)
 
+    @checked
     def with_fixed(self, entries: Mapping[str | tuple[int, int], float]) -> AffineStructure:
         """Same structure with parameters, by name, or entries (row, column) of the gain matrix held at given values.
 
@@ -191,7 +193,8 @@ class AffineStructure:
         (('Kp', 'Ki'), ('D[0,0]',))
         """
         base, held = self.base.copy(), dict[int, float]()
-        for key, value in entries.items():
+        for key, given in entries.items():
+            value = as_number(given, f"value of {key}")
             if isinstance(key, str):
                 self._hold(held, number_of(key, self.names), value)
                 continue
@@ -234,6 +237,7 @@ class AffineStructure:
             bounds=None if self.bounds is None else self.bounds.of(left),
         )
 
+    @checked
     def with_bounds(self, limits: Mapping[str, tuple[float, float]]) -> AffineStructure:
         """Same structure with parameters, by name, kept between (lowest, highest); either may be infinite.
 

@@ -17,7 +17,8 @@ import lftkit as lk
 from lftkit import InputError, Port, RealParameter, System, balred, sampled, to_json, to_scipy
 from lftkit.proofs import BoundOptions, MuCertificate, check_mu, complex_block, mu
 from lftkit.systems.arguments import checked
-from lftkit.tuning import ClosedLoopPoles, HinfGain, Margins, TuningOptions, descend, gain, tune
+from lftkit.tuning import ClosedLoopPoles, HinfGain, Margins, TuningOptions, descend, gain, state_space, tune
+from lftkit.tuning.structures.bounds import Bounds
 
 P = RealParameter("p", 0.0, -1.0, 1.0)
 MATRICES = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 0.0]], [("u", 1)], [("y", 1)]
@@ -135,6 +136,24 @@ def test_a_large_integer_is_the_number_that_it_is() -> None:
     assert ClosedLoopPoles(max_frequency=10**30).max_frequency == 1e30
     with pytest.raises(InputError, match="dt must be positive, got 1000"):
         sampled(NOMINAL, 10**400)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda big: lk.transfer([1.0], [1.0, 1.0], size=big), "size must be an integer within 64 bits, got 1000"),
+        (lambda big: state_space([("y", 1)], [("u", 1)], big), "order must be an integer within 64 bits, got 1000"),
+        (lambda big: gain([("y", big)], [("u", 1)]), "size of port 'y' must be an integer within 64 bits, got 1000"),
+        (lambda big: LAW.with_bounds({"D[0,0]": (0.0, big**14)}), "bound of D.0,0. must be a finite real number"),
+        (lambda big: LAW.with_fixed({"D[0,0]": big**14}), "value of D.0,0. must be a finite real number"),
+        (lambda big: Bounds([0.0], [big**14]), "upper must be an array of numbers, got .1000"),  # type: ignore[arg-type]
+        (lambda big: System([[big**14]], *MATRICES[1:]), "A must be a rectangular array of real numbers"),
+        (lambda big: TuningOptions(seed=-big), "seed must be zero or positive"),
+    ],
+)
+def test_sizes_and_bounds_beyond_those_of_arrays_are_named(call: Callable[[int], Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        call(10**30)
 
 
 def test_the_checks_of_others_name_their_arguments() -> None:

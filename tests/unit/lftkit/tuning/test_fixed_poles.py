@@ -8,7 +8,8 @@ from scipy import linalg
 
 from lftkit.systems.system import System
 from lftkit.tuning import HinfGain, TuningOptions, state_space, tune, tune_discrete
-from lftkit.tuning.fixed_poles import slow_fixed_pole
+from lftkit.tuning.fixed_poles import MIN_DECAY, slow_fixed_pole
+from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus, inaccurate
 
 LAW = state_space([("y", 1)], [("u", 1)], 1)
@@ -54,6 +55,17 @@ def test_without_a_least_decay_slow_weights_are_those_of_any_other_pole(pole: fl
     assert found.soft == pytest.approx(0.534981, rel=1e-3)
     if found.lower_bound > 0.0:
         assert found.status is TuningStatus.CONVERGED and found.gap <= 1e-3 and found.evaluations < 4000
+
+
+def test_a_slower_weight_that_becomes_active_later_is_admitted_too() -> None:
+    """Once: not stabilised in the second round of a robust design whose box has the pole of the weight."""
+    problem = Problem([weighted(1e-4)], [HinfGain("w", "z")], LAW)
+    assert problem.min_decay == MIN_DECAY
+    problem.add_model(weighted(1e-8))
+    assert problem.min_decay == pytest.approx(0.5e-8) and problem.stable(np.array([-1.0, 0.0, 0.0, 0.0]))
+    asked = Problem([weighted(1e-4)], [HinfGain("w", "z")], LAW, min_decay=1e-6)
+    asked.add_model(weighted(1e-8))
+    assert asked.min_decay == 1e-6
 
 
 def test_a_discrete_weight_is_admitted_too_and_named_where_a_decay_is_asked_for() -> None:

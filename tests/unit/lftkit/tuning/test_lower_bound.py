@@ -29,6 +29,9 @@ from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.lower_bound import full_order_bounds
 from lftkit.tuning.problem import Problem
 
+PORTS = [("w", 1), ("u", 1)], [("z", 2), ("y", 1)]
+FINE = TuningOptions(starts=1, gap=1e-5)
+
 
 def random_plant(seed: int, *, through: bool = True) -> System:
     """States 1 to 5, several ports, all direct paths that the bounds need and, as the seed has it, others."""
@@ -144,6 +147,14 @@ def test_a_level_that_a_loop_is_below_is_no_bound(monkeypatch: pytest.MonkeyPatc
     level = 4.0 * least
     monkeypatch.setattr(lower_bound, "lowest_level", lambda plant: (level, (1.0 + 2e-6) * level))
     assert least > 0.0 and full_order_bounds(problem)[0, 0] == -np.inf
+
+
+def test_a_gap_below_the_accuracy_of_the_certificate_is_no_target() -> None:
+    """Once: ``target``, which was not given, at a value of half the gap; a lexicographic tuning ended there."""
+    plant = System([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 0.5], [1, 0]], *PORTS)
+    result = tune([plant], [HinfGain("w", "z")], state_space([("y", 1)], [("u", 1)], 1), options=FINE)
+    assert result.status is TuningStatus.CONVERGED and "local minimum" in result.advice
+    assert 0.0 <= result.gap < 1e-5
 
 
 def test_a_strictly_proper_discrete_controller_is_the_predictor_of_two_riccati_equations() -> None:
