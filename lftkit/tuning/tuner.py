@@ -61,7 +61,7 @@ NEAR_BOUND = "the largest soft value is {:.2g} % above what any controller of an
 IMPOSSIBLE = "no controller of any order brings {} below {:.4g} times its bound: relax it, or make it soft"
 FEW_ITERATIONS = 20  # of the one random start where hard requirements cannot be met
 SHOWN = 1e-2  # excess of a lower bound over 1 from which on a hard requirement counts as one that cannot be met
-WITHIN_GAP = 0.5  # part of the gap at which a descent ends
+WITHIN_GAP = 0.9  # part of the gap at which a descent ends
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
