@@ -80,11 +80,9 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
 
 def _of_full_order(plant: ExtendedPlant) -> float:
     """Bound by the program of :func:`~lftkit.synthesis.hinfsyn`, or by single points; minus infinity for none."""
-    P = plant
-    B, C = np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2])
-    sides = [("w", P.B1), ("u", P.B2)], [("z", P.C1.T), ("y", P.C2.T)]
-    ports = ([(name, matrix.shape[1]) for name, matrix in side if matrix.size] for side in sides)
-    return hinfsyn(System(P.A, B, C, np.block([[P.D11, P.D12], [P.D21, P.D22]]), *ports), "y", "u").lower or -np.inf
+    P, (nw, nu), (nz, ny) = plant, (plant.B1.shape[1], plant.B2.shape[1]), (len(plant.C1), len(plant.C2))
+    matrices = P.A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2]), np.block([[P.D11, P.D12], [P.D21, P.D22]])
+    return hinfsyn(System(*matrices, [("w", nw), ("u", nu)], [("z", nz), ("y", ny)]), "y", "u").lower or -np.inf
 
 
 def _of_full_rank(plant: ExtendedPlant) -> bool:
