@@ -23,6 +23,7 @@ from lftkit.synthesis.full_order import hinfsyn
 from lftkit.synthesis.lower_bound import MAX_ORDER as MAX_STATES
 from lftkit.synthesis.out_of_reach import gain_out_of_reach
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import MAX_ORDER
 from lftkit.tuning.gains.loop import extended_plant
@@ -82,7 +83,8 @@ def _of_full_order(plant: ExtendedPlant) -> float:
     """Bound by the program of :func:`~lftkit.synthesis.hinfsyn`, or by single points; minus infinity for none."""
     P, (nw, nu), (nz, ny) = plant, (plant.B1.shape[1], plant.B2.shape[1]), (len(plant.C1), len(plant.C2))
     matrices = P.A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2]), np.block([[P.D11, P.D12], [P.D21, P.D22]])
-    return hinfsyn(System(*matrices, [("w", nw), ("u", nu)], [("z", nz), ("y", ny)]), "y", "u").lower or -np.inf
+    ports = (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny))
+    return hinfsyn(System(*matrices, *ports), "y", "u").lower or -np.inf
 
 
 def _of_full_rank(plant: ExtendedPlant) -> bool:
