@@ -19,7 +19,7 @@ from lftkit.proofs.trusted.cells import check_cells
 from lftkit.proofs.trusted.entries import FORMAT
 from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bound
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
-from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofError, require
+from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofFileError, require
 from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.trusted.structured import check_mu as trusted_check_mu
 from lftkit.systems.arguments import checked
@@ -93,13 +93,13 @@ def kind_of(content: Content) -> str:
 
     Raises
     ------
-    ProofError
+    ProofFileError
         No header of a proof.
     """
     header = content[0]
     kind = header.get("kind") if isinstance(header, dict) and header.get("format") == FORMAT else None
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ProofError(f"the header must be one of {FORMAT!r}, kind {', '.join(KINDS)}, got {kind!r}"[:400])
+        raise ProofFileError(f"the header must be one of {FORMAT!r}, kind {', '.join(KINDS)}, got {kind!r}"[:400])
     return kind
 
 

@@ -45,7 +45,7 @@ from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
 from lftkit.proofs.trusted.entries import mapping, parsed, record, text, zip_members
 from lftkit.proofs.trusted.noise import NoiseBound, NoiseProof, check_noise_proof
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.proof import ProofError, ProofFileError
 from lftkit.proofs.trusted.stability import whole_axis
 from lftkit.support.atomic_output import atomic_file
 from los_design.synthesis.provenance import commit
@@ -279,9 +279,10 @@ def open_bundle(path: Path) -> Iterator[ProofBundle]:
 
     Raises
     ------
+    ProofFileError
+        Not a bundle, or a text of the telescope has control characters.
     ProofError
-        Not a bundle, a member is damaged, missing or not named by the manifest, controllers and telescope are none, or
-        a text of the telescope has control characters.
+        A member is damaged, missing or not named by the manifest, or controllers and telescope are none.
     """
     members = _members(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -321,16 +322,16 @@ def _members(path: Path) -> dict[str, bytes]:
     try:
         found = zip_members(path)
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
-        raise _refused(error) from None
+        raise ProofFileError(str(_refused(error))) from None
     if MANIFEST not in found:
-        raise ProofError(f"a bundle must have {MANIFEST}, got {sorted(found)}"[:300])
+        raise ProofFileError(f"a bundle must have {MANIFEST}, got {sorted(found)}"[:300])
     return found
 
 
 def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
     own = manifest.get("format") if isinstance(manifest, dict) else None
     if own != FORMAT:
-        raise ProofError(f"format must be {FORMAT!r}, got {str(own)[:60]!r}")
+        raise ProofFileError(f"format must be {FORMAT!r}, got {str(own)[:60]!r}")
     hashes = MANIFEST_ENTRIES(manifest, MANIFEST)["sha256"]
     if set(hashes) != set(members):
         raise ProofError(f"members must be those of the manifest, got other {sorted(set(hashes) ^ set(members))}")

@@ -10,14 +10,10 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.proof import ProofFileError
 
 REFUSED = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Categories of Unicode: controls, formats such as the direction of writing, half characters, ends of lines."""
-
-
-class TextError(ProofError):
-    """A file of a proof has a text that cannot be printed."""
 
 
 def require_plain(content: Any, what: str) -> None:
@@ -32,7 +28,7 @@ def require_plain(content: Any, what: str) -> None:
 
     Raises
     ------
-    TextError
+    ProofFileError
         There is one.
 
     Examples
@@ -41,7 +37,7 @@ def require_plain(content: Any, what: str) -> None:
     >>> require_plain(["k\nproven: stable"], "names")
     Traceback (most recent call last):
     ...
-    los_design.verification.check_proof_texts.TextError: names must have no control characters, got 'k\nproven: stable'
+    lftkit.proofs.trusted.proof.ProofFileError: names must have no control characters, got 'k\nproven: stable'
     """
     left = [content]
     while left:
@@ -51,4 +47,4 @@ def require_plain(content: Any, what: str) -> None:
         elif isinstance(item, (list, tuple, set, frozenset)):
             left += item
         elif isinstance(item, str) and any(unicodedata.category(c) in REFUSED for c in item):
-            raise TextError(f"{what} must have no control characters, got {item[:60]!a}")
+            raise ProofFileError(f"{what} must have no control characters, got {item[:60]!a}")

@@ -19,19 +19,21 @@ def digits(value: float | None, places: int = 3, none: str = ABSENT, infinite: s
     Parameters
     ----------
     value : None and NaN give `none`, infinities `infinite`
-    places : significant digits of numbers below 1000; larger ones are rounded to a whole number
+    places : significant digits; numbers with more before the point, and those above 1000, are rounded to a whole number
     none, infinite : in place of a number
 
     Examples
     --------
     >>> [digits(value) for value in (12.3456, 999.6, -1234567.8, 0.0, math.nan, math.inf)]
     ['12.3', '1000', '-1234568', '0', '–', 'no bound']
+    >>> digits(99.6, 2), digits(99.4, 2)
+    ('100', '99')
     """
     if value is None or math.isnan(value):
         return none
     if math.isinf(value):
         return infinite
-    whole = 1000.0 - 0.5 * 10.0 ** (3 - places)  # what would be rounded to 1e+03
+    whole = min(10.0**places - 0.5, 1000.0 - 0.5 * 10.0 ** (3 - places))  # what would be rounded to a power of ten
     return f"{value:.0f}" if abs(value) >= whole else f"{value:.{places}g}"
 
 
@@ -56,10 +58,10 @@ def percent(share: float, places: int = 3) -> str:
 
     Examples
     --------
-    >>> percent(0.12345), percent(math.nan)
-    ('12.3 %', '–')
+    >>> percent(0.12345), percent(math.nan), percent(12.0)
+    ('12.3 %', '–', '1200 %')
     """
-    return ABSENT if math.isnan(share) else f"{100 * share:.{places}g} %"
+    return ABSENT if math.isnan(share) else f"{digits(100 * share, places)} %"
 
 
 def with_unit(text: str, unit: str) -> str:

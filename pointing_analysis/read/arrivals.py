@@ -38,6 +38,8 @@ STEP, STALL = 0.01, 0.1
 """Least clock step and least stall [s], or `GAP` and twice `GAP` periods where these are longer."""
 BEFORE = 50
 """Messages whose least delay is the level before and after."""
+USUAL = 0.9
+"""Part of the messages whose delays above the least one are the jitter."""
 
 
 @dataclass(frozen=True)
@@ -139,10 +141,10 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
     delay = logged - stamps
     least, longest = max(STEP * NANO, GAP * period), max(STALL * NANO, 2.0 * GAP * period)
     found: dict[int, tuple[Kind, float]] = {}
-    start = 0  # of the present level
+    start = caught_up = 0  # of the present level; end of a stall
     for i in np.flatnonzero(np.abs(np.diff(delay)) > least).tolist():
-        if i < start:
-            continue  # a stall that is being caught up
+        if i < caught_up:
+            continue
         level = int(delay[max(start, i + 1 - BEFORE) : i + 1].min())
         rise = float(delay[i + 1] - level)
         if abs(rise) <= least:
@@ -153,11 +155,13 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
         if rise > 0 and (back.size or after.size < BEFORE):
             if rise > longest:
                 found[i] = ("stall", rise)
-            start = i + 1 + int(back[0]) if back.size else logged.size
+            end = i + 1 + int(back[0]) if back.size else logged.size
+            caught_up = end - 1 if back.size and level - delay[end] > least else end  # where it falls below: a step
         else:
             change = float(after[:BEFORE].min() - level)
-            start = i + 1
-            if abs(change) > least:
+            jitter = float(np.quantile(after[:BEFORE], USUAL) - after[:BEFORE].min())
+            if change > least or change < -least - jitter:  # the few messages before may all have come late
+                start = i + 1
                 found[i] = ("clock step", change)
     return MappingProxyType(found)
 

@@ -31,6 +31,8 @@ from pointing_analysis.units import ANGLES
 
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
+REACH = 50
+"""Messages over which the rate of recording is measured: the jitter of one is that much smaller."""
 NO_ATTITUDE = "a quaternion must have norm 1, got another, such as the zeros of an unknown attitude"
 Samples = tuple[FloatArray, IntArray, BoolArray]
 
@@ -90,9 +92,9 @@ class _Topic:
         if not self.logged:
             return []
         logged = np.concatenate(self.logged)
-        steps = np.diff(np.sort(logged))
-        middle = float(np.median(steps)) if steps.size else 0.0
-        rate = 1e9 / middle if middle > 0 else float("nan")
+        reach, times = min(REACH, logged.size - 1), np.sort(logged)
+        span = float(np.median(times[reach:] - times[:-reach])) if reach else 0.0
+        rate = 1e9 * reach / span if span > 0 else float("nan")
         schema = self.channel.schema
         return [
             Candidate(self.name, schema, v.path, _components(v), v.stamped, logged.size, rate, _unit(v), v.axis)

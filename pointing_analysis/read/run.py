@@ -23,8 +23,9 @@ from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
-from pointing_analysis.read.messages.message_types import COLUMNS
+from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
 from pointing_analysis.read.messages.topic_columns import KNOWN, Column, decode_block
+from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.topic import NANO, Topic
 from pointing_analysis.read.unsent import OF_EVERY_TICK
 
@@ -140,13 +141,18 @@ class Run:
         name = self.short(column.name)
         loss = self._losses.get(column.name)
         column.name = name
-        topic = column.topic()
+        topic = column.topic(self._unit(name, column.schema))
         unfinished = self._window[1] == math.inf and self._read.cut
         before, after = loss.ends(topic.integrity.missing) if loss is not None else (0, 0)
         planned = self._planned(topic)
         if unfinished and planned is not None:
             after = max(planned - before - topic.span, 0)
         return replace(topic, lost_before=before, lost_after=after, open_end=unfinished and planned is None)
+
+    def _unit(self, name: str, schema: str) -> str:
+        """Unit of a topic: of the testbed's own ones, of a sensor as the recording describes it, else of its type."""
+        described = {sensor.topic: ", ".join(sensor.unit.split(",")) for sensor in sensors_of(self)}
+        return {**described, **KNOWN}.get(name, UNITS[schema])
 
     def _planned(self, topic: Topic) -> int | None:
         """Samples that the run was to have, by the duration in its configuration; None where it is not known."""

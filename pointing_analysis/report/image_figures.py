@@ -16,9 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.motion_blur import centred, sizes, some_exposures, worst_transfer
-from pointing_analysis.image.optics import Optics, optics_of
+from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
 from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -89,16 +90,27 @@ class ImageView:
 
 
 def image_view(view: RunView) -> ImageView | None:
-    """Exposures of a run; None where its optics are not known or it has no complete exposure."""
+    """Exposures of a run; None where :func:`exposed_view` refuses it."""
     try:
-        optics = optics_of(view.run)
-        if optics is None:
-            return None
-        paths, index = some_exposures(view.series.values, view.series.dt, view.window, MOST)
+        return exposed_view(view)
     except ValueError:
         return None
+
+
+def exposed_view(view: RunView) -> ImageView:
+    """Exposures of a run.
+
+    Raises
+    ------
+    ValueError
+        Its optics are not known, its window is no exposure, or it has no complete one.
+    """
+    optics = optics_of(view.run)
+    if optics is None:
+        raise InputError(NONE_KNOWN)
+    paths, index = some_exposures(view.series.values, view.series.dt, view.window, MOST)
     if not len(paths):
-        return None
+        raise InputError(f"{view.label}: the run must have an exposure without a missing sample, got none")
     found = figures(paths, optics, ("strehl", "ellipticity"))
     time = np.asarray(view.series.start + view.window * index)
     return ImageView(view.label, optics, paths, time, found["strehl"], found["ellipticity"])

@@ -9,7 +9,6 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from pointing_analysis.report.figures import NO_PDF_METADATA, STYLE, LaidOutFigure, RunView
 from pointing_analysis.report.image_figures import (
@@ -19,6 +18,7 @@ from pointing_analysis.report.image_figures import (
     draw_stars,
     draw_targets,
     draw_transfer,
+    exposed_view,
     image_views,
 )
 
@@ -44,9 +44,7 @@ def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
     ValueError
         No run has optics and a complete exposure.
     """
-    found = image_views(views)
-    if not found:
-        raise InputError("runs must name their optics and hold a complete exposure, got none that does")
+    found = image_views(views) or (exposed_view(views[0]),)  # which says why the first has none
     folder.mkdir(parents=True, exist_ok=True)
     settings: Any = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": "image"}
     paths = []

@@ -100,34 +100,36 @@ def write_signals(signals: Sequence[TopicSignal], path: Path, mat_version: str =
         Another suffix, no signal, a package that is not installed, a variable too large for version 5.
     """
     writers = {".mat": _mat_writer(signals, mat_version), ".npz": _npz, ".csv": _csv, ".parquet": _parquet}
-    check_format(path, mat_version)
+    kind = check_format(path, mat_version)
     if not signals:
         raise InputError("topics must have messages with values, got none")
     with atomic_file(path) as temporary:
-        writers[path.suffix](signals, temporary)
+        writers[kind](signals, temporary)
 
 
 FORMATS = (".mat", ".npz", ".csv", ".parquet")
 MAT_VERSIONS = ("", "5", "7.3")
 
 
-def check_format(path: Path, mat_version: str = "") -> None:
-    """Refuse a file that cannot be written, before any work.
+def check_format(path: Path, mat_version: str = "") -> str:
+    """Format of a file, one of :data:`FORMATS`; one that cannot be written is refused before any work.
 
     Raises
     ------
     ValueError
         Another suffix or version, a package that is not installed.
     """
-    if path.suffix not in FORMATS:
+    kind = path.suffix.lower()
+    if kind not in FORMATS:
         raise InputError(f"--output must end with one of {', '.join(FORMATS)}, got {path.name}")
     if mat_version not in MAT_VERSIONS:
         raise InputError(f"--mat-version must be 5 or 7.3, got {mat_version}")
-    needed = {".parquet": ("pyarrow", "campaign")}.get(path.suffix)
-    if path.suffix == ".mat" and mat_version == "7.3":
+    needed = {".parquet": ("pyarrow", "campaign")}.get(kind)
+    if kind == ".mat" and mat_version == "7.3":
         needed = ("h5py", "hdf5")
     if needed is not None:
         _import(*needed)
+    return kind
 
 
 def _import(package: str, extra: str) -> Any:

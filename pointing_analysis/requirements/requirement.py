@@ -344,7 +344,7 @@ def load(path: str | os.PathLike[str]) -> tuple[Requirement, ...]:
     from pointing_analysis.files.structured_text import load_toml, load_yaml, read_text
 
     file = Path(path)
-    read = load_yaml if file.suffix in (".yaml", ".yml") else load_toml
+    read = load_yaml if file.suffix.lower() in (".yaml", ".yml") else load_toml
     content = read(read_text(file), file)
     found = content.get("requirement") if isinstance(content, dict) else None
     if not isinstance(found, list) or not found:

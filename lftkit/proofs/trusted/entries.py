@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.trusted.proof import ProofError, require
+from lftkit.proofs.trusted.proof import ProofError, ProofFileError, require
 
 FORMAT = "lftkit proof 2"
 """First entry of every header."""
@@ -207,21 +207,21 @@ def file_content(path: Path) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
 
     Raises
     ------
-    ProofError
+    ProofFileError
         No ordinary file of a limited size, a member twice, of another type or larger than it says, or no JSON.
     """
-    require(path.is_file(), f"the proof must be an ordinary file, got {path}")
-    size = path.stat().st_size
-    require(size <= MOST_BYTES, f"the file must have at most {MOST_BYTES} bytes, got {size}")
     try:
+        require(path.is_file(), f"the proof must be an ordinary file, got {path}")
+        size = path.stat().st_size
+        require(size <= MOST_BYTES, f"the file must have at most {MOST_BYTES} bytes, got {size}")
         if not zipfile.is_zipfile(path):
             return parsed(path.read_bytes(), "the file"), {}
         arrays = {name.removesuffix(".npy"): member(data, name) for name, data in zip_members(path).items()}
         return parsed(array("uint8", None)(arrays.pop("header"), "header").tobytes(), "header"), arrays
-    except ProofError:
-        raise
+    except ProofError as error:
+        raise ProofFileError(str(error)) from None
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
-        raise ProofError(f"the file must be a proof, got {type(error).__name__}") from None
+        raise ProofFileError(f"the file must be a proof, got {type(error).__name__}") from None
 
 
 def member(data: bytes, name: str) -> np.ndarray[Any, Any]:

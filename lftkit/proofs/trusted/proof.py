@@ -24,6 +24,10 @@ class ProofError(ValueError):
     """The proof is refused; the message says why and where."""
 
 
+class ProofFileError(ProofError):
+    """The file is of no proof, or cannot be read as one: nothing in it was checked."""
+
+
 FAULTS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError)
 """What a damaged proof may raise."""
 

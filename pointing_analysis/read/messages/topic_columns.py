@@ -11,7 +11,7 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import GrowingArray
 from pointing_analysis.read.mcap.records import BagError, Block
 from pointing_analysis.read.messages import cdr
-from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
+from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.topic import Topic, make_topic
 
 #: topics of the testbed by their name without the namespace, with the unit of their values
@@ -56,14 +56,13 @@ class Column:
         """Size of the arrays [byte]."""
         return sum(array.nbytes for array in self.arrays)
 
-    def topic(self) -> Topic:
-        """The finished topic; the column is empty afterwards."""
+    def topic(self, unit: str) -> Topic:
+        """The finished topic with the unit of its values; the column is empty afterwards."""
         columns = list(COLUMNS[self.schema])
         stamp, values, published = (array.array() for array in self.arrays)
         if len(columns) != values.shape[1]:
             columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
         self.arrays = ()
-        unit = KNOWN.get(self.name, UNITS[self.schema])
         return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
 
 

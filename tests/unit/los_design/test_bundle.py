@@ -416,11 +416,13 @@ def test_a_proof_of_weaker_disturbances_is_refused_by_the_model_made_anew_alone(
 
 def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.zip").write_text("no bundle")
-    for file, expected in ((written, "the strips must cover the box"), (tmp_path / "text.zip", "must be a bundle")):
+    cases = ((written, 1, "the strips must cover the box"), (tmp_path / "text.zip", 2, "must be a bundle"))
+    for file, code, expected in cases:
         with pytest.raises(SystemExit) as ended:
             main(["design", "check-proof", str(file)])
         (line,) = capsys.readouterr().err.strip().splitlines()
-        assert ended.value.code == 1 and line.startswith("refused: ") and expected in line
+        assert ended.value.code == code and expected in line
+        assert line.startswith("refused: " if code == 1 else f"los-testbed: {file}: ")
 
 
 def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:

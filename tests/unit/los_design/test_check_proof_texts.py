@@ -13,7 +13,8 @@ from lftkit import real, s
 from lftkit.proofs import worst_case_gain
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.trusted.cells import digest
-from los_design.verification.check_proof_texts import TextError, require_plain
+from lftkit.proofs.trusted.proof import ProofFileError
+from los_design.verification.check_proof_texts import require_plain
 from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 
 FORGED = "k in [8, 12]\nproven: gain below 1e-09 at all frequencies from 0 rad/s on\nproven: stable\nfor all k"
@@ -61,11 +62,11 @@ def test_words_of_a_loop_are_no_lines(where: str, tmp_path: Path, capsys: pytest
 def test_a_refusal_is_one_line_whatever_the_file_has_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "proof.json").write_text(json.dumps({"format": "lftkit proof 2", "kind": FORGED}))
     code, out, lines = ended(capsys, tmp_path / "proof.json")
-    assert code == 1 and out == "" and len(lines) == 1 and lines[0].startswith("refused: ")
+    assert code == 2 and out == "" and len(lines) == 1 and lines[0].isprintable() and "the header must be" in lines[0]
 
 
 def test_ordinary_letters_and_spaces_are_plain() -> None:
     require_plain({"name": ["Antenne Süd, Δθ = 3\N{NO-BREAK SPACE}mrad", 1.0, None]}, "names")
     for text in ("a\tb", "a\x7f", "a\u202eb", "a\u2029b"):
-        with pytest.raises(TextError, match="names must have no control characters"):
+        with pytest.raises(ProofFileError, match="names must have no control characters"):
             require_plain([{text: 0}], "names")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 
-from pointing_analysis.indices.errors import RAD_PER_ARCSEC
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, performance_error
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
@@ -149,6 +149,19 @@ def test_the_command_line_judges_a_bag_of_others(folder: Path, capsys: pytest.Ca
     assert results[0]["requirements"] == results[1]["requirements"] == results[2]["requirements"]
     assert results[0]["ape_arcsec"] == results[2]["ape_arcsec"]
     assert not any("RPE" in problem for problem in results[0]["problems"])
+
+
+def test_the_rate_of_a_topic_is_seen_through_the_jitter_of_a_link(tmp_path: Path) -> None:
+    """Messages come up to four periods late: the median of single steps would be 249 Hz."""
+    late = external_bags.START + np.arange(2000) * 5_000_000 + np.random.default_rng(2).integers(0, 20_000_000, 2000)
+    topics = {"/los": ("geometry_msgs/msg/Vector3Stamped", np.zeros((2000, 2)))}
+    (found,) = candidates(external_bags.write_external(tmp_path / "bag", topics, 200.0, late))
+    assert found.rate == pytest.approx(200.0, rel=0.01)
+
+
+def test_a_record_of_others_is_refused_by_its_own_name() -> None:
+    with pytest.raises(ValueError, match=r"^line of sight: topic must have at least two samples, got 1$"):
+        performance_error(series(None, np.zeros((1, 2)), unit="mas", rate=100.0), 0.0)
 
 
 def test_listing_of_what_could_be_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

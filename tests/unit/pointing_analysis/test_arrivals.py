@@ -90,6 +90,16 @@ def test_a_loss_at_a_clock_step_is_counted_by_the_other_clock() -> None:
     assert found.lost == 7
 
 
+def test_messages_of_a_slow_link_are_no_clock_steps() -> None:
+    """Delays that scatter over four periods: alone, and with a step of the stamps that is seen through them."""
+    rng = np.random.default_rng(3)
+    logged, stamps = times(2000, 5)
+    late = logged + rng.integers(0, 20 * MS, 2000)
+    assert kinds(arrivals(late, stamps)) == []
+    (step,) = arrivals(late, stamps + np.where(np.arange(2000) >= 1000, 500 * MS, 0)).events
+    assert step.kind == "clock step" and step.size == pytest.approx(-0.5, abs=0.005)
+
+
 def test_without_stamps_a_gap_is_only_a_gap() -> None:
     logged, _ = times(1000, 10)
     found = arrivals(np.delete(logged, np.arange(500, 560)))

@@ -12,6 +12,7 @@ import pytest
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.recorded_sensors import METADATA, RecordedSensor, sensors_of
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.signal_files import signals_of
 from pointing_analysis.requirements.summary import summarise
 
 GUIDE = RecordedSensor("guide/los", "rad", 10.0, True, (3e-8, 4e-8))
@@ -53,3 +54,11 @@ def test_a_description_that_cannot_be_read_is_none(tmp_path: Path, change: dict[
     with pytest.raises(ValueError, match=r"a sensor must have|rate_hz and noise of a sensor must be finite"):
         RecordedSensor.from_mapping(entry)
     assert sensors_of(recording(tmp_path / "bag", [GUIDE.to_mapping(), entry], np.zeros((30, 2)))) == ()
+
+
+def test_samples_have_the_unit_of_their_description(tmp_path: Path) -> None:
+    """A gyroscope has the message type of an angle."""
+    gyro = RecordedSensor("guide/los", "rad/s", 10.0, True, (1e-6, 1e-6))
+    run = recording(tmp_path / "bag", [gyro.to_mapping()], np.zeros((30, 2)))
+    assert (run["guide/los"].unit, run["truth/los"].unit) == ("rad/s", "rad")
+    assert signals_of(run, ["guide/los"])[0].heads[0] == "guide/los x [rad/s]"

@@ -177,10 +177,10 @@ def test_an_entry_of_another_form_is_refused_with_the_name_of_the_list(entry: ob
         from_entries([{"text": text()}, entry], "here")
 
 
-@pytest.mark.parametrize("suffix", [".toml", ".yaml", ".yml", ".txt"])
+@pytest.mark.parametrize("suffix", [".toml", ".yaml", ".YML", ".txt"])
 def test_files_of_both_kinds_have_the_same_requirements(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"mine{suffix}"
-    if suffix in (".yaml", ".yml"):
+    if suffix in (".yaml", ".YML"):
         path.write_text(yaml.safe_dump({"requirement": [{"text": text(), "name": "a"}]}))
     else:
         path.write_text(f'[[requirement]]\ntext = "{text()}"\nname = "a"\n')

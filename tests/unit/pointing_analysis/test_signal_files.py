@@ -97,7 +97,7 @@ def test_numpy_has_arrays_by_topic(signals: list[TopicSignal], tmp_path: Path) -
 
 
 def table_of(path: Path) -> tuple[list[str], np.ndarray[Any, Any]]:
-    if path.suffix == ".csv":
+    if path.suffix == ".CSV":
         with path.open(newline="") as file:
             heads, *rows = csv.reader(file)
         return heads, np.array([[float(cell or "nan") for cell in row] for row in rows])
@@ -106,7 +106,7 @@ def table_of(path: Path) -> tuple[list[str], np.ndarray[Any, Any]]:
     return table.column_names, np.column_stack([column.to_numpy() for column in table.columns]).astype(float)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("suffix", [".CSV", ".parquet"])
 def test_a_table_has_a_row_for_each_stamp(suffix: str, signals: list[TopicSignal], tmp_path: Path) -> None:
     """The camera has a frame in every twentieth row; a topic is what its columns are without the empty cells."""
     write_signals(signals, tmp_path / f"run{suffix}")

@@ -16,6 +16,7 @@ from pointing_analysis.image.motion_blur import motion_transfer
 from pointing_analysis.image.optics import with_optics
 from pointing_analysis.read.series import series
 from pointing_analysis.report.image_figures import image_views, siemens_star, stars
+from pointing_analysis.report.image_pictures import draw_pictures
 from pointing_analysis.report.report import view
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -156,3 +157,10 @@ def test_mistakes(
     words = 2 if arguments[0] == "image" else 1
     assert message in refused(capsys, *arguments[:words], *source(folder), *arguments[words:], *options)
     assert not Path("new").exists() and not Path("k.fits").exists() and not Path("k.csv").exists()
+
+
+def test_pictures_are_refused_by_what_is_wrong_with_the_run(tmp_path: Path) -> None:
+    """The optics are named and the run is long enough, but 20 ms are 20.48 samples."""
+    run = with_optics(series(None, np.zeros((3000, 2)), unit="mas", rate=1024.0), TABLE)
+    with pytest.raises(ValueError, match=r"window must be a whole number .* got 20 ms"):
+        draw_pictures([view(run, "bench", 0.0)], tmp_path)

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.summary.worst_case_rows import limits_met
+from los_testbed.run.summary.worst_case_rows import figure, level, limits_met
 
+from pointing_analysis.formatting.number_text import ABSENT
 from pointing_analysis.spectra.tone_budget import ToneBudget
 
 OMEGA = 3.0
@@ -33,3 +34,11 @@ def test_a_limit_is_kept_or_broken_only_beyond_the_scatter_of_the_noise(
     fast: float, noise: float, noise_error: float, text: str
 ) -> None:
     assert limits_met(summary(fast, noise, noise_error), "slow", OMEGA, REQUIREMENTS) == text
+
+
+def test_a_record_that_does_not_resolve_its_tone_has_no_level() -> None:
+    """Such a loop has not diverged, and no limit is met or exceeded."""
+    unresolved = summary(float("nan"), float("nan"), float("nan"))
+    assert limits_met(unresolved, "slow", OMEGA, REQUIREMENTS) == "tones not resolved"
+    assert figure(level(unresolved, "slow", OMEGA), "mas") == ABSENT
+    assert figure(level(summary(3.0, 4.0, 0.1), "APE", OMEGA), "arcsec") == "11 arcsec"

@@ -109,7 +109,7 @@ def verdict_table(summary: dict[str, Any]) -> TextTable:
     for v in summary["verdicts"]:
         value = "unbounded" if v["value"] is None else with_unit(digits(v["value"], 4), v["unit"])
         limit = f"{'above ' if v['lower_limit'] else ''}{digits(v['limit'], 4)}"
-        bounds = "" if v["upper"] is None else f" ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
+        bounds = "" if v["upper"] is None else f" ({digits(100 * v['lower'], 2)} to {digits(100 * v['upper'], 2)})"
         samples = f"{v['samples']}" + (f", {v['undecided']} undecided" if v["undecided"] else "")
         beyond = f"{percent(v['exceeding'])}{bounds}"
         rows.append((v["requirement"], v["interpretation"], v["status"], value, limit, beyond, samples))

@@ -71,7 +71,7 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    if designs is not None and (file is None or file.suffix != ".npz"):
+    if designs is not None and (file is None or file.suffix.lower() != ".npz"):
         raise InputError(f"--designs must be given with an .npz of `design certify`, got {file or 'no file'}")
     if file is not None:
         _check(file, cluster, designs, json_)
@@ -93,7 +93,7 @@ def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> N
     if not file.exists():
         raise InputError(f"FILE must be a proof file, got {file}, which does not exist")
     with _refusals(file):
-        if file.suffix == ".zip":
+        if file.suffix.lower() == ".zip":
             _check_bundle(file, cluster, json_)
         elif (kind := proof_kind(file)) == LOOP:
             _check_loop(file, cluster, designs, json_)
@@ -105,13 +105,12 @@ def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> N
 
 @contextmanager
 def _refusals(file: Path) -> Iterator[None]:
-    """Report why a proof is rejected, with exit code 1."""
-    from lftkit.proofs.trusted.proof import ProofError
-    from los_design.verification.check_proof_texts import TextError
+    """Report why a proof is rejected, with exit code 1; a file of no proof is wrong input."""
+    from lftkit.proofs.trusted.proof import ProofError, ProofFileError
 
     try:
         yield
-    except TextError as error:
+    except ProofFileError as error:
         raise InputError(f"{file}: {error}") from None
     except ProofError as error:
         sys.stderr.write(f"refused: {printable(str(error))}\n")

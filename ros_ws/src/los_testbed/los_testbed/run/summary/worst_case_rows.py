@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg, special
 
 from los_testbed.parts.start import START_FILE, RunStart
-from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.number_text import digits, with_unit
 from pointing_analysis.formatting.tables import Heading, numbers
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
@@ -89,13 +89,13 @@ def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> fl
     """Level that is compared with the limits of an index: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
 
     `omega` is the frequency of the tone [rad/s]; `errors` standard errors of the record's noise are added to the noise
-    of the RPE.
+    of the RPE. NaN where tone and noise of the record cannot be distinguished.
     """
     if index == "APE" or summary.budget is None:
         return summary.ape_p997 if index == "APE" else summary.rpe_windows_p997
     budget = summary.budget
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
-        return math.inf
+        return budget.noise + budget.slow + budget.fast
     scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
     noise, turn = max(0.0, budget.noise + scatter), omega * summary.window
     return combined_level(max(budget.slow, budget.fast), noise, SHOWN, turn=turn)
@@ -106,10 +106,12 @@ def limits_met(summary: Summary, index: str, omega: float, requirements: Sequenc
 
     :func:`level` is compared with each limit. The noise of a short record scatters: a limit is met if the level with
     the upper one-sided bound of the noise at :data:`CONFIDENCE` is within it, exceeded if that with the lower bound is
-    not; else it is "within the scatter".
+    not; else it is "within the scatter". Nothing is said where there is no level.
     """
     errors = float(special.ndtri(CONFIDENCE))
     least, most = level(summary, index, omega, -errors), level(summary, index, omega, errors)
+    if math.isnan(least):
+        return "tones not resolved"
     name = "APE" if index == "APE" else "RPE"
     unit = RAD_PER_ARCSEC if name == "APE" else RAD_PER_MAS
     bounds = sorted({r.limit / unit for r in requirements if judges(r, name, summary.window)}, reverse=True)
@@ -130,9 +132,9 @@ def judges(requirement: Requirement, index: str, window: float) -> bool:
     return requirement.index == index and not requirement.axis and requirement.times == windows
 
 
-def figure(value: float) -> str:
-    """Three digits."""
-    return digits(value, none="diverged", infinite="diverged")
+def figure(value: float, unit: str) -> str:
+    """Three digits and the unit, which a word in place of a number has not."""
+    return with_unit(digits(value, infinite="diverged"), unit if math.isfinite(value) else "")
 
 
 COLUMNS = (
@@ -154,10 +156,10 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Seque
                 f"{tone.omega:.4g}",
                 f"{tone.omega / (2.0 * math.pi):.4g}",
                 f"{tone.gamma:.3f} of {tone.limit:g} {tone.unit}",
-                f"{figure(tone.predicted)} {tone.unit}",
-                f"{figure(tone.measured)} {tone.unit}",
-                f"{figure(level(summary, tone.index, tone.omega))} {tone.unit}",
-                "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}",
+                figure(tone.predicted, tone.unit),
+                figure(tone.measured, tone.unit),
+                figure(level(summary, tone.index, tone.omega), tone.unit),
+                "" if tone.index == "APE" else figure(quantile, tone.unit),
                 limits_met(summary, tone.index, tone.omega, requirements),
             ]
         )
