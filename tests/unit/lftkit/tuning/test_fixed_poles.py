@@ -68,6 +68,13 @@ def test_a_slower_weight_that_becomes_active_later_is_admitted_too() -> None:
     assert asked.min_decay == 1e-6
 
 
+def test_a_fixed_pole_is_one_in_rounded_coordinates_too() -> None:
+    """Once, for a sampled plant in other coordinates: no start made every model stable, "raise the order"."""
+    plant = weighted(1e-8)
+    rounded = System(plant.A + 4e-14, plant.B, plant.C, plant.D, plant.inputs, plant.outputs)
+    assert Problem([rounded], [HinfGain("w", "z")], LAW).min_decay == pytest.approx(0.5e-8, rel=1e-3)
+
+
 def test_a_discrete_weight_is_admitted_too_and_named_where_a_decay_is_asked_for() -> None:
     pole = 1.0 - 1e-8  # -1e-6 rad/s at a period of 0.01 s
     plant = System(
