@@ -68,6 +68,13 @@ def test_a_slower_weight_that_becomes_active_later_is_admitted_too() -> None:
     assert asked.min_decay == 1e-6
 
 
+def test_the_peak_of_a_slower_weight_is_seen() -> None:
+    """A static law has S(0) = 1 / 2, the weight 1 / pole; the grid once began at 0.3 times the pole, 4 % lower."""
+    problem = Problem([weighted(1e-11)], [HinfGain("w", "z")], LAW)
+    found = problem.evaluate(np.array([-1.0, 0.0, 0.0, 1.0]), gradients=False)
+    assert found.values[0, 0] == pytest.approx(0.5e11, rel=1e-6)
+
+
 def test_a_fixed_pole_is_one_in_rounded_coordinates_too() -> None:
     """Once, for a sampled plant in other coordinates: no start made every model stable, "raise the order"."""
     plant = weighted(1e-8)
