@@ -418,7 +418,7 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
             return HInfNorm(*bracketed_norm(IntervalModel(system, response, rtol)), "interval")
         except InexactModesError:
             continue
-        except UndecidedError:
+        except (UndecidedError, PoleError):
             break
     try:
         return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")

@@ -40,6 +40,11 @@ CONFIRMED, ACCURACY = 1e-3, 5e-4
 """Relative distance from the value of a closed loop at which an optimum of the program counts, and that of two runs."""
 FROM = (1.0, 0.3), (10.0, 0.1), (10.0, 0.3), (1.0, 0.1)
 """Units of the error over that value, and centring, of the runs of which two must agree."""
+NO_VECTORS = "no vectors were found that contradict a level beyond rounding"
+CONFINED = (
+    "measurements without noise (D21 of less than full row rank) leave no definite sum of the plant",
+    "commands without a weight (D12 of less than full column rank) leave no definite sum of the adjoint",
+)
 Sides = tuple[bool, bool]
 """Whether vectors of the plant, and of its adjoint, are looked for."""
 ATTEMPTS = (
@@ -116,7 +121,8 @@ def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> Prove
         if proof is not None and all(sides) and proof.level > (1.0 - CLOSE) * optimum:
             break
     if best is None:
-        return ProvenLowerBound(-np.inf, None, "no vectors were found that contradict a level beyond rounding")
+        confined = [text for half, text in zip(_halves(working.plant), CONFINED) if half.confined]
+        return ProvenLowerBound(-np.inf, None, "; ".join([NO_VECTORS, *confined]))
     return ProvenLowerBound(best.level, best)
 
 
@@ -177,6 +183,12 @@ class _Half:
     def kernel(self) -> FloatArray:
         """Orthonormal (x, w) as columns."""
         return np.asarray(linalg.null_space(self.seen))
+
+    @property
+    def confined(self) -> bool:
+        """Some of the states x is zero in all of the kernel: sums of its rates are zero there, not definite."""
+        states = self.kernel[: len(self.A)]
+        return len(states) > 0 and (not states.size or linalg.null_space(states.T).size > 0)
 
     def signals(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """x, its rate, w and z."""

@@ -14,8 +14,8 @@ from lftkit.tuning.structures.structures import Structure
 
 MIN_DECAY = 1e-6
 """Decay [rad/s] that every pole of a stable loop exceeds where no fixed pole is slower."""
-ROUNDING = 10 * np.finfo(float).eps
-"""Singular value, relative to the norm and per state, that counts as zero."""
+ROUNDING = 1e-13
+"""Singular value, relative to the norm and per state, that counts as zero: of a fixed pole in other coordinates."""
 SLOWEST = 1e-13
 """Decay, relative to the norm of the model, below which computed eigenvalues do not show that a loop is stable."""
 MARGIN = 1e-3

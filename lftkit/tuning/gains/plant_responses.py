@@ -25,6 +25,7 @@ from lftkit.tuning.requirements.gains import band_edges
 from lftkit.tuning.requirements.sector import SectorGain
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
+ORIGIN = 1e-9, 1e-13  # poles up to these count as at the origin: [rad/s], and relative to the largest one
 PER_DECADE = 50
 
 GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
@@ -54,6 +55,13 @@ class Arrays:
         first, second = ({i: np.concatenate([a[i], b[i]])[index] for i in a} for a, b in pairs)
         third = _once(self.P21, lambda i: np.concatenate([self.P21[i], other.P21[i]])[index])
         return Arrays(omega[index], first, second, third, np.concatenate([self.P22, other.P22])[index])
+
+
+def _apart_from_origin(poles: ComplexArray) -> FloatArray:
+    """Magnitudes of poles [rad/s] other than those that rounding may have moved from the origin; at least one."""
+    sizes = np.abs(poles)
+    apart = sizes[sizes > min(ORIGIN[0], ORIGIN[1] * sizes.max(initial=0.0))]
+    return apart if len(apart) else np.ones(1)
 
 
 class PlantResponses:
@@ -95,10 +103,7 @@ class PlantResponses:
         self._F = prefeedback(model.A, model.B[:, cu], model.C[ry], D[nz:, nw:])
         plant = applied(model.A, model.B[:, columns], model.C[rows], D, nz, nw, self._F)
         self._response = FrequencyResponse.of(*plant)
-        sizes = np.abs(self._response.poles)
-        self._slowest = float(sizes[sizes > 1e-9].min(initial=np.inf))
-        if not np.isfinite(self._slowest):
-            self._slowest = 1.0
+        self._slowest = float(_apart_from_origin(self._response.poles).min())
         self._columns = [_positions(cw, model.input_indices(r.inputs)) for r in requirements]
         self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
         self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
@@ -108,14 +113,12 @@ class PlantResponses:
         poles = [self._response.poles]
         poles += [w.poles for pair in self._weights for w in pair[:2] if w is not None]
         every = np.concatenate(poles)
-        sizes = np.abs(every[np.abs(every) > 1e-9])
-        if len(sizes) == 0:
-            sizes = np.array([1.0])
+        sizes = _apart_from_origin(every)
         inner = frequency_grid(
             every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
         )
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
-        at_origin = np.any(np.abs(every) <= 1e-9)
+        at_origin = np.any(np.abs(every) < sizes.min())
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
         return np.asarray(np.unique(np.concatenate([self._apart_from_poles(grid), band_edges(self.requirements)])))
 

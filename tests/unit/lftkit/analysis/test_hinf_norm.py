@@ -7,7 +7,8 @@ import pytest
 import scipy.linalg
 from support.resonant_systems import CERTIFICATES, EVERY, mixed, oscillator, resonator, sum_of
 
-from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, refined_response
+from lftkit.analysis import norms
+from lftkit.analysis.frequency_response import FrequencyResponse, PoleError, direct_response, refined_response
 from lftkit.analysis.norms import h2_norm, hinf_norm, hinf_norms, schur_lyapunov, spectral_abscissa
 
 
@@ -327,3 +328,14 @@ def test_no_norm_is_below_the_gain_at_infinity() -> None:
     C = np.array([[-32.0, 0.0, 2027.52, 0.0, 0.0, 0.0], [3.2, 0.0, 0.0, 0.0, 0.0, 0.0]])
     norm = hinf_norm(A, B, C, [[1.0], [0.0]])
     assert norm.value == pytest.approx(1.0001745766, rel=1e-7) and norm.value <= norm.upper
+
+
+def test_a_direct_solution_that_meets_a_pole_leaves_no_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once: a PoleError, for a loop with entries of 1e8 and a pole at -4e-11; its poles are the axis to rounding."""
+
+    def at_pole(model: object) -> None:
+        raise PoleError("a pole")
+
+    monkeypatch.setattr(norms, "bracketed_norm", at_pole)
+    norm = hinf_norm(*oscillator(1.0, 0.1), certificate="interval")
+    assert norm.upper == np.inf and norm.certificate == "unstable"

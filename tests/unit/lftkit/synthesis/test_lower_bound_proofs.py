@@ -19,6 +19,7 @@ from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.synthesis import augw, hinfsyn, lower_bound_proof
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
+from lftkit.tuning.published_plants import published_plant
 
 
 def random_plant(seed: int, n: int, through: bool = False) -> System:
@@ -240,6 +241,13 @@ def test_a_file_says_in_one_sentence_what_is_proven(proof: LowerBoundProof, tmp_
         "outputs 4, 5 to inputs 4, 5 has a loop with an H-infinity norm below"
     )
     assert proof.level * (1.0 - 2e-8) < float(printed) <= proof.level
+
+
+@pytest.mark.parametrize(("name", "said"), [("HE1", (True, False)), ("NN17", (True, True))])
+def test_plants_that_leave_no_definite_sums_are_told_apart(name: str, said: tuple[bool, bool]) -> None:
+    """HE1 has no noise, and a stable zero from its commands beside it; NN17 neither noise nor all weights."""
+    found = lower_bound_proof(published_plant(name), "y", "u")
+    assert found.proof is None and tuple(part in found.reason for part in ("D21", "D12")) == said
 
 
 def test_what_is_not_known_has_a_reason() -> None:

@@ -68,6 +68,20 @@ def test_a_slower_weight_that_becomes_active_later_is_admitted_too() -> None:
     assert asked.min_decay == 1e-6
 
 
+def test_the_peak_of_a_slower_weight_is_seen() -> None:
+    """A static law has S(0) = 1 / 2, the weight 1 / pole; the grid once began at 0.3 times the pole, 4 % lower."""
+    problem = Problem([weighted(1e-11)], [HinfGain("w", "z")], LAW)
+    found = problem.evaluate(np.array([-1.0, 0.0, 0.0, 1.0]), gradients=False)
+    assert found.values[0, 0] == pytest.approx(0.5e11, rel=1e-6)
+
+
+def test_a_fixed_pole_is_one_in_rounded_coordinates_too() -> None:
+    """Once, for a sampled plant in other coordinates: no start made every model stable, "raise the order"."""
+    plant = weighted(1e-8)
+    rounded = System(plant.A + 4e-14, plant.B, plant.C, plant.D, plant.inputs, plant.outputs)
+    assert Problem([rounded], [HinfGain("w", "z")], LAW).min_decay == pytest.approx(0.5e-8, rel=1e-3)
+
+
 def test_a_discrete_weight_is_admitted_too_and_named_where_a_decay_is_asked_for() -> None:
     pole = 1.0 - 1e-8  # -1e-6 rad/s at a period of 0.01 s
     plant = System(
