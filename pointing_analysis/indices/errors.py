@@ -130,8 +130,8 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
         return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
-    values, dt = on_grid(run["truth/los"])
     truth = run["truth/los"]
+    values, dt = on_grid(replace(truth, name=run.shown("truth/los")))  # of another program's file its own name
     series = _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, truth.open_end)
     return replace(series, never_sent=0 < truth.integrity.missing <= unsent(run, "truth/los"))
 

@@ -160,7 +160,7 @@ def test_the_rate_of_a_topic_is_seen_through_the_jitter_of_a_link(tmp_path: Path
 
 
 def test_a_record_of_others_is_refused_by_its_own_name() -> None:
-    with pytest.raises(ValueError, match="^line of sight: topic must have at least two samples, got 1$"):
+    with pytest.raises(ValueError, match=r"^line of sight: topic must have at least two samples, got 1$"):
         performance_error(series(None, np.zeros((1, 2)), unit="mas", rate=100.0), 0.0)
 
 
