@@ -18,9 +18,13 @@ from lftkit.systems.sampling import sampled
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop
+from pointing_analysis.indices.window_rows import window_rows, window_starts
 from titop_plant.interface import DT, FRAME_TICKS, PLATFORM
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import relative_error_weight
+
+PLACES = 10
+"""Places for each tick of a window that is no whole number of ticks."""
 
 
 def noise_covariances(
@@ -148,21 +152,32 @@ def correlation(loop: SampledLoop, sigma: FloatArray, unit: float = 1.0) -> Call
     return at
 
 
-def covariances_in_window(correlated: Callable[[int], FloatArray], ticks: int) -> FloatArray:
-    """Covariance of the line of sight less its mean over a window, at each of the window's ticks: (ticks, 2, 2).
+def covariances_in_window(correlated: Callable[[int], FloatArray], ticks: float) -> FloatArray:
+    """Covariance of the line of sight less its mean over a window, at places of equal shares of it: (places, 2, 2).
+
+    The places are the window's ticks. Of a window that is no whole number of ticks they are those of one window after
+    the other (:func:`pointing_analysis.indices.window_rows.window_starts`).
 
     Parameters
     ----------
     correlated : callable
         Of :func:`correlation`.
-    ticks : int
+    ticks : float
         Length of the window.
     """
-    lags = [correlated(lag) for lag in range(ticks)]
-    table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(ticks)] for i in range(ticks)])
-    mean = table.mean(axis=1)
-    whole = mean.mean(axis=0)
-    return np.stack([table[i, i] - mean[i] - mean[i].T + whole for i in range(ticks)])
+    starts = window_starts(ticks)
+    index, weights = window_rows(starts, ticks)
+    count = index.shape[1]
+    lags = [correlated(lag) for lag in range(count)]
+    table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(count)] for i in range(count)])
+    places = round(ticks) if len(starts) == 1 else round(PLACES * ticks)
+    found = []
+    for start, weight in zip(starts, weights / ticks):
+        mean = np.einsum("j,ijab->iab", weight, table)
+        whole = np.einsum("i,iab->ab", weight, mean)
+        here = np.floor(start + (np.arange(places) + 0.5) * ticks / places).astype(int)
+        found += [table[i, i] - mean[i] - mean[i].T + whole for i in here]
+    return np.stack(found)
 
 
 __all__ = [

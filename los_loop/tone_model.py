@@ -34,6 +34,7 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import exposure_of_run
@@ -203,7 +204,7 @@ class ToneModel:
     def relative_error(self, window: float) -> float:
         """Relative error in windows [s] in steady state: root mean square of both axes together [rad]."""
         amplitude = np.sqrt(np.sum(np.abs(self.settled()) ** 2, axis=0))
-        weights = rpe_discrete(self.omega, max(round(window / DT), 1), DT)
+        weights = rpe_discrete(self.omega, samples_or_one(window, DT), DT)
         return float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0))
 
     def phasors(self) -> ComplexArray:

@@ -14,6 +14,7 @@ import numpy as np
 from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
+from lftkit.support.counted_nouns import counted
 from lftkit.support.workers import Workers
 from lftkit.tuning import certify
 from los_design.synthesis.state_space_requirements import paper_requirements
@@ -218,7 +219,7 @@ class ImplementedCheck:
         lines = []
         for check in self.checks.values():
             counts = Counter(name for names in check.unstable_changes for name in names)
-            lines += [f"{check.stage}: {name} unstable at {n} points" for name, n in counts.items()]
+            lines += [f"{check.stage}: {name} unstable at {counted(n, 'point')}" for name, n in counts.items()]
         return lines
 
     def to_mapping(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from scipy import linalg
 from lftkit.errors import InputError
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.indices import metrics, weights
-from pointing_analysis.indices.window_rows import ROUNDING, window_rows
+from pointing_analysis.indices.window_rows import ROUNDING, window_rows, window_starts
 
 Draw = Callable[[np.random.Generator, FloatArray, float | None], FloatArray]
 Sigma = Callable[[float | None], FloatArray]
@@ -111,7 +111,9 @@ def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float 
     def weight(window: float | None) -> FloatArray:
         if window is None:
             return np.ones(w.size)
-        return weights.rpe_exact(w, window) if dt is None else weights.rpe_discrete(w, round(window / dt), dt)
+        if dt is None:
+            return weights.rpe_exact(w, window)
+        return weights.rpe_discrete(w, metrics.samples_or_one(window, dt), dt)
 
     def sigma(window: float | None) -> FloatArray:
         return np.asarray(np.sqrt((np.abs(p * weight(window)) ** 2).sum(axis=1) / 2))
@@ -132,9 +134,13 @@ def _relative(omega: float, u: FloatArray, window: float, dt: float | None) -> C
         y = omega * window
         mean = np.sinc(y / (2 * np.pi)) * np.exp(1j * y * (0.5 - u))
     else:
-        n = round(window / dt)
-        j = np.floor(u * n)
-        mean = np.exp(1j * omega * dt * np.arange(n)).mean() * np.exp(-1j * omega * dt * j)
+        n = metrics.samples_or_one(window, dt)
+        starts = window_starts(n)
+        index, weight = window_rows(starts, n)
+        means = (weight * np.exp(1j * omega * dt * index)).sum(axis=1) / n
+        number = np.minimum((u * len(starts)).astype(int), len(starts) - 1)
+        j = np.floor(starts[number] + (u * len(starts) - number) * n)
+        mean = means[number] * np.exp(-1j * omega * dt * j)
     return np.asarray(1 - mean)
 
 

@@ -15,6 +15,8 @@ from pointing_analysis.read.mapped_arrays import PART, release
 
 ROUNDING = 1e-9
 """Part of a period that is nothing but rounding."""
+STARTS = 20
+"""Most windows over which what depends on their begins is averaged."""
 
 
 def window_rows(starts: FloatArray, n: float) -> tuple[IntArray, FloatArray]:
@@ -41,6 +43,17 @@ def window_rows(starts: FloatArray, n: float) -> tuple[IntArray, FloatArray]:
     stops = (starts + n)[:, None]
     weight = np.minimum(index + 1, stops) - np.maximum(index, starts[:, None])
     return index, np.where(weight > ROUNDING, np.minimum(weight, 1.0), 0.0)
+
+
+def window_starts(n: float) -> FloatArray:
+    """Begins of disjoint windows of n periods, in the period that each begins in, until they repeat.
+
+    Examples
+    --------
+    >>> window_starts(12), window_starts(12.5)
+    (array([0.]), array([0. , 0.5]))
+    """
+    return np.unique(np.round(n * np.arange(STARTS), 9) % 1.0)
 
 
 def windows_of(e: FloatArray, starts: FloatArray, n: float) -> Iterator[tuple[FloatArray, FloatArray]]:

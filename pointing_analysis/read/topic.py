@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, empty, parts
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
@@ -283,8 +284,9 @@ def on_grid(topic: Topic, off_grid: float = 0.01) -> tuple[FloatArray, float]:
         )
     if state.irregular > off_grid * len(topic):
         raise BagError(
-            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, got {state.irregular} intervals "
-            "off it (with a known sampling rate, --rate HZ moves them to its grid)"
+            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, got "
+            f"{counted(state.irregular, 'interval')} off it "
+            "(with a known sampling rate, --rate HZ moves them to its grid)"
         )
     rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after
     if rows > 4 * len(topic) + 100_000:

@@ -59,3 +59,10 @@ def test_what_is_within_a_window_is_the_whole_less_its_mean(ticks: int) -> None:
         [[found(j - i) if j >= i else found(i - j).T for j in range(ticks)] for i in range(ticks)], (0, 1)
     )
     np.testing.assert_allclose(within.mean(axis=0), found(0) - of_mean, atol=1e-9 * np.abs(found(0)).max())
+
+
+def test_a_window_that_is_no_whole_number_of_ticks_has_them_by_their_share() -> None:
+    """The mean over the begins of disjoint windows, in closed form for white noise: 1 less the mean of the squares."""
+    within = covariances_in_window(lambda lag: np.eye(2) * (lag == 0), 2.5)
+    squares = [(1 + 1 + 0.25) / 2.5**2, (0.25 + 1 + 1) / 2.5**2]  # of the weights of windows that begin at 0 and 0.5
+    np.testing.assert_allclose(within.mean(axis=0), (1 - np.mean(squares)) * np.eye(2), atol=1e-12)

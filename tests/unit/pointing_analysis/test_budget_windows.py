@@ -11,6 +11,7 @@ import pytest
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.total import evaluate
+from pointing_analysis.indices.metrics import windows
 
 HEAD = 'unit = "mas"\n[[requirement]]\ntext = "prob(|RPE(1 s)| < 20 mas) >= 0.997 at 95 % confidence"\n'
 
@@ -90,3 +91,15 @@ def test_exponential_correlation_at_each_position() -> None:
     for k in (0, 3, parts // 2, parts - 1):
         drawn = found.draw(rng, np.full(100_000, (k + 0.5) / parts), window)
         assert drawn.std() == pytest.approx(math.sqrt(expected[k]), rel=0.01)
+
+
+@pytest.mark.parametrize("window", [0.012, 0.0125])
+def test_a_tone_of_a_sampled_loop_is_that_of_its_record(window: float) -> None:
+    """Also in windows that are no whole number of samples: of 12.5 ms, 12 samples had been taken."""
+    omega, dt = 2 * np.pi * 41.0, 1e-3
+    los = np.sin(omega * dt * np.arange(50_000))
+    expected = windows(np.column_stack([los, los]), dt, window).variance.mean()
+    found = kinds.tones(("tone",), [omega], np.ones((1, 1)), dt)
+    assert found.sigma(window)[0] ** 2 == pytest.approx(expected, rel=2e-3)
+    rng = np.random.default_rng(1)
+    assert np.square(found.draw(rng, rng.random(40_000), window)).mean() == pytest.approx(expected, rel=0.02)

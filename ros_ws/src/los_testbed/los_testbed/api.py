@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from los_testbed.config.run_settings import completed, layered, of_designs, with_scenario, with_stage
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
@@ -156,7 +157,7 @@ class CampaignResult:
             (name, *(digits(found.get(key), 4, none="") for key in ("q0.5", "q0.9", "q1")))
             for name, found in self.summary["metrics"].items()
         ]
-        title = f"{self.path.name}: {self.summary['members']} members"
+        title = f"{self.path.name}: {counted(self.summary['members'], 'member')}"
         return TextTable.of((*texts("metric"), *numbers("median", "90 %", "largest")), rows, title).html(caption=True)
 
 

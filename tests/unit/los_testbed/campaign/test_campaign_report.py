@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import finished_row, metric_columns
-from los_testbed.campaign.overview import campaign_summary
+from los_testbed.campaign.overview import campaign_summary, metric_table
 from los_testbed.campaign.page import write_page
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
@@ -57,3 +57,8 @@ def test_members_that_are_no_random_draws_have_no_probability(tmp_path: Path) ->
     for number, chunk in asked.chunks():
         folder.write(number, [finished_row(m["index"], m, dict.fromkeys(TIME_METRICS, 1.0), "ok", "") for m in chunk])
     assert {v["interpretation"] for v in campaign_summary(asked, folder)["verdicts"]} == {"temporal"}
+
+
+def test_one_member_is_no_plural() -> None:
+    summary = {"members": 1, "samples": 1, "depth": "time", "status": {"ok": 1}, "metrics": {}}
+    assert metric_table(summary).title == "1 of 1 member, depth time: 1 ok"

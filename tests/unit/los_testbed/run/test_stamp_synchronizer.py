@@ -206,7 +206,7 @@ def test_irregular_frames_are_counted_by_name_and_said_in_words():
     }
     (line,) = frames_in_words(camera.statistics())
     assert line == (
-        "camera: 19 frames absent, 1 frames early, 2 frames off phase, 1 frames out of order, silent for 0.31 s"
+        "camera: 19 frames absent, 1 frame early, 2 frames off phase, 1 frame out of order, silent for 0.31 s"
     )
 
 

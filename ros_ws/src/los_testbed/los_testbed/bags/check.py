@@ -229,7 +229,7 @@ def _chain(infos: list[FileInfo]) -> BagCheckRow:
     broken = [text for info in linked for text in info.contradictions if _of_chain(info, text)]
     if broken:
         return BagCheckRow("chain of manifests", "contradicts", _first(broken))
-    text = f"{sum(info.chain.manifests for info in linked)} manifests"
+    text = counted(sum(info.chain.manifests for info in linked), "manifest")
     if any(info.chain.unchecked or info.chain.open or not info.chain.sealed for info in linked):
         return BagCheckRow("chain of manifests", "damaged", f"{text}, not all could be checked, or the end is missing")
     return BagCheckRow("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")

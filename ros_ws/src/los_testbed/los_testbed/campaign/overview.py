@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.counted_nouns import counted
 from los_testbed.campaign.campaign_verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, PairEffect, influences, pair_effects
@@ -136,7 +137,7 @@ def worst_lines(summary: dict[str, Any]) -> list[str]:
 def metric_table(summary: dict[str, Any]) -> TextTable:
     """Quantiles of each metric."""
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
-    title = f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}"
+    title = f"{summary['members']} of {counted(summary['samples'], 'member')}, depth {summary['depth']}: {counts}"
     rows = [
         (name, *(digits(value, 4) for key, value in found.items() if key != "members"))
         for name, found in summary["metrics"].items()

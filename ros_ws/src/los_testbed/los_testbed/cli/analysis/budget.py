@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from los_testbed.cli.options.options import Designs, Gate, Json, TelescopeFile
 from los_testbed.cli.output import leave_by_gate, number, print_json
 from los_testbed.run.summary.screen import Screen, on_screen
@@ -173,6 +174,6 @@ def _over_members(
         totals = (digits(total, 4) for total in (row.at.total, v.total, v.limit))
         rows.append((str(v.requirement), *totals, margin, row.member))
     heads = (*texts("requirement"), *numbers("at the point", "worst", "limit", "margin", "member"))
-    title = f"Over {len(members)} members of the family: worst found, no bound"
+    title = f"Over {counted(len(members), 'member')} of the family: worst found, no bound"
     console.print(on_screen(TextTable.of(heads, rows, title)))
     return found

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.counted_nouns import counted
 from los_testbed.config.run_config import OLD_FRAMES
 from titop_plant.interface import TICK_NS
 
@@ -215,7 +216,7 @@ def frames_in_words(statistics: dict[str, str]) -> list[str]:
             found.setdefault(key.removeprefix(BEGINNING).removesuffix(f"_{kind}"), {})[kind] = value
     lines = []
     for name, values in sorted(found.items()):
-        words = [f"{values[kind]} frames {kind.replace('_', ' ')}" for kind in NAMES if kind in values]
+        words = [counted(int(values[kind]), "frame", f" {kind.replace('_', ' ')}") for kind in NAMES if kind in values]
         if "silent_max_s" in values:
             words.append(f"silent for {values['silent_max_s']} s")
         if "age_max_ms" in values and words:

@@ -27,6 +27,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.source_alone import errors_of_source
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
+from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.sensors import MEASURED_SENSORS
@@ -149,6 +150,6 @@ def _within(correlated: Callable[[int], FloatArray]) -> Callable[[float], FloatA
 
     @cache
     def within(window: float) -> FloatArray:
-        return covariances_in_window(correlated, round(window / DT))
+        return covariances_in_window(correlated, samples_or_one(window, DT))
 
     return within
