@@ -143,7 +143,8 @@ def test_a_stopped_recorder_does_not_touch_the_loop_and_its_losses_are_counted(t
     run = Run.open(results.bag)
     truth = run["truth/los"]
     ticks = int(results.statistics["plant"]["ticks"])
-    assert (truth.stamp[-1] - truth.stamp[0]) // MS + 1 == ticks, "the plant went on, and the recorder came back"
+    edges = truth.lost_before + truth.lost_after  # what the plant had no time to send
+    assert (truth.stamp[-1] - truth.stamp[0]) // MS + 1 + edges == ticks and edges < 100, "the recorder came back"
     missing = {name: ticks - len(run[name]) for name in run.topics if name != "camera/los"}
     missing["camera/los"] = -(-ticks // 20) - len(run["camera/los"])
     lost = sum(count - unsent(run, name) for name, count in missing.items())
