@@ -22,6 +22,8 @@ from los_testbed.run.loop.source_alone import parts_of
 from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import default_transient, performance_error
+from pointing_analysis.indices.metrics import samples_or_one
+from pointing_analysis.indices.window_rows import ROUNDING, windows_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
@@ -35,6 +37,7 @@ TOGETHER, REST = "together", "not linear"
 """Names of the row of the record, and of the remainder."""
 SMALL = 1e-3
 """Largest relative remainder, rms in windows, without a row."""
+NONE = np.zeros((0, 2))
 LATE = 100
 """Ticks that may be missing at the end of a record."""
 
@@ -90,11 +93,11 @@ def _record(run: Run, ticks: int, first: int, count: int) -> FloatArray | None:
 
 
 def _covariance(a: FloatArray, b: FloatArray, window: float) -> float:
-    """Mean over the whole windows of the covariance in a window, both axes; windows with NaN are left out."""
-    n = max(round(window / DT), 1)
-    cut = [x[: len(x) // n * n].reshape(-1, n, 2) for x in (a, b)]
-    within = [x - x.mean(axis=1, keepdims=True) for x in cut]
-    products = (within[0] * within[1]).mean(axis=1).sum(axis=1)
+    """Mean over disjoint windows of the covariance in a window, both axes; windows with NaN are left out."""
+    n = samples_or_one(window, DT)
+    starts = n * np.arange(int(len(a) / n + ROUNDING), dtype=float)
+    both, apart = (np.vstack([NONE, *(square for _, square in windows_of(x, starts, n))]) for x in (a + b, a - b))
+    products = 0.25 * (both - apart).sum(axis=1)
     return float(np.mean(products[np.isfinite(products)])) if np.isfinite(products).any() else 0.0
 
 
