@@ -81,7 +81,11 @@ def _kernel(matrix: FloatArray, least: float) -> FloatArray:
 def _confirmed(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None, X: FloatArray
 ) -> FloatArray | None:
-    """The solution, refined by Newton's method where it needs it; None if it is none, or not stabilising."""
+    """The solution, refined by Newton's method where it needs it; None if it is none, or not stabilising.
+
+    Just beyond the end of the levels that have one, with poles of the closed loop on the axis but for rounding, the
+    residual is small, too; a step of Newton's method leads from there to a loop that is not stable.
+    """
     best, least = None, np.inf
     for _ in range(NEWTON_STEPS + 1):
         F = -regular_solve(R, B.T @ X + (0.0 if S is None else S.T))
@@ -91,7 +95,10 @@ def _confirmed(
         size = float(np.abs(residual).max(initial=0.0) / largest) if largest else 0.0
         closed = A + B @ F
         poles = np.asarray(linalg.eigvals(closed), dtype=complex)
-        if not (size < least and float(poles.real.max(initial=-np.inf)) < 0.0):
+        stable = float(poles.real.max(initial=-np.inf)) < 0.0
+        if least <= RESIDUAL and not stable:
+            return None
+        if not (size < least and stable):
             break
         gained, least, best = size <= NEWTON_GAIN * least, size, X
         if not gained or size <= REFINED:

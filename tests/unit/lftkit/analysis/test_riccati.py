@@ -86,3 +86,12 @@ def test_a_discrete_equation_without_a_solution_is_not_solved() -> None:
         discrete_riccati(np.array([[2.0]]), np.zeros((1, 1)), np.ones((1, 1)))
     with pytest.raises(ArithmeticError, match="no bounded solution"):
         stein(np.array([[2.0]]), np.ones((1, 1)))
+
+
+@pytest.mark.parametrize("zeta", [0.1, 0.3, 0.5])
+def test_there_is_no_solution_just_below_the_norm_of_an_oscillator(zeta: float) -> None:
+    """The bounded real lemma: one exactly above ``1 / (2 zeta sqrt(1 - zeta^2))``; once also 1e-7 below it."""
+    A, B, Q = np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]), np.array([[0.0], [1.0]]), np.diag([1.0, 0.0])
+    norm = 0.5 / (zeta * np.sqrt(1.0 - zeta**2))
+    above = [riccati(A, B, Q, np.array([[-((part * norm) ** 2)]])) for part in (1.0 + 1e-6, 1.0 - 1e-7, 1.0 - 1e-6)]
+    assert [one is not None for one in above] == [True, False, False]
