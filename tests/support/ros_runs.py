@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
-import socket
 import sys
 import time
 from collections.abc import Callable
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.processes.domains import domain_lock
 from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
@@ -27,8 +28,8 @@ PLANT_TOPICS = ("truth/los", "isolator/accel", "m1/accel", "m2/accel", "fsm/stra
 
 Hashes = dict[str, tuple[int, str]]
 
-_HELD: list[socket.socket] = []
-"""Names of the kernel that are freed when this process ends."""
+_HELD = contextlib.ExitStack()
+"""What is freed when this process ends."""
 
 PLANT = [sys.executable, str(Path(__file__).with_name("simple_telescope.py"))]
 
@@ -37,14 +38,9 @@ PLANT = [sys.executable, str(Path(__file__).with_name("simple_telescope.py"))]
 def private_domain() -> int:
     """Domain that no other tests on this machine use until this process ends; above 101 ports may be taken."""
     for domain in range(10, 100):
-        held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            held.bind(f"\0los_testbed_tests_{domain}")
-        except OSError:
-            held.close()
-            continue
-        _HELD.append(held)
-        return domain
+        with contextlib.suppress(ValueError):
+            _HELD.enter_context(domain_lock(domain, "/tests"))
+            return domain
     raise RuntimeError("a ROS domain from 10 to 99 must be free of other tests")
 
 
