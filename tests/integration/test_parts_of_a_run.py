@@ -20,10 +20,12 @@ from los_testbed.run.loop.source_alone import NOISE, Part, parts_of
 from los_testbed.run.summary import source_shares as module_of_shares
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
 
+from pointing_analysis.indices.errors import default_transient
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import tones_of
 from pointing_analysis.requirements.conditions import WHEEL_SPEEDS, conditions_of
 from pointing_analysis.requirements.summary import summarise
+from titop_plant.interface import DT
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -135,6 +137,23 @@ def test_a_class_and_files_have_a_row_each(folder: Path, simulated: list[np.ndar
     name = f"wind_{folder.name}:Wind"
     run = recorded(disturbance_source=name, disturbance_files="series.csv@wheel_1", scenario="imbalance")
     check_sum(run, simulated, "imbalance", name, "series", NOISE)
+
+
+def test_samples_at_the_edges_of_a_window_count_by_their_part(
+    folder: Path, simulated: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows of 12.5 ticks are whole on a grid of tenths of a tick; once 12 ticks were taken."""
+    run = recorded(parameters=telescope(folder, "pulses"))
+    monkeypatch.setattr(module_of_shares, "exposure_of_run", lambda run: 12.5e-3)
+    shares = [row.share for row in source_shares(run)][:-1]
+
+    def within(los: np.ndarray) -> np.ndarray:
+        tenths = np.repeat(los[round(default_transient(1.2) / DT) :], 10, axis=0)
+        windows = tenths[: len(tenths) // 125 * 125].reshape(-1, 125, 2)
+        return np.asarray(windows - windows.mean(axis=1, keepdims=True))
+
+    whole = within(np.sum(simulated, axis=0))
+    assert shares == pytest.approx([np.sum(within(los) * whole) / np.sum(whole**2) for los in simulated], abs=1e-6)
 
 
 def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
