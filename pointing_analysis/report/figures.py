@@ -209,10 +209,15 @@ def _largest(view: RunView) -> float:
 
 
 def legend_above(figure: Figure, axis: Axes) -> None:
-    """Legend above the picture: it never covers a curve."""
+    """Legend above the picture, in at most three columns that fit its width: it never covers a curve."""
     handles, names = axis.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, names, loc="outside upper left", ncols=3, handlelength=1.6, columnspacing=1.2)
+    options: dict[str, Any] = {"loc": "outside upper left", "handlelength": 1.6, "columnspacing": 1.2}
+    for columns in (3, 2, 1) if handles else ():
+        legend = figure.legend(handles, names, ncols=columns, **options)
+        if legend.get_window_extent().width <= figure.bbox.width:
+            return
+        if columns > 1:
+            legend.remove()
 
 
 def stroke(i: int, runs: int) -> dict[str, Any]:

@@ -105,3 +105,17 @@ def test_the_budget_has_the_limit_of_its_own_windows_and_part(tmp_path: Path, te
     summary = summarise(Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, parameters=parameters)))
     assert summary.requirements_known and summary.budget is not None
     assert (" of 40" in str(summary.budget)) == shown and bool(summary.budget.allowances) == shown
+
+
+@pytest.mark.parametrize("curves", [2, 6, 9])
+def test_a_legend_stays_within_the_picture(curves: int) -> None:
+    """Two required probabilities once made a third column whose names were cut."""
+    figure = Figure(figsize=(5.2, 4.4), layout="constrained")
+    axis = figure.subplots()
+    for number in range(curves):
+        axis.plot([0, 1], label=f"{99.7 + number} % of the windows")
+    figures.legend_above(figure, axis)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == curves
+    assert legend.get_window_extent().x1 <= figure.bbox.x1
