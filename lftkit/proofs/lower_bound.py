@@ -16,7 +16,18 @@ from lftkit.proofs.trusted.proof import require
 KIND = "lower bound"
 PROPERTY = "H-infinity norm of any controller"
 ARRAYS: dict[str, Form] = {
-    name: array("float64", None, None) for name in ("A", "B", "C", "D", "unseen", "unmoved", "left", "right")
+    name: array("float64", None, None)
+    for name in (
+        *"ABCD",
+        "unseen",
+        "unmoved",
+        "left",
+        "right",
+        "noiseless",
+        "weightless",
+        "decaying",
+        "decaying_adjoint",
+    )
 }
 HEADER: dict[str, Form] = {
     "claim": record({"property": text, "level": number}),

@@ -11,6 +11,7 @@ Sources: Doyle, Glover, Khargonekar and Francis, IEEE TAC 34 (1989); Safonov, Li
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import dataclass, field, replace
 
@@ -20,7 +21,7 @@ from lftkit.analysis.norms import h2_norm, hinf_norm, is_stable
 from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.support.scalars import as_positive
-from lftkit.synthesis.lower_bound import CONFIRMED, confirmed_optimum, lower_bound_proof
+from lftkit.synthesis.lower_bound import ProvenLowerBound, confirmed_optimum, lower_bound_proof
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator
 from lftkit.synthesis.standard_plant import (
     Names,
@@ -48,6 +49,10 @@ NEEDED = (
     "every measurement must have noise (D21 of full row rank)",
 )
 """What D12 and D21 must have for the equations."""
+NEAR = 1e-3
+"""Relative distance of a value from its bound at which no other bound is looked for."""
+LEAST = 1e-6
+"""Part of a value below which a bound says nothing: the infimum is zero but for rounding."""
 REACHED = 1e-6
 """Relative distance of the norm of a loop above its level that counts as rounding."""
 
@@ -134,24 +139,33 @@ def hinfsyn(
     if level is not None:
         design = _at_level(given, generalised, level)
     else:
-        design = _least(given, generalised, -np.inf if proven is None else proven.level)
+        design = _least(given, generalised, proven)
     return design if proven is None else replace(design, lower=proven.level, proof=proven.proof)
 
 
-def _least(given: StandardPlant, generalised: WorkingPlant, proven: float) -> FullOrderDesign:
+def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerBound | None) -> FullOrderDesign:
     """The controller with the least norm and its bound, with weights where the equations have no solution without.
 
-    No other bound is looked for where the value is near to the one that is proven, or to the gain out of reach.
+    Where the equations give no bound, and the gain out of reach is none that is near, there may be one with a proof.
     """
     known = generalised.gain_out_of_reach()
-    near = max(known, proven)
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
 
+    @functools.cache
+    def level() -> float:
+        return (proven or lower_bound_proof(given.system, measured, commanded)).level
+
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
-        if design.lower > -np.inf or near >= (1.0 - CONFIRMED) * design.value:
+        near = (1.0 - NEAR) * design.value
+        if design.lower > -np.inf or known >= near:
             above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
             return replace(design, lower=max(design.lower, min(above, design.value)))
-        return replace(design, lower=confirmed_optimum(given.system, measured, commanded, design.value))
+        lower = (
+            level()
+            if level() >= near
+            else max(level(), confirmed_optimum(given.system, measured, commanded, design.value))
+        )
+        return replace(design, lower=lower if lower > LEAST * design.value else -np.inf)
 
     found = bounded(_controller_of_least_norm(given, generalised))
     if found.lower == -np.inf:

@@ -7,7 +7,9 @@ semidefinite programming, ::
     [q' q - r' Y p - p' Y r, v'; v, g^2 I] >= 0,
 
 where P, Q, W and Z are x, its rate, w and z of vectors that are not measured, and p, r, q and v those of the adjoint.
-The dual matrices of the first and third are sums of vectors that contradict each lower level.
+The dual matrices of the first and third are sums of vectors that contradict each lower level. Where combinations of
+measurements have no noise, their states are zero in all vectors, and X is of the others
+(:mod:`lftkit.proofs.trusted.lower_bound`).
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import FloatArray
 from lftkit.proofs.lower_bound import LowerBoundProof
-from lftkit.proofs.trusted.lower_bound import check_lower_bound
+from lftkit.proofs.trusted.lower_bound import check_lower_bound, exact_constraints
 from lftkit.proofs.trusted.proof import ProofError
+from lftkit.synthesis.noiseless import noiseless_combinations
 from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
 from lftkit.synthesis.standard_plant import Names, standard_plant
 from lftkit.systems.arguments import checked
@@ -33,18 +36,23 @@ from lftkit.systems.system import System
 MAX_ORDER = 20
 """States up to which a proof is looked for."""
 BELOW = 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2
-"""Relative distances from the highest level of vectors at which one is claimed, until the check has a margin."""
+"""Relative distances from the level of vectors at which one is claimed, until the check has a margin."""
+CLAIMED = 12
+"""Iterates with the highest levels that are tried: the earlier ones are farther from singular sums."""
 CLOSE = 5e-4
 """Relative distance of a proven level from the optimum of the program below which one attempt is enough."""
-CONFIRMED, ACCURACY = 1e-3, 5e-4
+CONFIRMED, ACCURACY = 2e-3, 5e-4
 """Relative distance from the value of a closed loop at which an optimum of the program counts, and that of two runs."""
-FROM = (1.0, 0.3), (10.0, 0.1), (10.0, 0.3), (1.0, 0.1)
+FROM = (1.0, 0.3), (10.0, 0.1), (10.0, 0.3), (1.0, 0.1), (0.1, 0.3), (0.1, 0.1)
 """Units of the error over that value, and centring, of the runs of which two must agree."""
+MARGINAL = 1e-9
+"""Real parts of modes over the size of the matrix below which they count as stable."""
 NO_VECTORS = "no vectors were found that contradict a level beyond rounding"
 CONFINED = (
     "measurements without noise (D21 of less than full row rank) leave no definite sum of the plant",
     "commands without a weight (D12 of less than full column rank) leave no definite sum of the adjoint",
 )
+Side = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Sides = tuple[bool, bool]
 """Whether vectors of the plant, and of its adjoint, are looked for."""
 ATTEMPTS = (
@@ -115,13 +123,13 @@ def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> Prove
         return ProvenLowerBound(-np.inf, None, str(error))
     best: LowerBoundProof | None = None
     for sides, centred in ATTEMPTS:
-        proof, optimum = _best(problem, working, sides, centred)
+        proof, optimum = _best(working, sides, centred)
         if proof is not None and (best is None or proof.level > best.level):
             best, working = proof, _Working.of(problem, proof.level)
         if proof is not None and all(sides) and proof.level > (1.0 - CLOSE) * optimum:
             break
     if best is None:
-        confined = [text for half, text in zip(_halves(working.plant), CONFINED) if half.confined]
+        confined = [text for half, text in zip(working.halves, CONFINED) if half.confined]
         return ProvenLowerBound(-np.inf, None, "; ".join([NO_VECTORS, *confined]))
     return ProvenLowerBound(best.level, best)
 
@@ -143,8 +151,7 @@ def confirmed_optimum(plant: System, measured: Names, commanded: Names, value: f
     known: list[float] = []
     for scale, centred in FROM:
         working = _Working.of(problem, scale * value)
-        own, adjoint = _halves(working.plant)
-        program = _program((own, adjoint), [own.kernel, adjoint.kernel], (True, True))
+        program = _program(working.halves, [half.kernel for half in working.halves], (True, True))
         squares = [float(one.v[-1]) for one in iterates(*program, centred)]
         ratio = scale * float(np.sqrt(max(squares[-1], 0.0))) if squares else 0.0
         if abs(ratio - 1.0) > CONFIRMED:
@@ -165,45 +172,93 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
         tuple(map(int, places([p.name for p in group])))
         for places, group in ((system.output_indices, ports.measured), (system.input_indices, ports.commanded))
     )
-    empty = np.zeros((0, 0))
-    return LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), empty, empty, *np.zeros((2, n, n)))
+    none = [np.zeros((0, 0))] * 4
+    given = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none, *none)
+    # what a sampled plant measures without noise may change until the next sample: sums of squares, not zero
+    combinations = [
+        np.zeros((0, len(seen))) if given.dt else noiseless_combinations(A, B, seen)
+        for A, B, _, _, seen in _sides(given)
+    ]
+    halves = [_Half.of(side, rows) for side, rows in zip(_sides(given), combinations)]
+    decaying, adjoint = (half.decaying_modes(given.dt) for half in halves)
+    noiseless, weightless = combinations
+    return replace(given, noiseless=noiseless, weightless=weightless, decaying=decaying, decaying_adjoint=adjoint)
 
 
 @dataclass(frozen=True)
 class _Half:
-    """What a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`."""
+    """What a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`.
+
+    Columns of `basis`, orthonormal, are all x that can be other than zero there.
+    """
 
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
     seen: FloatArray
+    basis: FloatArray
+
+    @classmethod
+    def of(cls, side: Side, combinations: FloatArray, decaying: FloatArray | None = None) -> _Half:
+        """With the rates of combinations of measurements without noise, and decaying modes, among what is seen."""
+        A, B, C, D, seen = side
+        states, rows = (part.astype(float) for part in exact_constraints(A, B, seen, combinations))
+        if decaying is not None:
+            states, rows = np.vstack([states, decaying]), np.vstack([rows, np.pad(decaying, ((0, 0), (0, B.shape[1])))])
+        return cls(A, B, C, D, rows, _null_space(states))
+
+    def decaying_modes(self, dt: float) -> FloatArray:
+        """Rows on x of the stable modes that no w reaches, where it reaches none: sums S are not positive there."""
+        kernel, n = self.kernel, len(self.A)
+        x = kernel[:n]
+        if not x.size or x.shape[1] != self.basis.shape[1] or linalg.null_space(x).size:
+            return np.zeros((0, n))
+        coordinates = linalg.pinv(x)
+        F = coordinates @ (self.A @ x + self.B @ kernel[n:])
+        ends = MARGINAL * float(np.abs(F).max(initial=0.0))
+        _, Q, count = linalg.schur(
+            F.T, sort=(lambda re, im: np.hypot(re, im) < 1.0) if dt else lambda re, im: re < ends
+        )
+        return np.asarray(Q[:, :count].T @ coordinates) if 0 < count < len(F) else np.zeros((0, n))
 
     @property
     def kernel(self) -> FloatArray:
         """Orthonormal (x, w) as columns."""
-        return np.asarray(linalg.null_space(self.seen))
+        return _null_space(self.seen)
 
     @property
     def confined(self) -> bool:
-        """Some of the states x is zero in all of the kernel: sums of its rates are zero there, not definite."""
-        states = self.kernel[: len(self.A)]
+        """Some of the states is zero in all of the kernel: sums of its rates are zero there, not definite."""
+        states = self.basis.T @ self.kernel[: len(self.A)]
         return len(states) > 0 and (not states.size or linalg.null_space(states.T).size > 0)
 
     def signals(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """x, its rate, w and z."""
+        """States and their rates in coordinates of the basis, w and z."""
         x, w = vectors[: len(self.A)], vectors[len(self.A) :]
-        return x, self.A @ x + self.B @ w, w, self.C @ x + self.D @ w
+        return self.basis.T @ x, self.basis.T @ (self.A @ x + self.B @ w), w, self.C @ x + self.D @ w
 
 
-def _halves(plant: LowerBoundProof) -> tuple[_Half, _Half]:
-    """The plant without its controller, and its adjoint."""
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    return np.asarray(linalg.qr(columns, mode="economic")[0])
+
+
+def _null_space(matrix: FloatArray) -> FloatArray:
+    """Orthonormal columns that it maps to zero, for rows of any size."""
+    if not len(matrix):
+        return np.eye(matrix.shape[1])
+    sizes = np.asarray(linalg.norm(matrix, axis=1, keepdims=True))
+    return np.asarray(linalg.null_space(matrix / np.where(sizes > 0.0, sizes, 1.0)))
+
+
+def _sides(plant: LowerBoundProof) -> tuple[Side, Side]:
+    """A, B, C, D and what is seen, of the plant without its controller and of its adjoint."""
     y, u = list(plant.measured), list(plant.commanded)
     z, w = ([k for k in range(size) if k not in own] for size, own in zip(plant.D.shape, (y, u)))
     A, B, C, D = plant.A, plant.B[:, w], plant.C[z], plant.D[np.ix_(z, w)]
     seen = np.hstack([plant.C[y], plant.D[np.ix_(y, w)]])
     moved = np.hstack([plant.B[:, u].T, plant.D[np.ix_(z, u)].T])
-    return _Half(A, B, C, D, seen), _Half(A.T, C.T, B.T, D.T, moved)
+    return (A, B, C, D, seen), (A.T, C.T, B.T, D.T, moved)
 
 
 @dataclass(frozen=True)
@@ -214,7 +269,9 @@ class _Working:
     the same up to a factor.
     """
 
-    plant: LowerBoundProof
+    given: LowerBoundProof
+    given_halves: tuple[_Half, ...]
+    halves: tuple[_Half, ...]
     units: FloatArray
     level: float
 
@@ -228,56 +285,101 @@ class _Working:
         units = np.diag(balanced(A, one, one)[2]) if len(A) else np.zeros(0)
         scale = np.array([1.0 if k in given.measured else 1.0 / level for k in range(len(D))])[:, None]
         A, B, C = balanced(A, B, C)
-        return cls(replace(given, A=A, B=B, C=scale * C, D=scale * D, dt=0.0), units, level)
+        kept = (given.noiseless, given.decaying), (given.weightless, given.decaying_adjoint)
+        halves = tuple(_Half.of(side, *rows) for side, rows in zip(_sides(given), kept))
+        this = cls(given, halves, (), units, level)
+        maps = this.vectors(*(np.eye(half.seen.shape[1]) for half in halves))
+        own = [
+            _Half(*side[:4], half.seen @ part, _orthonormal(half.basis / unit[:, None]))
+            for side, half, part, unit in zip(
+                _sides(replace(given, A=A, B=B, C=scale * C, D=scale * D)), halves, maps, (units, 1.0 / units)
+            )
+        ]
+        return replace(this, halves=tuple(own))
 
-    def vectors(self, given: LowerBoundProof, unseen: FloatArray, unmoved: FloatArray) -> LowerBoundProof:
-        """The proof with vectors that belong to those of this plant."""
+    def vectors(self, unseen: FloatArray, unmoved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those of the given plant that belong to those of this one."""
         n = len(self.units)
         (x, w), (p, q) = ((v[:n], v[n:] / self.level) for v in (unseen, unmoved))
         x, p = self.units[:, None] * x / self.level, p / self.units[:, None]
-        if given.dt:
-            one, (own, adjoint) = np.eye(n), _halves(given)
-            x = linalg.solve(given.A + one, 2.0 * x - own.B @ w)
-            p = linalg.solve(given.A.T + one, 2.0 / given.dt * p - adjoint.B @ q)
-        return replace(given, unseen=np.vstack([x, w]), unmoved=np.vstack([p, q]))
+        if self.given.dt:
+            one, (own, adjoint) = np.eye(n), self.given_halves
+            x = linalg.solve(own.A + one, 2.0 * x - own.B @ w)
+            p = linalg.solve(adjoint.A + one, 2.0 / self.given.dt * p - adjoint.B @ q)
+        return np.vstack([x, w]), np.vstack([p, q])
+
+    def claimed(self, unseen: FloatArray, unmoved: FloatArray, below: float) -> LowerBoundProof | None:
+        """The proof with the best coupling and level of vectors, less a part of both; None where there is none.
+
+        ``[S, T; T', R] >= 0`` holds for ``T = -L K M'`` with ``S = L L', R = M M'`` and any K of norm one; the polar
+        factor of ``L' M`` makes ``-trace(T)`` the sum of its singular values, which is the most.
+        """
+        sums, squares = [], np.zeros(2)
+        for half, vectors in zip(self.given_halves, (unseen, unmoved)):
+            x, rate, w, z = half.signals(vectors)
+            product = rate @ x.T
+            sums.append(rate @ rate.T - x @ x.T if self.given.dt else product + product.T)
+            squares += float(np.sum(z**2)), float(np.sum(w**2))
+        P: FloatArray = np.zeros((len(self.units), 0))
+        Q = P
+        present = [len(part.T) > 0 for part in (unseen, unmoved)]
+        try:
+            roots = [half.basis @ lower_factor(S) for half, S, kept in zip(self.given_halves, sums, present) if kept]
+        except linalg.LinAlgError:
+            return None
+        if all(present):
+            L, M = roots
+            U, _, V = linalg.svd(L.T @ M, full_matrices=False)
+            P, Q = -(1.0 - below) * L @ (U @ V), M
+        trace, (gained, spent) = float(np.sum(P * Q)), squares
+        root = trace**2 + spent * gained
+        if not (spent > 0.0 and root > 0.0):
+            return None
+        level = float((1.0 - below) * (np.sqrt(root) - trace) / spent)
+        return replace(self.given, unseen=unseen, unmoved=unmoved, left=P, right=Q, level=level)
 
 
-def _best(
-    given: LowerBoundProof, working: _Working, sides: Sides, centred: float
-) -> tuple[LowerBoundProof | None, float]:
+def _best(working: _Working, sides: Sides, centred: float) -> tuple[LowerBoundProof | None, float]:
     """The proof with the highest level that the check accepts, and the optimum of the program."""
     known, optimum = [], np.inf
-    for value, unseen, unmoved in _dual_vectors(working.plant, sides, centred):
+    for value, unseen, unmoved in _dual_vectors(working.halves, sides, centred):
         optimum = working.level * value
-        proof = _claimed(working.vectors(given, unseen, unmoved), 0.0)
+        proof = working.claimed(*working.vectors(unseen, unmoved), 0.0)
         if proof is not None:
             known.append(proof)
-    best = max((proof.level for proof in known), default=0.0)
-    for below in BELOW:
-        # the first of those that are good enough: the earlier, the farther are its sums from singular
-        claimed = next((_claimed(proof, below) for proof in known if proof.level >= (1.0 - below) * best), None)
-        try:
-            if claimed is not None:
-                check_lower_bound(claimed)
-                return claimed, optimum
-        except ProofError:
-            continue
-    return None, optimum
+    best: LowerBoundProof | None = None
+    for proof in sorted(known, key=lambda one: -one.level)[:CLAIMED]:
+        for below in BELOW:
+            if best is not None and (1.0 - below) * proof.level <= best.level:
+                break
+            claimed = working.claimed(proof.unseen, proof.unmoved, below)
+            if claimed is not None and _accepted(claimed):
+                best = claimed
+                break
+    return best, optimum
+
+
+def _accepted(proof: LowerBoundProof) -> bool:
+    try:
+        check_lower_bound(proof)
+    except ProofError:
+        return False
+    return True
 
 
 def _dual_vectors(
-    plant: LowerBoundProof, sides: Sides, centred: float
+    halves: tuple[_Half, ...], sides: Sides, centred: float
 ) -> Iterator[tuple[float, FloatArray, FloatArray]]:
     """Square root of the objective, and both groups of vectors, for the iterates of the program."""
-    own, adjoint = _halves(plant)
-    kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip((own, adjoint), sides)]
-    c, inequalities = _program((own, adjoint), kernels, sides)
-    n, second = len(own.A), kernels[1].shape[1]
+    own, adjoint = halves
+    kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip(halves, sides)]
+    c, inequalities = _program(halves, kernels, sides)
+    n, m, second = own.basis.shape[1], adjoint.basis.shape[1], kernels[1].shape[1]
     for one in iterates(c, inequalities, centred):
         if one.v[-1] > 0.0:
             W = one.dual[2]
             first = _met(own, kernels[0] @ _root(one.dual[0]), W[:n, :n])
-            other = _met(adjoint, kernels[1] @ _root(one.dual[1][:second, :second]), W[-n:, -n:])
+            other = _met(adjoint, kernels[1] @ _root(one.dual[1][:second, :second]), W[len(W) - m :, len(W) - m :])
             yield float(np.sqrt(one.v[-1])), first, other / np.sqrt(one.v[-1])
 
 
@@ -288,7 +390,7 @@ def _met(half: _Half, V: FloatArray, wanted: FloatArray) -> FloatArray:
     met by the least change of the unit matrix in ``V I V'``.
     """
     k, n = V.shape[1], len(wanted)
-    if not k:
+    if not k or not n:
         return V
     x, rate, *_ = half.signals(V)
     basis, rows = _symmetric_basis(k), _symmetric_basis(n).reshape(-1, n * n)
@@ -300,30 +402,32 @@ def _met(half: _Half, V: FloatArray, wanted: FloatArray) -> FloatArray:
 
 
 def _program(
-    halves: tuple[_Half, _Half], kernels: list[FloatArray], sides: Sides
+    halves: tuple[_Half, ...], kernels: list[FloatArray], sides: Sides
 ) -> tuple[FloatArray, list[MatrixInequality]]:
     """Objective and inequalities in X, Y (of the sides that are used) and g^2."""
-    n = len(halves[0].A)
-    basis = _symmetric_basis(n)
-    sizes = [len(basis) if used else 0 for used in sides]
-    m = sum(sizes) + 1
+    own, adjoint = halves
+    n, m = (half.basis.shape[1] for half in halves)
+    bases = _symmetric_basis(n), _symmetric_basis(m)
+    sizes = [len(basis) if used else 0 for basis, used in zip(bases, sides)]
+    states = [size if used else 0 for size, used in zip((n, m), sides)]
     (P, Q, W, Z), (p, r, q, v) = (half.signals(kernel) for half, kernel in zip(halves, kernels))
-    first, second, nw = P.shape[1], p.shape[1], len(v)
-    forms = [np.zeros((m, size, size)) for size in (first, second + nw, n * sum(sides))]
-    constants = [-Z.T @ Z, np.block([[q.T @ q, v.T], [v, np.zeros((nw, nw))]]), np.zeros((n * sum(sides),) * 2)]
+    first, second, nw, count = P.shape[1], p.shape[1], len(v), sum(sizes) + 1
+    forms = [np.zeros((count, size, size)) for size in (first, second + nw, sum(states))]
+    constants = [-Z.T @ Z, np.block([[q.T @ q, v.T], [v, np.zeros((nw, nw))]]), np.zeros((sum(states),) * 2)]
     forms[0][-1] = W.T @ W
     forms[1][-1, second:, second:] = np.eye(nw)
     if sides[0]:
-        product = Q.T @ basis @ P
+        product = Q.T @ bases[0] @ P
         forms[0][: sizes[0]] = -product - product.transpose(0, 2, 1)
-        forms[2][: sizes[0], :n, :n] = basis
+        forms[2][: sizes[0], :n, :n] = bases[0]
     if sides[1]:
-        product = r.T @ basis @ p
+        product = r.T @ bases[1] @ p
         forms[1][sizes[0] : -1, :second, :second] = -product - product.transpose(0, 2, 1)
-        forms[2][sizes[0] : -1, -n:, -n:] = basis
+        forms[2][sizes[0] : -1, states[0] :, states[0] :] = bases[1]
     if all(sides):
-        constants[2] = np.block([[np.zeros((n, n)), np.eye(n)], [np.eye(n), np.zeros((n, n))]])
-    return np.eye(m)[-1], [MatrixInequality(C, F) for C, F in zip(constants, forms)]
+        constants[2][:n, n:] = own.basis.T @ adjoint.basis
+        constants[2][n:, :n] = adjoint.basis.T @ own.basis
+    return np.eye(count)[-1], [MatrixInequality(C, F) for C, F in zip(constants, forms)]
 
 
 def _symmetric_basis(n: int) -> FloatArray:
@@ -338,30 +442,3 @@ def _root(matrix: FloatArray) -> FloatArray:
     """V with ``V V'`` equal to a positive semidefinite matrix."""
     values, vectors = linalg.eigh(matrix) if len(matrix) else (np.zeros(0), np.zeros((0, 0)))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _claimed(proof: LowerBoundProof, below: float) -> LowerBoundProof | None:
-    """The proof with the best coupling and level of its vectors, less a part of both; None where there is none.
-
-    ``[S, T; T', R] >= 0`` holds for ``T = -L K M'`` with ``S = L L', R = M M'`` and any K of norm one; the orthogonal
-    polar factor of ``L' M`` makes ``-trace(T)`` the sum of its singular values, which is the most.
-    """
-    sums, squares = [], np.zeros(2)
-    for half, vectors in zip(_halves(proof), (proof.unseen, proof.unmoved)):
-        x, rate, w, z = half.signals(vectors)
-        product = rate @ x.T
-        sums.append(rate @ rate.T - x @ x.T if proof.dt else product + product.T)
-        squares += float(np.sum(z**2)), float(np.sum(w**2))
-    P = Q = np.zeros_like(proof.A)
-    if proof.unseen.shape[1] and proof.unmoved.shape[1]:
-        try:
-            L, Q = (lower_factor(S) for S in sums)
-        except linalg.LinAlgError:
-            return None
-        U, _, V = linalg.svd(L.T @ Q)
-        P = -(1.0 - below) * L @ (U @ V)
-    trace, (gained, spent) = float(np.sum(P * Q)), squares
-    root = trace**2 + spent * gained
-    if not (spent > 0.0 and root > 0.0):
-        return None
-    return replace(proof, left=P, right=Q, level=float((1.0 - below) * (np.sqrt(root) - trace) / spent))
