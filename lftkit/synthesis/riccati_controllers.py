@@ -19,6 +19,10 @@ from lftkit.support.regular_solve import regular_solve
 from lftkit.synthesis.extended_plant import ExtendedPlant
 
 LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
+SHARES = 1.0, 0.0, 0.5, 0.9, 0.99, 0.999
+"""Parts of the static gain that are tried until its loop with D22 is well posed."""
+WELL_POSED = 1e-6
+"""Ratio of the singular values of that loop."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,14 @@ def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
         return None
     inner = -c @ regular_solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
     gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
-    return np.asarray(gain @ _inverse(np.eye(len(plant.D22)) + plant.D22 @ gain))  # of what the commands add to y
+    for part in SHARES:  # the central gain may make the loop with D22 singular
+        own = part * gain
+        loop = np.eye(ny) + plant.D22 @ own
+        if part == 1.0 or _gain(plant.D11 + plant.D12 @ own @ plant.D21) < level:
+            sizes = linalg.svdvals(loop)
+            if sizes[-1] > WELL_POSED * sizes[0]:
+                return np.asarray(own @ _inverse(loop))  # of what the commands add to y
+    return None
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

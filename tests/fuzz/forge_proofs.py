@@ -37,6 +37,7 @@ from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
 from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
 from lftkit.synthesis import hinfsyn, lower_bound_proof
+from lftkit.tuning.published_plants import published_plant
 
 DT = 0.1
 NYQUIST = math.pi / DT
@@ -95,12 +96,15 @@ def generalised() -> System:
     return System([[0.0, 1.0], [1.0, -0.2]], [[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]], C, D, *ports)
 
 
+NAMES = "loop.npz", "noise.npz", "axis.npz", "cells.json", "stable.json", "bound.npz", "noiseless.npz"
+
+
 def originals(folder: Path) -> list[Path]:
     """One small proof of each format."""
     system = example()
     model, box, names = loop_model(system, dt=DT), box_of(system), tuple(p.name for p in system.parameters)
     strips = tuple(prove_level(model, box, (0.0, NYQUIST), level=ONE).strips)
-    files = [folder / name for name in ("loop.npz", "noise.npz", "axis.npz", "cells.json", "stable.json", "bound.npz")]
+    files = [folder / name for name in NAMES]
     write_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), ONE, strips, {}), files[0])
     two = replace(model, C=np.vstack([model.C, model.C[-1:]]), D=np.vstack([model.D, model.D[-1:]]), rows=(0, 1))
     both = tuple(prove_level(two, box, (0.0, NYQUIST), level=TWO).strips)
@@ -110,8 +114,9 @@ def originals(folder: Path) -> list[Path]:
         proof.to_file(file)
     proven: Any = robust_stability(system, largest=1.0, options=BoundOptions(method="cells")).proof
     proven.to_file(files[4])
-    bound: Any = lower_bound_proof(generalised(), "y", "u").proof
-    bound.to_file(files[5])
+    for file, plant in ((files[5], generalised()), (files[6], published_plant("HE1"))):
+        bound: Any = lower_bound_proof(plant, "y", "u").proof
+        bound.to_file(file)
     for file in files:
         check_proof(file)
     return files
@@ -196,6 +201,7 @@ FALSE: dict[str, Callable[[Path, Any], bool]] = {
     "cells": system_exceeds,
     "stable": system_exceeds,
     "bound": bound_exceeds,
+    "noiseless": bound_exceeds,
 }
 
 
@@ -236,7 +242,7 @@ def scaling(content: Content, chance: random.Random) -> None:
         names = [
             n
             for n in arrays
-            if n in ("unseen", "unmoved", "left", "right")
+            if n in ("unseen", "unmoved", "left", "right", "noiseless", "decaying_adjoint")
             or (n.split("_")[-1][0] in "DG" and n.split("_")[-1][1:].isdecimal())
             or "factors" in n
         ]

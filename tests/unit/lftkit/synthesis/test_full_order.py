@@ -213,6 +213,15 @@ def test_without_noise_or_weights_no_other_controller_is_below_the_bound(seed: i
 
 
 @pytest.mark.further
+def test_a_sampled_plant_without_direct_paths_has_a_controller() -> None:
+    """As many states as disturbances and errors: the static gain for the least direct path of its image is infinite."""
+    rng, dt = np.random.default_rng(0), 0.1
+    A, B = np.split(linalg.expm(dt * np.vstack([rng.standard_normal((3, 8)), np.zeros((5, 8))]))[:3], [3], axis=1)
+    ports = (Port("w", 3), Port("u", 2)), (Port("z", 3), Port("y", 2))
+    found = hinfsyn(System(A, B, rng.standard_normal((5, 3)), np.zeros((5, 5)), *ports, "P", dt), "y", "u")
+    assert found.regularised == 0.0 and 0.0 <= found.gap < 1e-4
+
+
 def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_bound() -> None:
     """Cheap control: the infimum is approached and not reached; what is said is the loop's own norm."""
     found = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)))
