@@ -19,6 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.reduction.balancing import truncated
 from lftkit.synthesis.extended_plant import ExtendedPlant
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.synthesis.sampled_lqg import sampled_lqg
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem
@@ -57,10 +58,10 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
 def predictor_starts(
     model: System, requirements: Sequence[TuningRequirement], structure: Structure
 ) -> list[FloatArray]:
-    """Parameters of discrete LQG controllers that predict by one sample, for H2 gains without weights.
+    """Parameters of discrete LQG controllers for H2 gains without weights, with and without a direct path.
 
-    They are the optimum of all strictly proper controllers. Empty where the structure has another order than the model
-    or cannot say the parameters of a given controller.
+    They are the optimum of all controllers, and of the strictly proper ones. Empty where the structure has another
+    order than the model or cannot say the parameters of a given controller.
     """
     if not isinstance(structure, AffineStructure) or structure.order != model.order:
         return []
@@ -69,16 +70,12 @@ def predictor_starts(
     found = []
     for gain in gains[:MAX_REQUIREMENTS]:
         try:
-            P = _regularised(extended_plant(model, measured, commanded, 0, gain))
-            X = linalg.solve_discrete_are(P.A, P.B2, P.C1.T @ P.C1, P.D12.T @ P.D12, s=P.C1.T @ P.D12)
-            Y = linalg.solve_discrete_are(P.A.T, P.C2.T, P.B1 @ P.B1.T, P.D21 @ P.D21.T, s=P.B1 @ P.D21.T)
-            F = -linalg.solve(P.D12.T @ P.D12 + P.B2.T @ X @ P.B2, P.B2.T @ X @ P.A + P.D12.T @ P.C1)
-            L = -linalg.solve(P.D21 @ P.D21.T + P.C2 @ Y @ P.C2.T, P.C2 @ Y @ P.A.T + P.D21 @ P.B1.T).T
+            plant = _regularised(extended_plant(model, measured, commanded, 0, gain))
+            laws = [sampled_lqg(plant, direct=direct).matrices for direct in (False, True)]
         except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
             continue
-        A = P.A + P.B2 @ F + L @ (P.C2 + P.D22 @ F)
-        x = _taken(structure, A, -L, F, np.zeros((len(F), L.shape[1])), model.dt)
-        found += [] if x is None else [x]
+        starts = [_taken(structure, *law, model.dt) for law in laws]
+        found += [x for x in starts if x is not None]
     return found
 
 

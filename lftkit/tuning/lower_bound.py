@@ -3,10 +3,11 @@
 The infimum of an H-infinity norm over all controllers is the lowest level at which two Riccati equations have solutions
 (Doyle, Glover, Khargonekar and Francis 1989; Zhou, Doyle and Glover 1996, theorem 17.1), that of an H2 norm is reached
 by the LQG controller. Both need every command in the error and noise on every measurement (D12 of full column rank, D21
-of full row rank). Without them an H-infinity norm has the bound of :func:`~lftkit.synthesis.hinfsyn`, by linear matrix
-inequalities, for the soft gains and the first model; for others and for more states it has that of single points
-(:mod:`lftkit.synthesis.out_of_reach`). With a delay or with a band of frequencies there is none here. A bound is
-numerical, not a proof: it counts only if a controller nearly reaches it on the assembled loop.
+of full row rank), but for the H2 norm of a loop on samples. Without them an H-infinity norm has the bound of
+:func:`~lftkit.synthesis.hinfsyn`, by linear matrix inequalities, for the soft gains and the first model; for others and
+for more states it has that of single points (:mod:`lftkit.synthesis.out_of_reach`). With a delay or with a band of
+frequencies there is none here. A bound is numerical, not a proof: it counts only if a controller nearly reaches it on
+the assembled loop.
 """
 
 from __future__ import annotations
@@ -19,16 +20,18 @@ from scipy import linalg
 from lftkit.analysis.norms import h2_norm, hinf_norm
 from lftkit.arrays import FloatArray
 from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
-from lftkit.synthesis.full_order import hinfsyn
+from lftkit.synthesis.full_order import h2syn, hinfsyn
 from lftkit.synthesis.lower_bound import MAX_ORDER as MAX_STATES
 from lftkit.synthesis.out_of_reach import gain_out_of_reach
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import MAX_ORDER
 from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
+from lftkit.tuning.requirements.gains import SampledH2Gain
 
 Closed = Callable[[FullOrderEstimator], ClosedLoopMatrices]
 """The closed loop of a full-order controller."""
@@ -55,7 +58,7 @@ def full_order_bounds(problem: Problem) -> FloatArray:
 
 
 def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, closely: bool) -> float:
-    synthesis = _hinf_level if type(requirement) is HinfGain else _h2_norm if type(requirement) is H2Gain else None
+    synthesis = _hinf_level if type(requirement) is HinfGain else _h2_norm if isinstance(requirement, H2Gain) else None
     if synthesis is None or getattr(requirement, "band", ANY) != ANY:
         return -np.inf
     measured = tuple(p.name for p in problem.structure.inputs)
@@ -65,6 +68,8 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
         return extended_plant(model, measured, commanded, order, requirement)  # type: ignore[arg-type]
 
     try:
+        if isinstance(requirement, SampledH2Gain):
+            return _sampled_h2_norm(extended_plant(model, measured, commanded, 0, requirement.unlagged), requirement)
         alone = plant(0)
         if len(alone.A) > MAX_ORDER:
             return -np.inf
@@ -81,10 +86,17 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
 
 def _of_full_order(plant: ExtendedPlant) -> float:
     """Bound by the program of :func:`~lftkit.synthesis.hinfsyn`, or by single points; minus infinity for none."""
+    return hinfsyn(_system(plant), "y", "u").lower or -np.inf
+
+
+def _system(plant: ExtendedPlant, dt: float = 0.0) -> System:
+    """The plant, or with a period the sampled one whose image it is."""
     P, (nw, nu), (nz, ny) = plant, (plant.B1.shape[1], plant.B2.shape[1]), (len(plant.C1), len(plant.C2))
-    matrices = P.A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2]), np.block([[P.D11, P.D12], [P.D21, P.D22]])
-    ports = (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny))
-    return hinfsyn(System(*matrices, *ports), "y", "u").lower or -np.inf
+    A, B, C = P.A, np.hstack([P.B1, P.B2]), np.vstack([P.C1, P.C2])
+    D: FloatArray = np.block([[P.D11, P.D12], [P.D21, P.D22]])
+    if dt:
+        A, B, C, D = to_discrete(A, B, C, D, dt)
+    return System(A, B, C, D, (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny)), "P", dt)
 
 
 def _of_full_rank(plant: ExtendedPlant) -> bool:
@@ -108,6 +120,14 @@ def _hinf_level(plant: ExtendedPlant, closed: Closed) -> float:
     reached = hinf_norm(loop.A, loop.B, loop.C, loop.D).value
     # a loop below the level: the equations had no solution there by rounding alone
     return low if (1.0 - ROUNDING) * low <= reached <= (1.0 + JUST_ABOVE) ** 2 * high else -np.inf
+
+
+def _sampled_h2_norm(image: ExtendedPlant, requirement: SampledH2Gain) -> float:
+    """Of the discrete plant that belongs to an image, for white noise of unit density."""
+    if len(image.A) > MAX_ORDER:
+        return -np.inf
+    found = h2syn(_system(image, requirement.period), "y", "u")
+    return found.lower * (1.0 - ROUNDING) / float(np.sqrt(requirement.period))
 
 
 def _h2_norm(plant: ExtendedPlant, closed: Closed) -> float:

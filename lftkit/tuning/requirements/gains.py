@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -196,9 +196,11 @@ class H2Gain(Gain):
     def on_image(self, model: System) -> H2Gain:
         """The norm of the image behind ``1 / (1 + s T / 2)``, the root of the ratio of the frequencies' densities."""
         changes = self._weights_on_image(model)
+        unlagged = replace(self, **changes)
         lag = transfer([1.0], [0.5 * model.dt, 1.0], len(model.input_indices(self.inputs)))
         changes["weight_in"] = lag if changes["weight_in"] is None else cascade(changes["weight_in"], lag)
-        return replace(self, **changes)
+        given = {f.name: getattr(self, f.name) for f in fields(self)} | changes
+        return SampledH2Gain(**given, unlagged=unlagged, period=float(model.dt))
 
     def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
         """Norm of the weighted loop; samples of white noise of unit density have the variance 1 / T."""
@@ -210,6 +212,22 @@ class H2Gain(Gain):
             D = np.where(np.abs(D) <= ROUNDING * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
             value = h2_norm(A, B, C, D) / self.bound
         return CertifiedValue(value, value)
+
+
+@dataclass(frozen=True)
+class SampledH2Gain(H2Gain):
+    """Image of the H2 norm of a loop on samples.
+
+    Parameters
+    ----------
+    unlagged : H2Gain
+        The gain without the lag of its image, whose plant the bilinear map takes back to that on samples.
+    period : float
+        [s].
+    """
+
+    unlagged: H2Gain | None = None
+    period: float = 0.0
 
 
 def peak_gain(system: System, band: tuple[float, float], rtol: float, *, stable: bool = True) -> HInfNorm:
