@@ -255,7 +255,10 @@ def _sampled_h2(given: StandardPlant) -> FullOrderDesign:
     except (ValueError, ArithmeticError):
         value = np.inf
     if not np.isfinite(value):
-        raise InputError(f"{given.system.name}: must have no zeros on the unit circle in its weights, got some")
+        raise InputError(
+            f"{given.system.name}: must have no zeros on the unit circle in its weights, and no command or measurement "
+            "that follows from others, got some"
+        )
     same = abs(value - least) <= REACHED * value
     return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
 

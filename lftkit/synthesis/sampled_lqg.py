@@ -12,6 +12,7 @@ chapter 6). No term needs a weight of commands or noise of measurements where R 
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +42,17 @@ def sampled_lqg(plant: ExtendedPlant, *, direct: bool = True) -> SampledLqg:
     Raises
     ------
     ValueError, ArithmeticError, LinAlgError
-        An equation has no stabilising solution.
+        An equation has no stabilising solution; R or S is singular.
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", linalg.LinAlgWarning)
+        try:
+            return _sampled_lqg(plant, direct)
+        except linalg.LinAlgWarning as error:
+            raise linalg.LinAlgError(str(error)) from None
+
+
+def _sampled_lqg(plant: ExtendedPlant, direct: bool) -> SampledLqg:
     A, B1, B2, C1, C2, D11, D12, D21, D22 = (
         getattr(plant, name) for name in ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
     )

@@ -22,7 +22,7 @@ NORM = 1e-9
 
 
 def random_plant(seed: int, most: int) -> System:
-    """One to `most` states; noise on every measurement, weights on every command, but in a seventh; D11 in a third of all."""
+    """One to `most` states; noise on every measurement, weights on every command, but in a seventh; D11 in a third."""
     rng = np.random.default_rng(seed)
     n, u, y = (int(k) for k in rng.integers(1, [most + 1, 3, 3]))
     w, z = y + int(rng.integers(3)), u + int(rng.integers(1, 3))
@@ -33,7 +33,8 @@ def random_plant(seed: int, most: int) -> System:
         D[z:] = 0.0
     if seed % 14 == 4:
         D[:, w:] = 0.0
-    A = rng.standard_normal((n, n)) - rng.uniform(-1.0, 2.0) * np.eye(n)
+    # without noise and weights an optimum of four unstable modes can be at 1e5, where equations end
+    A = rng.standard_normal((n, n)) - rng.uniform(1.0 if seed % 7 == 4 else -1.0, 2.0) * np.eye(n)
     matrices = A, rng.standard_normal((n, w + u)), rng.standard_normal((z + y, n)), D
     return System(*matrices, [("w", w), ("u", u)], [("z", z), ("y", y)], "P")
 
@@ -55,7 +56,7 @@ def check_synthesis(seed: int, most: int) -> None:
         proven = lower_bound_proof(given, "y", "u").level
         assert min(found.value, norm(found.closed)) >= proven * (1.0 - NORM)
         assert found.regularised or not np.isfinite(found.lower) or proven <= found.lower * (1.0 + ROUNDING)
-    if given is not plant or (seed % 3 and seed % 7 != 4):  # the H2 optimum bounds every loop that has an H2 norm
+    if seed % 7 != 4 and (given is not plant or seed % 3):  # the H2 optimum bounds every loop that has an H2 norm
         best = h2syn(given, "y", "u")
         assert norm(best.closed) >= found.lower * (1.0 - ROUNDING)
         if given is not plant or not found.closed.D.any():
