@@ -46,7 +46,7 @@ class Run:
     >>> Run.open("no_such_bag")
     Traceback (most recent call last):
     ...
-    pointing_analysis.read.mcap.records.BagError: no_such_bag: no such bag
+    pointing_analysis.read.mcap.records.BagError: no_such_bag: no such file or folder
     """
 
     def __init__(

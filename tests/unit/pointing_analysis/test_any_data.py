@@ -160,7 +160,7 @@ def test_the_rate_of_a_topic_is_seen_through_the_jitter_of_a_link(tmp_path: Path
 
 
 def test_a_record_of_others_is_refused_by_its_own_name() -> None:
-    with pytest.raises(ValueError, match=r"^line of sight: topic must have at least two samples, got 1$"):
+    with pytest.raises(ValueError, match=r"^series: line of sight: topic must have at least two samples, got 1$"):
         performance_error(series(None, np.zeros((1, 2)), unit="mas", rate=100.0), 0.0)
 
 
@@ -245,7 +245,7 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
         ("a.csv", {"los": "x,z"}, "los must be two of the columns time, x, y, got 'x,z'"),
         ("a.csv", {"time": "when"}, "time must be one of time, x, y, got 'when'"),
         ("none.csv", {}, "no such file"),
-        ("none", {"los": "/a"}, "no such bag"),
+        ("none", {"los": "/a"}, "no such file or folder"),
     ],
 )
 def test_mistakes_are_one_line(folder: Path, name: str, options: dict[str, Any], message: str) -> None:
