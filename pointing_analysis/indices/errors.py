@@ -12,7 +12,7 @@ from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.read.topic import on_grid, read_only
+from pointing_analysis.read.topic import OFF_GRID, on_grid, read_only
 from pointing_analysis.read.unsent import unsent
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
@@ -110,6 +110,11 @@ def on_camera(run: Recording) -> bool:
     return "truth/los" not in run or not len(run["truth/los"])
 
 
+def _gridded(run: Recording, name: str, off_grid: float = OFF_GRID) -> tuple[FloatArray, float]:
+    """Samples and period of a topic; messages name the recording and, of another program's file, its own columns."""
+    return on_grid(replace(run[name], name=f"{run.path}: {run.shown(name)}"), off_grid)
+
+
 def performance_error(run: Recording, transient: float | None = None) -> ErrorSeries:
     """True controlled line of sight minus its target, which is zero; that of the camera where :func:`on_camera`.
 
@@ -126,12 +131,12 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
         No truth topic, only transient, or a time axis that is not uniform.
     """
     if on_camera(run):
-        values, dt = on_grid(run[CAMERA], OFF_PHASE)
+        values, dt = _gridded(run, CAMERA, OFF_PHASE)
         return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     truth = run["truth/los"]
-    values, dt = on_grid(replace(truth, name=run.shown("truth/los")))  # of another program's file its own name
+    values, dt = _gridded(run, "truth/los")
     series = _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, truth.open_end)
     return replace(series, never_sent=0 < truth.integrity.missing <= unsent(run, "truth/los"))
 
@@ -176,7 +181,7 @@ def knowledge_error_of(
     """
     _need(run, "truth/los", "fsm/strain_gauge")
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
-    grid, dt = on_grid(truth)
+    grid, dt = _gridded(run, "truth/los")
     gain = telescope_value(run, "los_sensitivity")
     full = empty((len(grid), 2))
     for part in parts(len(full)):

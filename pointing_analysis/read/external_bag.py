@@ -27,7 +27,7 @@ from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.messages.transforms import TF_MESSAGE, Transform, transforms
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
 from pointing_analysis.read.tables.table import split_unit, unit_name
-from pointing_analysis.units import ANGLES
+from pointing_analysis.units import ANGLES, NAMES
 
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
@@ -326,6 +326,8 @@ def read_external(
     chosen = _choose(path, los, topics)
     if chosen.unit and unit is not None and unit_name(unit) != chosen.unit:
         raise BagError(f"{path}: unit must be {chosen.unit} for {chosen.name}, got {unit!r}")
+    if not chosen.unit and unit is None:
+        raise InputError(f"{path}: unit must be given (--unit {NAMES}) for {chosen.name}, got none")
     topic, problems = topics[chosen.topic], reading.problems()
     values, header, fitting = (np.concatenate(arrays) for arrays in zip(*topic.samples))
     whole = topics.get(topic.channel.topic, topic)  # of tf2, the messages that cannot be read

@@ -46,7 +46,7 @@ class Run:
     >>> Run.open("no_such_bag")
     Traceback (most recent call last):
     ...
-    pointing_analysis.read.mcap.records.BagError: no_such_bag: no such bag
+    pointing_analysis.read.mcap.records.BagError: no_such_bag: no such file or folder
     """
 
     def __init__(
@@ -196,7 +196,10 @@ class Run:
             return chosen
         if not found:
             some = ", ".join(sorted(names)[:5]) or "no topics"
-            raise BagError(f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}")
+            raise BagError(
+                f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}: "
+                "name another line of sight (--los, `bag topics` lists them)"
+            )
         if len(found) > 1:
             raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")
         return next(iter(found))

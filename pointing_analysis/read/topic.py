@@ -18,6 +18,7 @@ from pointing_analysis.read.time_grid import whole_period
 
 NANO = 1_000_000_000
 MANY_STEPS = 100_000  # different intervals of stamps that are counted one by one
+OFF_GRID = 0.01  # largest share of intervals that may be off a grid
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
@@ -248,7 +249,7 @@ def make_topic(
     )
 
 
-def on_grid(topic: Topic, off_grid: float = 0.01) -> tuple[FloatArray, float]:
+def on_grid(topic: Topic, off_grid: float = OFF_GRID) -> tuple[FloatArray, float]:
     """Values on the uniform time axis of the topic's period, NaN where a sample is missing.
 
     Parameters

@@ -14,7 +14,7 @@ def write_parts(content: ReportContent, folder: Path) -> list[Path]:
     """Write each figure and each table of a report into a folder; files that it replaces are never half-written.
 
     A table is ``NAME.tex`` (a ``tabular`` to include, with booktabs and array), ``NAME.csv`` and ``NAME.md``; a figure
-    ``NAME.svg`` and ``NAME.pdf``.
+    ``NAME.svg`` and ``NAME.pdf``, its curves ``NAME.csv``.
 
     Parameters
     ----------
@@ -44,6 +44,8 @@ def _files(content: ReportContent) -> Iterator[tuple[str, bytes]]:
     for picture in content.pictures:
         yield f"{picture.name}.svg", picture.svg
         yield f"{picture.name}.pdf", picture.pdf()
+        if curves := picture.csv():
+            yield f"{picture.name}.csv", curves
     for table in content.all_tables():
         if table.rows:
             yield f"{table.name}.tex", latex_table(table).encode()

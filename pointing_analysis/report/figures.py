@@ -23,6 +23,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.report.figure_data import curves_csv
 from pointing_analysis.requirements.requirement import Requirement, time_text
 from pointing_analysis.spectra.spectra import SpectralLine, Spectrum
 
@@ -102,6 +103,10 @@ class Picture:
             raise InputError(f"{self.name} must be a picture that can be drawn again, got its SVG alone")
         return _drawn(self.name, self.height, self.draw, _pdf)
 
+    def csv(self) -> bytes:
+        """Its curves, see `curves_csv`; empty where it has none or was not made by :func:`picture`."""
+        return b"" if self.draw is None else _drawn(self.name, self.height, self.draw, _csv)
+
 
 class LaidOutFigure(Figure):
     """A figure that is drawn once: to lay it out, matplotlib would draw all of it a first time into nothing.
@@ -168,6 +173,10 @@ def _pdf(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="pdf", metadata=NO_PDF_METADATA)
     return buffer.getvalue()
+
+
+def _csv(figure: Figure) -> bytes:
+    return curves_csv(figure).encode()
 
 
 def _drawn(name: str, height: float, draw: Callable[[Figure], None], save: Callable[[Figure], bytes]) -> bytes:

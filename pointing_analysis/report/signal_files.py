@@ -124,6 +124,8 @@ def check_format(path: Path, mat_version: str = "") -> str:
         raise InputError(f"--output must end with one of {', '.join(FORMATS)}, got {path.name}")
     if mat_version not in MAT_VERSIONS:
         raise InputError(f"--mat-version must be 5 or 7.3, got {mat_version}")
+    if mat_version and kind != ".mat":
+        raise InputError(f"--mat-version must be that of a .mat file, got {mat_version} for {path.name}")
     needed = {".parquet": ("pyarrow", "campaign")}.get(kind)
     if kind == ".mat" and mat_version == "7.3":
         needed = ("h5py", "hdf5")

@@ -40,6 +40,7 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.units import ANGLES
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -239,7 +240,7 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     frequency = _frequency(arguments, text) if index == "MTF" else None
     times = tuple(_time(part) for part in (arguments[:-1] if frequency else arguments))
     if len(times) != INDICES[index]:
-        raise InputError(f"{index}(...) must have {INDICES[index]} times, got {len(times)} in {text!r}")
+        raise InputError(f"{index}(...) must have {counted(INDICES[index], 'time')}, got {len(times)} in {text!r}")
     probability, confidence = (
         _float(m[value]) / (100 if m[percent] else 1) for value, percent in (("p", "pp"), ("c", "cp"))
     )
@@ -376,7 +377,10 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
         loops = [loops] if isinstance(loops, str) else loops
         if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
             raise InputError(f"{where}: loop must be a name or a list of names, got {loops!r}")
-        made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
+        try:
+            made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
+        except ValueError as error:
+            raise InputError.of_file(where, error) from None
     return tuple(made)
 
 

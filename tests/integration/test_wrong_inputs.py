@@ -166,34 +166,127 @@ DISTURBANCE: dict[str, Row] = {
     "a waterfall without a row": (few("speed (rpm),frequency", "1,1", "1,2", "2,1"), "", "a row for each|3 rows"),
     "TDMS": (b"TDSm\x0e\0\0\0\x69\x12\0\0", "", "TDMS|npTDMS"),
 }
+
+
+def table(kind: str, text: str = "", place: str = "payload") -> str:
+    """A source of a TOML file; keys between semicolons."""
+    lines = (f'name = "c"; kind = "{kind}"; place = "{place}"; ' + text).split("; ")
+    return "[[disturbance]]\n" + "\n".join(lines) + "\n"
+
+
+PUSH = "harmonics = [{ order = 1, force = [1, 0, 0] }]"
+SOURCE: dict[str, Row] = {
+    "a file that is missing": (table("series", 'file = "x.csv"'), "", "disturbance 'c'|file|x.csv|no such file"),
+    "a file of another kind": (table("psd", 'file = "data.toml"'), "", "disturbance 'c'|data.toml|without numbers"),
+    "neither list nor file": (table("cooler", "frequency = 47"), "", "harmonics or file|neither"),
+    "no harmonics": (table("cooler", "frequency = 47; harmonics = []"), "", "harmonics must be tables"),
+    "an order alone": (table("cooler", "frequency = 47; harmonics = [{ order = 1 }]"), "", "force or torque|order"),
+    "pulses of nothing": (table("pulses", "period = 1; width = 0.1"), "", "force or torque|period, width"),
+    "no frequency": (table("cooler", PUSH), "", "frequency must be a number above 0|None"),
+    "a frequency with its unit": (table("cooler", f'frequency = "47 Hz"; {PUSH}'), "", "frequency|'47 Hz'"),
+    "two axes": (
+        table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"),
+        "",
+        "force|three numbers|[1, 0]",
+    ),
+    "an unknown place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "", "place|payload|wheel_1|'moon'"),
+    "an unknown kind": (table("colder"), "", "kind must be one of|cooler|'colder'"),
+    "an unknown key": (table("pulses", "force = [1, 0, 0]; periode = 1"), "", "keys must be among|periode"),
+    "no table": ("[disturbance]\n", "", "[[disturbance]]"),
+    "two of one name": (2 * table("cooler", f"frequency = 47; {PUSH}"), "", "different names|c, c"),
+}
+
+LIMIT = "prob(|APE| < 3 mas) >= 0.9 at 90 % confidence"
+
+
+def requirement(text: str, more: str = "") -> str:
+    return f'[[requirement]]\nname = "a"\ntext = "{text}"\n{more}'
+
+
+REQUIREMENTS: dict[str, Row] = {
+    "an unknown unit of a limit": (requirement(LIMIT.replace("mas", "m")), "", "mission.toml|unit|mas|'m'"),
+    "a limit below zero": (requirement(LIMIT.replace("3", "-3")), "", "mission.toml|limit must be positive|-3"),
+    "a probability above one": (requirement(LIMIT.replace("0.9", "1.9")), "", "mission.toml|probability|1.9"),
+    "no confidence": (requirement(LIMIT.partition(" at")[0]), "", "mission.toml|must read like|>= 0.9'"),
+    "an unknown index": (requirement(LIMIT.replace("APE", "XPE")), "", "mission.toml|index|APE|'XPE'"),
+    "no window": (requirement(LIMIT.replace("APE", "RPE")), "", "mission.toml|must have 1 time, got 0"),
+    "a window without unit": (requirement(LIMIT.replace("APE", "RPE(20)")), "", "mission.toml|time|20 ms|'20'"),
+    "an unknown key of a requirement": (requirement(LIMIT, "colour = 1\n"), "", "mission.toml|keys|colour"),
+    "no text": ("[[requirement]]\nname = 'a'\n", "", "mission.toml|requirement|text"),
+    "no requirement": ("", "", "mission.toml|requirement"),
+    "broken TOML": ("[[requirement\n", "", "mission.toml|TOML|line 1"),
+}
+
+ARRAY = "[[solar_array]]\nname = 'wing'\npoint = 'A1'\nlike = 'reference'\n"
+TELESCOPE: dict[str, Row] = {
+    "an unknown table": ("[isolater]\n", "", "line 1|isolater|isolator"),
+    "an unknown key": ("[isolator]\nstifness = 1\n", "", "line 2|isolator.stifness|stiffness"),
+    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "", "line 2|stiffness[0]|-1.0"),
+    "a damping above one": (ARRAY + "damping = 1.5\n", "", "line 1|solar_array[0]|damping|1.5"),
+    "modes heavier than the body": (ARRAY + "mass = 2.0\n", "", "line 1|solar_array[0]|residual mass"),
+    "a point elsewhere": (ARRAY.replace("A1", "Z9"), "", "line 3|solar_array[0].point|A1|'Z9'"),
+    "a missing file of modes": ("[payload]\nmodal_data = 'm.toml'\n", "", "line 2|payload.modal_data|m.toml"),
+    "a source at no place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "", "disturbance 'c'|place|'moon'"),
+}
 RUN = ["run", "--mode=inprocess", "--duration=2", "--loop=isolator", "--output=out", "--disturbance"]
 
 
+COMMANDS = {
+    "data.csv": ["analyse", "data.csv"],
+    "wheel.csv": [*RUN, "wheel.csv@wheel_1"],
+    "data.toml": [*RUN, "data.toml"],
+    "mission.toml": ["analyse", "data.csv", "--requirements", "mission.toml"],
+    "telescope.toml": ["plant", "check", "telescope.toml"],
+}
+
+
 def refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, row: Row, run: bool
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, row: Row, name: str
 ) -> None:
     content, options, words = row
     monkeypatch.chdir(folder)
-    Path("data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
-    command = [*RUN, "data.csv@wheel_1"] if run else ["analyse", "data.csv"]
-    code, out, err = call_command(capsys, *command, *options.split())
+    files = {"data.csv": PLAIN, name: content} if name == "mission.toml" else {name: content}
+    for file, text in files.items():
+        Path(file).write_bytes(text if isinstance(text, bytes) else text.encode())
+    code, out, err = call_command(capsys, *COMMANDS[name], *options.split())
     messages = [text for text in err.splitlines() if text.startswith(("los-testbed: ", "los-testbed analyse: error: "))]
     assert code == 2 and out == "" and len(messages) == 1, (code, out, err)
-    missing = [word for word in words.split("|") if word not in messages[0]]
+    missing = [word for word in (name, *words.split("|")) if word not in messages[0]]
     assert not missing, (missing, messages[0])
-    assert messages[0].count("data.csv: ") <= 1, messages[0]
-    assert "topic" not in messages[0] and sorted(path.name for path in folder.iterdir()) == ["data.csv"]
+    assert messages[0].count(f"{name}: ") <= 1, messages[0]
+    assert "topic" not in messages[0] and sorted(path.name for path in folder.iterdir()) == sorted(files)
 
 
 @pytest.mark.parametrize("name", ANALYSE)
 def test_a_wrong_line_of_sight_is_refused(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:
-    refused(capsys, monkeypatch, tmp_path, ANALYSE[name], run=False)
+    refused(capsys, monkeypatch, tmp_path, ANALYSE[name], "data.csv")
 
 
 @pytest.mark.parametrize("name", DISTURBANCE)
 def test_a_wrong_disturbance_is_refused(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:
-    refused(capsys, monkeypatch, tmp_path, DISTURBANCE[name], run=True)
+    refused(capsys, monkeypatch, tmp_path, DISTURBANCE[name], "wheel.csv")
+
+
+@pytest.mark.parametrize("name", SOURCE)
+def test_a_wrong_source_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    refused(capsys, monkeypatch, tmp_path, SOURCE[name], "data.toml")
+
+
+@pytest.mark.parametrize("name", REQUIREMENTS)
+def test_a_wrong_requirement_file_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    refused(capsys, monkeypatch, tmp_path, REQUIREMENTS[name], "mission.toml")
+
+
+@pytest.mark.parametrize("name", TELESCOPE)
+def test_a_wrong_telescope_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    refused(capsys, monkeypatch, tmp_path, TELESCOPE[name], "telescope.toml")

@@ -91,6 +91,13 @@ class DisturbanceTable:
             raise self.error(f"{key} must be true or false, got {value!r}")
         return value
 
+    def wrench(self, table: Mapping[str, Any] | None = None) -> FloatArray:
+        """Force and torque (6,) of this table or of one in it; one of the two may be missing."""
+        own = self.table if table is None else table
+        if not {"force", "torque"} & set(own):
+            raise self.error(f"force or torque must be given, got {', '.join(own)}")
+        return np.r_[self.vector("force", own), self.vector("torque", own)]
+
     def vector(self, key: str, table: Mapping[str, Any] | None = None) -> FloatArray:
         """Three numbers, zero where the key is missing."""
         value = (self.table if table is None else table).get(key, [0.0, 0.0, 0.0])
@@ -107,7 +114,11 @@ class DisturbanceTable:
         name = self.table.get("file")
         if not isinstance(name, str):
             raise self.error(f"file must be the name of a file, got {name!r}")
-        self._tables.append(table := read_table(self.folder / name))
+        try:
+            table = read_table(self.folder / name)
+        except ValueError as error:
+            raise self.error(f"file: {error}") from None
+        self._tables.append(table)
         return table
 
     def column(self, table: Table, name: str) -> Column:
@@ -257,7 +268,7 @@ def _harmonics(entry: DisturbanceTable, units: WrenchUnits = FORCE) -> list[tupl
         unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})
         if unknown:
             raise entry.error(f"keys of a harmonic must be among order, force, torque, got {', '.join(unknown)}")
-        rows = [(one["order"], np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
+        rows = [(one["order"], entry.wrench(one)) for one in tables]
     else:
         raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
     for order, _ in rows:
@@ -370,7 +381,7 @@ def _cooler(entry: DisturbanceTable, run: RunConditions) -> Made:
 def _pulses(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.disturbances.signals import PulseSignal
 
-    wrench = np.r_[entry.vector("force"), entry.vector("torque")]
+    wrench = entry.wrench()
     width, period = entry.number("width", None, 0.0), entry.number("period", None, 0.0)
     if width > period:
         raise entry.error(f"width must not be above the period of {period:g} s, got {width:g} s")

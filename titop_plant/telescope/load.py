@@ -14,6 +14,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import parse
 from titop_plant.telescope.guide_camera import with_guide_camera
+from titop_plant.telescope.layout import APPENDAGES, ARRAYS, MountedBody
 from titop_plant.telescope.plant_file import PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
 from titop_plant.telescope.tables.parameter_check import ParameterFile
@@ -92,12 +93,25 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
     found = Telescope({**merged, **plant})
+    for kind, bodies in ((ARRAYS, found.solar_arrays), (APPENDAGES, found.appendages)):
+        for i, body in enumerate(bodies):
+            _check_body(body, f"{kind}[{i}]", file)
     if plant:
         try:
             _ = found.plant  # read and checked before anything else is done with the telescope
         except ValueError as error:
             raise file.error(PLANT, f"must name a plant that fits: {error}") from None
     return found
+
+
+def _check_body(body: MountedBody, name: str, file: ParameterFile) -> None:
+    """Refuse an array or an appendage whose values are of no body, with the table."""
+    from titop_plant.telescope.components import body_modes
+
+    try:
+        body_modes(body)
+    except ValueError as error:
+        raise file.error(name, f"must be a body: {error}") from None
 
 
 def differences(path: str | Path) -> list[str]:

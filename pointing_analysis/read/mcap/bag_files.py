@@ -52,9 +52,9 @@ def is_single_file(path: Path) -> bool:
     """
     try:
         if not path.exists():
-            raise BagError(f"{path}: no such bag")
+            raise BagError(f"{path}: no such file or folder")
     except OSError as error:
-        raise BagError(f"{str(path)[:80]}: no such bag: {error.strerror}") from None
+        raise BagError(f"{str(path)[:80]}: no such file or folder: {error.strerror}") from None
     if not (path.is_file() or path.is_dir()):
         raise BagError(f"{path}: a bag must be a folder or a file, got a device, a pipe or a socket")
     return path.is_file()

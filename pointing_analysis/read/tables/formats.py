@@ -91,7 +91,7 @@ def format_of(path: Path) -> Format:
         return _folder(path)
     if not path.is_file():
         if path.suffix.lower() in ("", ".mcap", ".db3", ".bag", ".zstd"):
-            raise BagError(f"{path}: no such bag")
+            raise BagError(f"{path}: no such file or folder")
         raise InputError(f"{path}: no such file")
     try:
         with path.open("rb") as file:

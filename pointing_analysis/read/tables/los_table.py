@@ -96,7 +96,13 @@ def read_los_table(
     ValueError
         Unknown unit, another one than that of the file, or neither times nor a rate.
     """
-    table = read_table(path)
+    try:
+        return _series_of(read_table(path), los, unit, rate, time)
+    except ValueError as error:
+        raise InputError.of_file(path, error) from None
+
+
+def _series_of(table: Table, los: str | None, unit: str | None, rate: float | None, time: str | None) -> Series:
     (x, y, when), unit_of_time = _chosen(table, los, time)
     columns = table.of_length(len(table.columns[x]))
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
@@ -104,12 +110,12 @@ def read_los_table(
     stated_rate, problems = table.rate((x, y)), list(table.left_out)
     if when is not None and (lost := _lost_digits(when, columns[when])):
         if rate is None:
-            raise InputError(f"{path}: {lost}; --rate HERTZ reads the rows in their order")
+            raise InputError(f"{lost}; --rate HERTZ reads the rows in their order")
         when, problems = None, [*problems, f"{lost}: rows read at {rate:g} Hz in their order"]
-    unused = _others(columns, x, y) if when is None else ""
+    unused = _others(table, x, y) if when is None else ""
     if when is None and stated_rate is not None:
         if rate is not None and not same_rate(rate, stated_rate):
-            raise InputError(f"{path}: rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
+            raise InputError(f"rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
         rate = stated_rate
     stated = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
     try:
@@ -122,12 +128,12 @@ def read_los_table(
             times = since_first_week(when, columns, unit_of_time)
             stamps = column_stamps(when, times, rate, unit_of_time)
     except ValueError as error:
-        raise InputError.of_file(path, InputError(f"{error}{unused}")) from None
+        raise InputError(f"{error}{unused}") from None
     _check_rows(table, stamps, xy)
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
-    provenance = Provenance(path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
+    provenance = Provenance(table.path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
     found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
     return found if stated_rate is None else _with_rate_note(found, stated_rate)
 
@@ -159,9 +165,14 @@ def _with_rate_note(found: Series, stated: float) -> Series:
     return replace(found, problems=(*found.problems, note))
 
 
-def _others(columns: Mapping[str, Column], x: str, y: str) -> str:
+def _others(table: Table, x: str, y: str) -> str:
+    """Columns that could be the times of the line of sight, or that would be with as many rows."""
+    columns = table.of_length(rows := len(table.columns[x]))
     rest = [name for name in columns if name not in (x, y)]
-    return f" (others, for --time: {', '.join(rest)})" if rest else ""
+    if rest:
+        return f" (others, for --time: {', '.join(rest)})"
+    other = time_column({name: column for name, column in table.columns.items() if name not in columns}, [])
+    return f" ({other} has {len(table.columns[other])} rows, {x} {rows})" if other else ""
 
 
 def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: str | None) -> tuple[FloatArray, str]:

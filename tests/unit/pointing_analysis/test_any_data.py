@@ -160,7 +160,7 @@ def test_the_rate_of_a_topic_is_seen_through_the_jitter_of_a_link(tmp_path: Path
 
 
 def test_a_record_of_others_is_refused_by_its_own_name() -> None:
-    with pytest.raises(ValueError, match=r"^line of sight: topic must have at least two samples, got 1$"):
+    with pytest.raises(ValueError, match=r"^series: line of sight: topic must have at least two samples, got 1$"):
         performance_error(series(None, np.zeros((1, 2)), unit="mas", rate=100.0), 0.0)
 
 
@@ -236,7 +236,8 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
             r"los must be one of /my/los.point \(geometry_msgs/msg/PointStamped: x, y, z\), got",
         ),
         ("theirs", {"los": "/text"}, "los must be one of /my/los.point"),
-        ("theirs", {"los": "/my/los", "unit": None}, "unit must be one of mas, arcsec, .* got None"),
+        ("theirs", {"los": "/my/los", "unit": None}, "theirs: unit must be given .--unit mas, .* for /my/los"),
+        ("theirs", {"unit": None}, r"a topic such as .* another line of sight \(--los, `bag topics` lists them\)"),
         ("theirs", {"los": "/my/los", "unit": "gon"}, "unit must be one of .* got 'gon'"),
         ("theirs", {"los": "/my/los", "rate": -1.0}, "rate must be positive"),
         ("theirs", {"los": "/my/los", "time": "clock"}, "time must be one of auto, header, log, got 'clock'"),
@@ -245,7 +246,7 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
         ("a.csv", {"los": "x,z"}, "los must be two of the columns time, x, y, got 'x,z'"),
         ("a.csv", {"time": "when"}, "time must be one of time, x, y, got 'when'"),
         ("none.csv", {}, "no such file"),
-        ("none", {"los": "/a"}, "no such bag"),
+        ("none", {"los": "/a"}, "no such file or folder"),
     ],
 )
 def test_mistakes_are_one_line(folder: Path, name: str, options: dict[str, Any], message: str) -> None:

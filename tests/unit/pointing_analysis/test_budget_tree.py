@@ -155,7 +155,7 @@ def test_a_measured_source_takes_the_windows_of_an_analysis(tmp_path: Path) -> N
             "keys must be among correlation_time, sigma, got 'value'",
         ),
         ('[sources.a]\ntype = "tones"\n', "tones must be a list"),
-        ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such bag"),
+        ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such file or folder"),
         ('[sources.a]\ntype = "testbed"\n', "type testbed needs the command"),
         ('[sources.a]\ntype = "random"\nsigma = 1\ntransfer = "x"\n', "transfer must be a number"),
         (

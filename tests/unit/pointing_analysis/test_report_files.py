@@ -14,6 +14,7 @@ import pytest
 from command_line import CommandLine
 from support.table_forms import of_html, of_latex, of_markdown
 
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, performance_error
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import content, figures, paper
@@ -145,13 +146,18 @@ def test_a_pdf_that_fails_leaves_the_old_one(made: content.ReportContent, tmp_pa
 
 
 @pytest.mark.further
-def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, tmp_path: Path) -> None:
+def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, bag: Path, tmp_path: Path) -> None:
     paths = write_parts(made, tmp_path / "parts")
     assert sorted(paths) == sorted((tmp_path / "parts").iterdir()) and len(made.pictures) == 2
     assert {"psd.svg", "psd.pdf", "time.svg", "requirements.tex", "verdict.csv", "lines.md"} <= {p.name for p in paths}
     for picture in made.pictures:
         assert (tmp_path / "parts" / f"{picture.name}.svg").read_bytes() == picture.svg
         assert (tmp_path / "parts" / f"{picture.name}.pdf").read_bytes().startswith(b"%PDF")
+    above, *points = (tmp_path / "parts" / "time.csv").read_text().splitlines()
+    assert "time [s]" in above
+    drawn = [abs(float(row["y"])) for row in csv.DictReader(points) if row["curve"] == "LOS x"]
+    error = performance_error(Run.open(bag)).values[:, 0] / RAD_PER_ARCSEC
+    assert max(drawn) == pytest.approx(np.nanmax(np.abs(error)), rel=1e-6)  # an envelope keeps the peaks
     shown = page(made)
     for table in made.all_tables():
         rows = [list(map(str, row)) for row in table.rows]

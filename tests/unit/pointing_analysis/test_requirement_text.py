@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.requirements.requirement import INTERPRETATIONS, Requirement, entries, from_entries, load, parse
 from pointing_analysis.units import ANGLES
 
@@ -85,7 +86,7 @@ def test_each_index_has_its_number_of_times_and_no_other(index: str) -> None:
             made = parse(text(quantity))
             assert (made.index, made.times, made.quantity) == (index, (1.0,) * count, quantity)
         else:
-            with pytest.raises(InputError, match=f"must have {INDICES[index]} times, got {count}"):
+            with pytest.raises(InputError, match=f"must have {counted(INDICES[index], 'time')}, got {count}"):
                 parse(text(quantity))
 
 

@@ -144,6 +144,7 @@ def test_an_exported_line_of_sight_has_the_figures_of_its_bag(
     [
         (["--output", "run.xls"], [".mat, .npz, .csv, .parquet", "run.xls"]),
         (["--output", "run.mat", "--mat-version", "6"], ["--mat-version", "6"]),
+        (["--output", "run.csv", "--mat-version", "5"], ["--mat-version", ".mat file", "run.csv"]),
         (["--output", "run.csv", "--topics", "truth/pos"], ["truth/pos", "truth/los"]),
         (["--output", "run.csv", "--from", "3", "--to", "2"], ["--from", "--to"]),
         (["--output", "there.csv"], ["--output", "there.csv"]),

@@ -59,13 +59,18 @@ def test_without_a_curve_it_is_the_bound(changed: str, tmp_path: Path) -> None:
     assert noise_of(file) == noise_equivalent_angle(star_camera(own.image_optics, own.camera, str(file)))
 
 
-def test_a_command_measures_the_curve_of_another_detector(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_measures_the_curve_of_another_detector(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Moments: their bias makes them several times as bad as the bound for a bright star."""
+    monkeypatch.setenv("COLUMNS", "160")
     text = 'centroid = "moments"\nmagnitude = 11.3'
     file, stored = user(tmp_path, text), tmp_path / "mine.json"
     arguments = ["--parameters", str(file), "--magnitudes", "11,12,25", "--frames", "200", "--output", str(stored)]
     main(["image", "noise", *arguments, "--json"])
-    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    told = capsys.readouterr()
+    printed = json.loads(told.out.splitlines()[-1])
+    assert [line.split()[3] for line in told.err.splitlines() if line.startswith("│")] == ["11", "12", "25"]
     (curve,) = printed["curves"]
     assert curve["magnitude"] == [11.0, 12.0] and printed["frames"] == 200  # nobody sees the last one
     assert curve["noise_mas"][0] > 1.5 * curve["bound_mas"][0]

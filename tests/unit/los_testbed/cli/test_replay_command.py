@@ -10,6 +10,7 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
+from scipy.io import savemat
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.mat_files import write_mat
@@ -128,6 +129,24 @@ def test_every_form_of_a_controller_that_a_run_takes_is_replayed(call, tmp_path,
     assert not any(one["as_recorded"] for one in found)
     for other in found[1:]:
         assert other["replayed"] == pytest.approx(found[0]["replayed"], rel=1e-9)
+
+
+def test_matrices_without_names_are_replayed_in_order(call, tmp_path) -> None:
+    """The bag of a run with --ports-in-order replays itself; on other bags the option is given, too."""
+    files = write_controllers(tmp_path)
+    law = SampledSystem.from_file(other_observer(call.here / "quick.json"))
+    savemat(call.here / "quick.mat", {**{name: getattr(law, name) for name in "ABCD"}, "Ts": law.dt})
+    flown = {**files, "k_fsm": str(call.here / "quick.mat"), "ports_in_order": True}
+    for name, setting in (("plain", files), ("flown", flown)):
+        run_in_process(
+            RunConfig(duration=0.1, mode="inprocess", start="rest", **setting), call.here / name, SimpleTelescope()
+        )
+    for command, own in (("flown", True), ("plain --k-fsm quick.mat --ports-in-order", False)):
+        code, out, err = call(*command.split(), "--json", "--transient", "0")
+        assert code == 0, err
+        assert json.loads(out.splitlines()[-1])["as_recorded"] == own
+    code, _, err = call("plain", "--k-fsm", "quick.mat")
+    assert code == 2 and "(--ports-in-order), got 22 without names" in err
 
 
 def test_a_replay_says_where_its_controllers_start(call, tmp_path) -> None:

@@ -30,7 +30,7 @@ def test_recordings_that_are_not_there_are_not_called_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = refused(capsys, "analyse", tmp_path / "a", tmp_path / "b")
-    assert f"{tmp_path / 'a'}: no such bag" in said and "different ones" not in said
+    assert f"{tmp_path / 'a'}: no such file or folder" in said and "different ones" not in said
 
 
 def test_compressed_bags_are_compared_by_their_content(tmp_path: Path) -> None:

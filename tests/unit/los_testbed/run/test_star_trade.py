@@ -105,12 +105,17 @@ def test_a_design_of_its_own_for_a_star(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.further
-def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_makes_table_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     folder = tmp_path / "trade"
     arguments = [*SHORT, "--magnitudes", "10,25", "--keep-controllers", "--json"]
     main(["image", "trade", *arguments, "--output", str(folder)])
-    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["trade"]
+    told = capsys.readouterr()
+    rows = json.loads(told.out.splitlines()[-1])["trade"]
     bright, none = rows
+    assert [line.split()[1] for line in told.err.splitlines() if line.startswith("│")] == ["10", "25"]
     assert (bright["magnitude"], none["magnitude"]) == (10.0, 25.0)
     assert bright["frames"] == 50 and bright["without_angles"] == {"before_start": 2}
     assert sum(none["without_angles"].values()) == 50

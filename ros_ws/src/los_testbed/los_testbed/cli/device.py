@@ -13,7 +13,7 @@ from los_testbed.cli.options.options import Json, TelescopeFile, option
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
@@ -83,7 +83,7 @@ def check(
     rows = judge(found, model)
     fault_lines = faults(rows)
     console = Screen(stderr=json_)
-    say(console, _table(rows).markdown())
+    console.print(on_screen(_table(rows), whole=("value",)))
     for line in fault_lines or ("no fault: directions, gains, delays and noise agree with the model",):
         say(console, line)
     if (pause := found.longest_pause_ms) > config.hold_ticks:

@@ -125,12 +125,17 @@ def check(
     """See CHECK_EXAMPLES."""
     from lftkit.support.atomic_output import check_output
     from lftkit.support.threads import one_thread
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.parts.run_parts import RunParts
+    from titop_plant.interface import DT
     from titop_plant.telescope.load import difference_counts, difference_summary, load_telescope
     from titop_plant.telescope.summary import summarise
 
     if output is not None:
         check_output(output, "--output", folder=True)
     telescope, changed = load_telescope(file), difference_counts(file)
+    config = RunConfig(parameters=str(file), mode="inprocess", loop="none", duration=DT)
+    _ = RunParts(config).sources  # one that cannot be used is refused
     with one_thread():
         found = summarise(telescope)
     loop = _loop_of(telescope)

@@ -62,6 +62,7 @@ def replay(
     k_pma: Annotated[
         str | None, typer.Option(metavar="LAW", help="Proof-mass law, as `run` takes it; default: the recorded one.")
     ] = None,
+    ports_in_order: Annotated[bool, option("ports_in_order")] = False,
     loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none to fsm+pma.")] = None,
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and the replayed outputs.")] = None,
     transient: Transient = None,
@@ -89,7 +90,7 @@ def replay(
     if to_ros:
         content = _to_ros(console, run, output, domain, timeout)
     else:
-        content = _through(console, run, (k_fsm, k_pma, loop), output, transient)
+        content = _through(console, run, (k_fsm, k_pma, loop, ports_in_order), output, transient)
     if json_:
         print_json({**content, "contradictions": list(run.contradictions)})
     for text in run.contradictions:
@@ -102,7 +103,7 @@ def replay(
 def _through(
     console: Console,
     run: Run,
-    others: tuple[str | None, str | None, str | None],
+    others: tuple[str | None, str | None, str | None, bool],
     output: Path | None,
     transient: float | None,
 ) -> dict[str, Any]:

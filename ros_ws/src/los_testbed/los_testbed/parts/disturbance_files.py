@@ -123,7 +123,8 @@ def make_sources(
     """
     names = [str(entry.table.get("name", "")) for entry in entries]
     if len(set(names)) < len(names):
-        raise InputError(f"disturbances must have different names, got {', '.join(names)}")
+        files = ", ".join(dict.fromkeys(entry.where for entry in entries))
+        raise InputError(f"{files}: disturbances must have different names, got {', '.join(names)}")
     found = tuple(_source(entry, telescope, run) for entry in entries)
     driven = [one.place for one in found if one.limit < math.inf]
     for place in sorted({place for place in driven if driven.count(place) > 1}):

@@ -56,7 +56,7 @@ def with_named_ports(
             first = loop[0].name
             raise InputError(
                 f"{side} must have names ('{first}(1)' in {side[:-1].capitalize()}Name of a struct of MATLAB, "
-                f"'{first}[0]' in {side} of control.ss), or be {listed} in this order (--ports-in-order of run), "
+                f"'{first}[0]' in {side} of control.ss), or be {listed} in this order (--ports-in-order), "
                 f"got {size} without names"
             )
         if size != total_size(loop):

@@ -19,7 +19,7 @@ from los_testbed.config.topics import SENSORS, sensor_topics
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
-from los_testbed.parts.user_blocks import UserBlock
+from los_testbed.parts.user_blocks import UserBlock, read_law
 from los_testbed.run.conditions import conditions
 from los_testbed.run.proven_loop import PROOF_KEYS, proof_of
 from pointing_analysis.image.optics import METADATA as OPTICS
@@ -186,7 +186,8 @@ def final_metadata(
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Controllers that are files or linear systems, as JSON; configuration as YAML; tone and states of the start."""
-    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in parts.files.items()}
+    order = parts.config.ports_in_order
+    content = {f"{name}.json": ("application/json", _json_of(name, path, order)) for name, path in parts.files.items()}
     for name, law in parts.controllers.items() if parts.code else ():
         if f"{name}.json" not in content and isinstance(law, UserBlock) and law.is_linear and law.linear is not None:
             content[f"{name}.json"] = ("application/json", law.linear.to_json().encode())
@@ -198,13 +199,9 @@ def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[s
     return content
 
 
-def _json_of(path: Path) -> bytes:
-    """A controller's file as JSON."""
-    if path.suffix == ".json":  # as all stored ones are; nothing else is loaded for them
-        return read_bytes(path)
-    from lftkit.systems.exchange import read_sampled
-
-    return read_sampled(path).to_json().encode()
+def _json_of(name: str, path: Path, in_order: bool) -> bytes:
+    """A controller's file as JSON, with the names of ports that it has in the run."""
+    return read_bytes(path) if path.suffix == ".json" else read_law(name, path, in_order).to_json().encode()
 
 
 def _version() -> str:

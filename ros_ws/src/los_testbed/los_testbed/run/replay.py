@@ -130,7 +130,11 @@ def models_of_controllers(run: Run) -> dict[str, SampledSystem]:
 
 
 def controllers(
-    run: Run, k_fsm: str | Path | None = None, k_pma: str | Path | None = None, loop: str | None = None
+    run: Run,
+    k_fsm: str | Path | None = None,
+    k_pma: str | Path | None = None,
+    loop: str | None = None,
+    in_order: bool = False,
 ) -> Controllers:
     """Controllers as recorded, or others instead.
 
@@ -141,6 +145,8 @@ def controllers(
         As the settings of a run: a file (.json, .mat), a flight library, MODULE:NAME or an entry point.
     loop : str, optional
         Stage.
+    in_order : bool
+        Whether signals of the others that have no names are those of the loop in their order.
 
     Raises
     ------
@@ -153,7 +159,7 @@ def controllers(
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
-    found = {"k_fsm": _law_of(run, "k_fsm", k_fsm), "k_pma": _law_of(run, "k_pma", k_pma)}
+    found = {name: _law_of(run, name, asked, in_order) for name, asked in (("k_fsm", k_fsm), ("k_pma", k_pma))}
     chosen, telescope = {name: law for name, (law, _) in found.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
     rows = {name: _rows_of(run, law) for name, law in chosen.items()}
@@ -176,7 +182,7 @@ def controllers(
     return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings)
 
 
-def _law_of(run: Run, name: str, asked: str | Path | None) -> tuple[Law, bytes]:
+def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tuple[Law, bytes]:
     """A law as a run takes it, and the content of its file; of code nothing."""
     if asked is None:
         return controller_of(run, name)
@@ -184,10 +190,10 @@ def _law_of(run: Run, name: str, asked: str | Path | None) -> tuple[Law, bytes]:
     if is_library(given):
         return LibraryLaw(Path(given), name), read_bytes(given, SYSTEM)
     if is_code(given):
-        block = make_law(RunConfig.from_mapping({name: given}), name)
+        block = make_law(RunConfig.from_mapping({name: given, "ports_in_order": in_order}), name)
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
-    law = read_law(name, Path(given))
+    law = read_law(name, Path(given), in_order)
     if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
         law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
     return law, read_bytes(given) if given.endswith(".json") else law.to_json().encode()

@@ -12,7 +12,7 @@ import typer
 from lftkit.errors import InputError
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import number, numbers, print_json
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
 from pointing_analysis.formatting.number_text import digits, percent
 from pointing_analysis.formatting.tables import Heading, TextTable
 
@@ -78,7 +78,7 @@ def noise(
     }
     write_text(output, to_text(curves, provenance))
     console = Screen(stderr=json_)
-    say(console, _table(cameras, measured).markdown())
+    console.print(on_screen(_table(cameras, measured)))
     say(console, str(output))
     if json_:
         print_json({"output": str(output), **provenance, "curves": [curve.to_mapping() for curve in curves]})

@@ -28,7 +28,7 @@ Export = Annotated[
     typer.Option(
         "--export",
         metavar="FOLDER",
-        help="Also write each figure (SVG, PDF) and each table (LaTeX, CSV, Markdown) into a folder.",
+        help="Also write each figure (SVG, PDF, CSV) and each table (LaTeX, CSV, Markdown) into a folder.",
     ),
 ]
 

@@ -15,7 +15,7 @@ from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, numbers, print_json
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
 
 if TYPE_CHECKING:
     from los_testbed.run.star_trade import Trade
@@ -82,9 +82,9 @@ def trade(
         rows, finished = _rows(found, cluster, time_limit)
     console = Screen(stderr=json_)
     if rows:
-        table = star_trade.table(rows).markdown() + "\n"
-        say(console, table)
-        write_text(folder / "trade.md", table)
+        table = star_trade.table(rows)
+        console.print(on_screen(table))
+        write_text(folder / "trade.md", table.markdown() + "\n")
         write_text(folder / "trade.json", json.dumps(rows, indent=1) + "\n")
         star_trade.draw(rows, folder / "trade.png")
         for name in ("trade.md", "trade.json", "trade.png"):
