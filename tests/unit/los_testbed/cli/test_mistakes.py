@@ -144,6 +144,7 @@ SHIPPED = design_file("k-fsm")
         (["design", "k-fsm", "--loop-delay=-1"], ["--loop-delay must be between 0 and 1 s, got -1"]),
         (["design", "k-pma", "--time-limit=0"], ["--time-limit must be between 0.001 and 1e+07 s, got 0"]),
         (["design", "k-fsm", "--output=k.csv"], ["--output must end in .json, got k.csv"]),
+        (["export", "fmu", "--output=unit.zip"], ["--output must end in .fmu, got unit.zip"]),
         (["budget", "--output=b.docx"], ["--output must end in .html or .htm, got b.docx"]),
         (["budget", "--table=b.docx"], ["--table must end in .csv or .xlsx, got b.docx"]),
         (["design", "k-fsm"], ["--output must be given: a file for the design"]),
