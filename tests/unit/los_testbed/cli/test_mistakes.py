@@ -209,10 +209,11 @@ def nested(depth: int) -> str:
         *((text, {}, ["odd.json"]) for text in ("9" * 400, nested(100_000), "1e999")),
         ("NaN", {}, ["odd.json", "finite", "nan"]),
         ("0.0", {"A": [[0.5]]}, ["odd.json", "matrix B", "1 x 22", "2 x 22"]),
-        ("0.0", {"inputs": [{"name": "u", "size": 22}]}, ["inputs must be accel_Ip[6]", "u[22]"]),
+        ("0.0", {"inputs": [{"name": "u", "size": 22}]}, ["odd.json", "inputs must be accel_Ip[6]", "u[22]"]),
+        ("0.0", {"dt": 0.002}, ["odd.json", "sampling period must be 0.001 s, got 0.002"]),
         ("0.0", {"format": "something"}, ["odd.json", "not a controller file"]),
     ],
-    ids=range(7),
+    ids=range(8),
 )
 def test_a_controller_that_cannot_be_used_is_named_by_its_file(
     call: Call, made: Path, tmp_path: Path, entry: str, keys: dict[str, object], words: list[str]
