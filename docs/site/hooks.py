@@ -29,7 +29,10 @@ LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
 FIGURE = re.compile(r'(<img [^>]*src="([^"]*figures/[^"]*)"[^>]*>)')
-SHORT_CODE = re.compile(r"<code>([^<\n]{1,24})</code>")
+INLINE_CODE = re.compile(r"(?<!<pre>)(?<!</span>)<code>([^<]+)</code>")
+SHORT = 24
+"""Characters of code that is kept on one line of a sentence."""
+OPTION = re.compile(r"(?<![\w-])--?[A-Za-z][\w-]*")
 CELL = re.compile(r"<td((?: [^>]*)?)>((?:(?!</td>).)*)</td>", re.DOTALL)
 NOT_FOUND = """<!doctype html>
 <html lang="en">
@@ -144,8 +147,8 @@ def on_page_content(html: str, **_: Any) -> str:
     """Empty heads of tables are cells: a head without text has no name for assistive technology.
 
     Cells of four or more words are of the class ``prose``: on a phone their column is not as narrow as one word. A
-    figure is a link to itself: on a phone it opens at its own size. Short code is of the class ``short``: it is not
-    broken at its hyphens.
+    figure is a link to itself: on a phone it opens at its own size. Short code is of the class ``short``, options in
+    code of the class ``option``: they are not broken at their hyphens. Paths may be broken behind a slash.
 
     Examples
     --------
@@ -156,10 +159,21 @@ def on_page_content(html: str, **_: Any) -> str:
     >>> on_page_content('<p><img alt="Star" src="figures/star.png" /></p>')
     '<p><a href="figures/star.png"><img alt="Star" src="figures/star.png" /></a></p>'
     >>> on_page_content("<p>with <code>--time none</code></p>")
-    '<p>with <code class="short">--time none</code></p>'
+    '<p>with <code class="short"><span class="option">--time</span> none</code></p>'
+    >>> on_page_content("<td><code>examples/spacecraft/moving_rotors.toml</code></td>")
+    '<td><code>examples/<wbr>spacecraft/<wbr>moving_rotors.toml</code></td>'
+    >>> on_page_content("<pre><span></span><code>los-testbed run --output bags/1</code></pre>")
+    '<pre><span></span><code>los-testbed run --output bags/1</code></pre>'
     """
-    linked_figures = FIGURE.sub(r'<a href="\2">\1</a>', SHORT_CODE.sub(r'<code class="short">\1</code>', html))
+    linked_figures = FIGURE.sub(r'<a href="\2">\1</a>', INLINE_CODE.sub(_code, html))
     return CELL.sub(_cell, EMPTY_HEAD.sub(r"<td\1></td>", linked_figures))
+
+
+def _code(match: re.Match[str]) -> str:
+    options = OPTION.sub(r'<span class="option">\g<0></span>', match[1])
+    if len(match[1]) <= SHORT:
+        return f'<code class="short">{options}</code>'
+    return f"<code>{re.sub('(?<![</])/(?=[a-zA-Z_])', '/<wbr>', options)}</code>"
 
 
 def _cell(match: re.Match[str]) -> str:

@@ -253,16 +253,17 @@ def _few_decades(axis: Axes) -> None:
 
 
 def time_history(views: Sequence[RunView]) -> Picture:
-    """Both axes of the line of sight over time, one panel per run."""
+    """Both axes of the line of sight over time, one panel per run; the smaller one in front."""
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), sharex=True)
         for k, (axis, view) in enumerate(zip(axes, views)):
             axis.set_gid(f"run-{k}")
             arcsec = by_parts(lambda rows: rows / RAD_PER_ARCSEC, view.series.values)
-            for i, name in enumerate(metrics.AXES):
-                t, y = envelope(view.series.time, arcsec[:, i])
-                axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
+            curves = [envelope(view.series.time, arcsec[:, i]) for i in range(len(metrics.AXES))]
+            front = min(range(len(curves)), key=lambda i: float(np.fmax.reduce(np.abs(curves[i][1]), initial=0.0)))
+            for i, (name, (t, y)) in enumerate(zip(metrics.AXES, curves)):
+                axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8, zorder=2.1 if i == front else 2)
             axis.set_title(view.label)
             axis.set_ylabel("LOS error [arcsec]" if len(views) == 1 else "LOS [arcsec]")
         legend_above(figure, axes[0])

@@ -332,10 +332,11 @@ def _float(text: str) -> float:
         return math.nan
 
 
-def load(path: str | os.PathLike[str]) -> tuple[Requirement, ...]:
+def load(path: str | os.PathLike[str], stages: Sequence[str] = ()) -> tuple[Requirement, ...]:
     """Read a requirement file: TOML with ``[[requirement]]`` tables, or YAML with a list ``requirement``.
 
-    Each entry has a ``text`` and may have a ``name`` and a ``loop`` (list of loop stages it applies to).
+    Each entry has a ``text`` and may have a ``name`` and a ``loop`` (list of loop stages it applies to, which must be
+    among `stages` where there are any).
 
     Raises
     ------
@@ -350,16 +351,17 @@ def load(path: str | os.PathLike[str]) -> tuple[Requirement, ...]:
     found = content.get("requirement") if isinstance(content, dict) else None
     if not isinstance(found, list) or not found:
         raise InputError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
-    return from_entries(found, str(file))
+    return from_entries(found, str(file), stages)
 
 
-def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
+def from_entries(found: Sequence[Any], where: str, stages: Sequence[str] = ()) -> tuple[Requirement, ...]:
     """Requirements from the entries of a list: ``text``, and where given ``name`` and ``loop``.
 
     Parameters
     ----------
     found : entries, as `entries` makes them or a file has them
     where : name of the list, for the messages
+    stages : names that ``loop`` may have; any where there are none
 
     Raises
     ------
@@ -367,7 +369,7 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
         An entry of another form.
     """
     made = []
-    for entry in found:
+    for i, entry in enumerate(found):
         if not isinstance(entry, dict) or "text" not in entry:
             raise InputError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
         unknown = set(entry) - {"text", "name", "loop"}
@@ -379,8 +381,10 @@ def from_entries(found: Sequence[Any], where: str) -> tuple[Requirement, ...]:
             raise InputError(f"{where}: loop must be a name or a list of names, got {loops!r}")
         try:
             made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
+            for loop in loops if stages else ():
+                _member("loop", loop, stages)
         except ValueError as error:
-            raise InputError.of_file(where, error) from None
+            raise InputError(f"{where}: requirement[{i}]: {error}") from None
     return tuple(made)
 
 

@@ -75,8 +75,8 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         usual = judge(requirement, [run], None)
         if math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
             return Settled(usual)  # a falling level is within the limit with its start-up, too
-        known = f"about {seconds:.0f} s" if math.isfinite(seconds) else "more than it"
-        why = f"not settled: its start-up takes {known} of {whole:g} s (a longer run, or --transient SECONDS)"
+        known = f"about {seconds:.0f} of" if math.isfinite(seconds) else "longer than"
+        why = f"not settled: its start-up takes {known} {whole:g} s (a longer run, or analyse --transient SECONDS)"
         return Settled(not_judged(requirement, why))
     if seconds <= series.start:
         return Settled(judge(requirement, [run], None))

@@ -528,7 +528,7 @@ def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> l
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         found.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is excluded, not "
-            f"{SETTLING:g} s (--transient SECONDS)"
+            f"{SETTLING:g} s (analyse --transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":
         found.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")

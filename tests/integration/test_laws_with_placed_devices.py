@@ -318,7 +318,7 @@ def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(
 @pytest.mark.parametrize(
     ("setting", "name", "message"),
     [
-        ("k_fsm", "Unknown", "sensors must be distinct names among on_m1, at_root, got ('on_m2',)"),
+        ("k_fsm", "Unknown", "sensors must be distinct names of the telescope's file (on_m1, at_root), got ('on_m2',)"),
         ("k_fsm", "Greedy", "an observer must command no actuator (k_pma does), got shaker"),
     ],
 )

@@ -141,10 +141,14 @@ def _rng(entry: DisturbanceTable, run: RunConditions) -> np.random.Generator:
 def _axes(entry: DisturbanceTable, table: Table, n: int, units: WrenchUnits = FORCE) -> FloatArray:
     """Values (n, 6) of a table, in SI units; of an array of six columns the unit may be two, ``N, Nm``."""
     values = np.zeros((n, 6))
-    bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
+    bases: dict[str, str] = {}
+    spelled = {base for names in AXES for base in names}
+    for name in table.of_length(n):
+        first = bases.setdefault(base := split_unit(name)[0].lower(), name)
+        if name != first and base in spelled:
+            raise entry.error(f"{table.path} must have one column for each axis, got {first} and {name}")
     whole = [f"wrench.{i + 1}" for i in range(6)]
     found = 0
-    spelled = {base for names in AXES for base in names}
     for name in table.texts:
         if split_unit(name)[0].lower() in spelled:
             table.refuse_text(name)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import parse
 from titop_plant.telescope.guide_camera import with_guide_camera
@@ -138,7 +139,7 @@ class DifferenceCounts(NamedTuple):
     removed: int
 
     def __str__(self) -> str:
-        return ", ".join(f"{n} {kind}" for kind, n in self._asdict().items() if n)
+        return ", ".join(f"{counted(n, 'value')} {kind}" for kind, n in self._asdict().items() if n)
 
 
 def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:

@@ -186,8 +186,8 @@ class LoopPorts:
         driven = {row.name: row for row in self.further_actuators}
         for what, names, rows in (("sensors", sensors, [*known]), ("actuators", actuators, [*driven])):
             if isinstance(names, str) or len(set(names)) < len(names) or set(names) - set(rows):
-                listed = ", ".join(rows) or "none, as in the telescope's file"
-                raise InputError(f"{what} must be distinct names among {listed}, got {names!r}")
+                listed = ", ".join(rows) or "it has none"
+                raise InputError(f"{what} must be distinct names of the telescope's file ({listed}), got {names!r}")
         chosen, commanded = (known[name] for name in sensors), (driven[name] for name in actuators)
         first = self.reference
         return LoopPorts((*first.sensors, *chosen), (*first.actuators, *commanded))
@@ -212,7 +212,7 @@ class LoopPorts:
         """
         groups = (("sensor", self.further_measured), ("actuator", self.further_commanded))
         left = [(what, [port.name for port in group if port.name not in used]) for what, group in groups]
-        named = " and ".join(f"{what} {', '.join(names)}" for what, names in left if names)
+        named = " and ".join(f"{what}{'s' * (len(names) > 1)} {', '.join(names)}" for what, names in left if names)
         return f"controllers and predictions do not use {named} of the telescope's file" if named else ""
 
     def unscaled(self) -> LoopPorts:

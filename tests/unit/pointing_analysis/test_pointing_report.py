@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import report
 from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.figures import time_history
 from pointing_analysis.report.line_sources import likely_source
 from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import latency_us, render, view, write_report
@@ -347,3 +349,14 @@ def test_prints_with_everything_unfolded(chromium, page) -> None:
         assert chromium.value("getComputedStyle(document.querySelector('nav')).display") == "none"
     finally:
         chromium.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_the_smaller_axis_over_time_is_drawn_in_front(tmp_path: Path) -> None:
+    values = MAS * np.random.default_rng(5).standard_normal((4000, 2))
+    for number, (x, y) in enumerate(((1.0, 30.0), (30.0, 1.0))):
+        run = Run.open(write_bag(tmp_path / str(number), {"truth/los": values * (x, y)}))
+        drawn = time_history([view(run, "a")])
+        assert drawn.draw is not None
+        drawn.draw(figure := Figure())
+        front = max(figure.axes[0].get_lines(), key=lambda line: line.get_zorder())
+        assert front.get_label() == ("LOS x" if x < y else "LOS y")

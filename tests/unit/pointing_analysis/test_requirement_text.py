@@ -198,6 +198,20 @@ def test_a_file_without_the_list_is_refused(content: str, tmp_path: Path) -> Non
         load(tmp_path / "none.toml")
 
 
+def test_a_requirement_that_cannot_be_read_is_named_with_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    first = f'[[requirement]]\ntext = "{text()}"\n[[requirement]]\n'
+    path.write_text(first + f'text = "{text("|RPE(20)|")}"\n')
+    with pytest.raises(InputError, match=r"mine.toml: requirement\[1\]: time must read like '20 ms', got '20'"):
+        load(path)
+    path.write_text(first + f'text = "{text()}"\nloop = "fsm_pma"\n')
+    assert load(path)[1].loops == ("fsm_pma",)
+    with pytest.raises(
+        InputError, match=r"mine.toml: requirement\[1\]: loop must be one of fsm, fsm\+pma, got 'fsm_pma'"
+    ):
+        load(path, ("fsm", "fsm+pma"))
+
+
 def test_a_limit_that_its_unit_cannot_say_is_in_radians() -> None:
     """Some doubles are no double times the unit: the text has them in radians."""
     rng, radians = np.random.default_rng(5), 0

@@ -125,7 +125,8 @@ def test_a_run_that_is_not_settled_is_not_judged(tmp_path: Path) -> None:
     t = DT * np.arange(40_000)
     values = tone(40.0, 0.756, 60.0 * (1.0 - np.exp(-t / 200.0)))
     rows = summarise(bag(tmp_path / "a", values, start_up=MEASURED, tones_rad_s=[2 * np.pi * 0.756])).rows
-    assert rows[0].status == "not judged" and rows[0].verdict_text.startswith("not judged: not settled: its start-up")
+    why = "not settled: its start-up takes longer than 40 s (a longer run, or analyse --transient SECONDS)"
+    assert rows[0].status == "not judged" and rows[0].verdict_text == f"not judged: {why}"
     rows = summarise(bag(tmp_path / "b", values, transient_s=0, tones_rad_s=[2 * np.pi * 0.756])).rows
     assert rows[0].status != "not judged", "a run that is known to be steady"
 

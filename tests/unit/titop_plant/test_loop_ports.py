@@ -45,6 +45,19 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
     return load_telescope(file).loop_ports
 
 
+def test_idle_devices_are_named_in_the_plural_where_there_are_several(own: LoopPorts) -> None:
+    left = own.idle(["shaker", "damper"])
+    assert left == "controllers and predictions do not use sensors on_m1, at_root of the telescope's file"
+    assert "use sensor at_root and actuators shaker, damper of" in own.idle(["on_m1"])
+
+
+def test_a_telescope_without_further_sensors_is_told() -> None:
+    with pytest.raises(
+        ValueError, match=r"sensors must be distinct names of the telescope's file \(it has none\), got"
+    ):
+        LoopPorts().named(("on_m1",))
+
+
 def law(*names: str) -> SimpleNamespace:
     """A controller with ports of these names."""
     ports = tuple(Port(name, 1) for name in names)

@@ -32,5 +32,5 @@ def test_differences_from_the_reference_are_counted_by_table(tmp_path: Path) -> 
     assert difference_counts(tmp_path / "mine.toml") == {"isolator": (1, 0, 0), "fsm": (2, 0, 0)}
     assert difference_summary(tmp_path / "mine.toml", most=3) == differences(tmp_path / "mine.toml")
     assert difference_summary(tmp_path / "mine.toml", most=2) == [
-        "differs from the reference in isolator (1 changed), fsm (2 changed)"
+        "differs from the reference in isolator (1 value changed), fsm (2 values changed)"
     ]

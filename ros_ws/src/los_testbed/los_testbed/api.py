@@ -246,9 +246,10 @@ def analyse(
     from los_testbed.run.summary.summary import summarise_runs
     from pointing_analysis.read.los_source import open_los
     from pointing_analysis.requirements.requirement import load
+    from titop_plant.interface import STAGES
 
     recording = open_los(Path(path), **source)
-    asked = load(Path(requirements)) if isinstance(requirements, str | os.PathLike) else requirements
+    asked = load(Path(requirements), STAGES) if isinstance(requirements, str | os.PathLike) else requirements
     found = summarise_runs([recording], None if output is None else Path(output), transient, asked)
     return RunResult(Path(path), recording, found.summaries[0], found.remarks[0], found.runs[0])
 

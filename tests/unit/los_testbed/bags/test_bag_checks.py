@@ -52,6 +52,17 @@ def keys(tmp_path: Path) -> tuple[Path, Path, Path]:
     return tmp_path / "key.pem", tmp_path / "public.pem", tmp_path / "other.pem"
 
 
+def test_what_is_no_private_key_is_told_in_one_sentence(bag: Path, call: Call, tmp_path: Path) -> None:
+    secret = Ed25519PrivateKey.generate().private_bytes(
+        pem.Encoding.PEM, pem.PrivateFormat.PKCS8, pem.BestAvailableEncryption(b"x")
+    )
+    empty = b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n"
+    for content, found in ((secret, "one with a password"), (empty, "no key that can be decoded")):
+        (tmp_path / "key.pem").write_bytes(content)
+        code, _, err = call("bag", "sign", bag, "--key", tmp_path / "key.pem")
+        assert code == 2 and err.endswith(f"without password, got {tmp_path / 'key.pem'}: {found}\n")
+
+
 def test_a_whole_bag_is_whole(bag: Path, call: Call) -> None:
     code, content = told(call, "bag", "verify", bag)
     assert code == 0 and content["whole"] and not content["problems"]

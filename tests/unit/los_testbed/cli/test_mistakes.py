@@ -144,6 +144,7 @@ SHIPPED = design_file("k-fsm")
         (["design", "k-fsm", "--loop-delay=-1"], ["--loop-delay must be between 0 and 1 s, got -1"]),
         (["design", "k-pma", "--time-limit=0"], ["--time-limit must be between 0.001 and 1e+07 s, got 0"]),
         (["design", "k-fsm", "--output=k.csv"], ["--output must end in .json, got k.csv"]),
+        (["export", "fmu", "--output=unit.zip"], ["--output must end in .fmu, got unit.zip"]),
         (["budget", "--output=b.docx"], ["--output must end in .html or .htm, got b.docx"]),
         (["budget", "--table=b.docx"], ["--table must end in .csv or .xlsx, got b.docx"]),
         (["design", "k-fsm"], ["--output must be given: a file for the design"]),
@@ -208,10 +209,11 @@ def nested(depth: int) -> str:
         *((text, {}, ["odd.json"]) for text in ("9" * 400, nested(100_000), "1e999")),
         ("NaN", {}, ["odd.json", "finite", "nan"]),
         ("0.0", {"A": [[0.5]]}, ["odd.json", "matrix B", "1 x 22", "2 x 22"]),
-        ("0.0", {"inputs": [{"name": "u", "size": 22}]}, ["inputs must be accel_Ip[6]", "u[22]"]),
+        ("0.0", {"inputs": [{"name": "u", "size": 22}]}, ["odd.json", "inputs must be accel_Ip[6]", "u[22]"]),
+        ("0.0", {"dt": 0.002}, ["odd.json", "sampling period must be 0.001 s, got 0.002"]),
         ("0.0", {"format": "something"}, ["odd.json", "not a controller file"]),
     ],
-    ids=range(7),
+    ids=range(8),
 )
 def test_a_controller_that_cannot_be_used_is_named_by_its_file(
     call: Call, made: Path, tmp_path: Path, entry: str, keys: dict[str, object], words: list[str]
@@ -281,3 +283,14 @@ def test_a_path_that_cannot_exist_is_a_mistake(call: Call, bag: Path, line: str,
     code, out, err = call(*(word.format(name) for word in line.split()))
     assert code == 2 and out == "" and one_line(err), err
     assert sorted(bag.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", ["analyse", "report"])
+def test_a_requirement_of_a_stage_that_does_not_exist_is_refused(
+    call: Call, bag: Path, tmp_path: Path, command: str
+) -> None:
+    text = "prob(|APE| < 1 mas) >= 0.5 at 95 % confidence"
+    (tmp_path / "mine.toml").write_text(f'[[requirement]]\ntext = "{text}"\nloop = ["fsm_pma"]\n')
+    code, _, err = call(command, bag, "--requirements", "mine.toml")
+    assert code == 2 and one_line(err)
+    assert "mine.toml: requirement[0]: loop must be one of none, isolator, fsm, fsm+pma, got 'fsm_pma'" in err

@@ -78,6 +78,12 @@ def test_what_has_no_effect_is_said(tmp_path: Path, header: str, rows: str, rema
         assert tuple(text for text in found.remarks if "columns" in text) == remarks
 
 
+def test_an_axis_is_one_column(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,Fx (mN),fx (N)\n0,1,2\n0.0005,-1,2\n")
+    with pytest.raises(ValueError, match=r"must have one column for each axis, got Fx \(mN\) and fx \(N\)"):
+        make_sources(entries_of([f"{tmp_path / 'a.csv'}@wheel_2"]), load_telescope(), RUN)
+
+
 def of_table(tmp_path: Path, header: str, rows: object) -> Any:
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="")
     (found,) = make_sources(entries_of([f"{tmp_path / 'a.csv'}@wheel_1"]), load_telescope(), RUN)

@@ -68,7 +68,8 @@ def private_key(option: str, file: Path) -> Ed25519PrivateKey:
     try:
         key = load_pem_private_key(_pem(option, file), None)
     except (ValueError, TypeError) as error:
-        raise InputError(f"{option} must be an Ed25519 private key without password, got {file}: {error}") from None
+        why = "one with a password" if isinstance(error, TypeError) else "no key that can be decoded"
+        raise InputError(f"{option} must be an Ed25519 private key without password, got {file}: {why}") from None
     if not isinstance(key, Ed25519PrivateKey):
         raise InputError(f"{option} must be an Ed25519 private key, got {file}: {type(key).__name__}")
     return key
@@ -82,8 +83,8 @@ def public_key(option: str, file: Path) -> Ed25519PublicKey:
 
     try:
         key = load_pem_public_key(_pem(option, file))
-    except ValueError as error:
-        raise InputError(f"{option} must be an Ed25519 public key, got {file}: {error}") from None
+    except ValueError:
+        raise InputError(f"{option} must be an Ed25519 public key, got {file}: no key that can be decoded") from None
     if not isinstance(key, Ed25519PublicKey):
         raise InputError(f"{option} must be an Ed25519 public key, got {file}: {type(key).__name__}")
     return key

@@ -50,7 +50,8 @@ after an interrupt: in-process runs with a bag are not repeated (with --keep-all
 @with_settings(
     [*(name for name in SIMULATED if name not in ("loop", "noise", "disturbance")), "seed", "mode"],
     helps={
-        "scenario": "worst_case, imbalance, both, or design; default: the case's, or both.",
+        "scenario": "worst_case, unit_norm, design, imbalance, ramp, or both (worst_case and imbalance); default: the "
+        "case's, or both.",
         "mode": "inprocess, lockstep or realtime; default: inprocess.",
     },
 )

@@ -318,17 +318,15 @@ def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopP
         An observer that commands an actuator; other ports, another period.
     """
     used = ports.among(law.inputs, law.outputs)
-    if not used.further:
-        return law
     _refuse_commands(setting, text, used)
     inputs, outputs = LAWS[setting]
     measured = *inputs, *used.further_measured
     try:
-        law = law.with_inputs(measured)
-        law.require(measured, (*outputs, *used.further_commanded), DT)
+        whole = law.with_inputs(measured)
+        whole.require(measured, (*outputs, *used.further_commanded), DT)
     except ValueError as error:
         raise InputError(f"{setting} {text}: {error}") from None
-    return law
+    return whole if used.further else law
 
 
 def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem | None:

@@ -111,8 +111,9 @@ def check_bag(path: Path) -> None:
 def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
     """Requirements of ``--requirements``; None where none is given: those of each recording hold."""
     from pointing_analysis.requirements.requirement import load
+    from titop_plant.interface import STAGES
 
-    return None if file is None else load(file)
+    return None if file is None else load(file, STAGES)
 
 
 def check_exposures(run: Recording, requirements: Sequence[Requirement], transient: float | None) -> None:

@@ -141,7 +141,7 @@ def export_fmu(
     from los_testbed.parts.run_parts import RunParts
 
     path = output or Path(f"{PLANT if telescope else LAW}.fmu")
-    check_output(path, "--output", new=True)
+    check_output(path, "--output", new=True, suffixes=(".fmu",))
     if telescope:
         given = {"parameters": None if parameters is None else str(parameters)}
         stated = with_stage({**of_designs(designs or ""), **given})
