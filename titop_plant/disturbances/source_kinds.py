@@ -96,7 +96,7 @@ class DisturbanceTable:
         own = self.table if table is None else table
         if not {"force", "torque"} & set(own):
             raise self.error(f"force or torque must be given, got {', '.join(own)}")
-        return np.r_[self.vector("force", own), self.vector("torque", own)]
+        return np.concatenate([self.vector("force", own), self.vector("torque", own)])
 
     def vector(self, key: str, table: Mapping[str, Any] | None = None) -> FloatArray:
         """Three numbers, zero where the key is missing."""
