@@ -27,6 +27,8 @@ ARRAYS: dict[str, Form] = {
         "weightless",
         "decaying",
         "decaying_adjoint",
+        "undisturbed",
+        "undisturbed_adjoint",
     )
 }
 HEADER: dict[str, Form] = {

@@ -169,7 +169,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerB
         return replace(design, lower=lower if lower > LEAST * design.value else -np.inf)
 
     found = bounded(_controller_of_least_norm(given, generalised))
-    if found.lower == -np.inf:
+    if not found.lower >= (1.0 - NEAR) * found.value:
         better = _with_weights(given, generalised, of_states=True)
         found = bounded(better) if better is not None and better.value < found.value else found
     return replace(found, lower=known) if found.lower == -np.inf and 0.0 < known <= found.value else found

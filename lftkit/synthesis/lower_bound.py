@@ -25,7 +25,7 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.proofs.trusted.lower_bound import check_lower_bound, exact_constraints
 from lftkit.proofs.trusted.proof import ProofError
-from lftkit.synthesis.noiseless import noiseless_combinations
+from lftkit.synthesis.noiseless import noiseless_combinations, undisturbed_states
 from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
 from lftkit.synthesis.standard_plant import Names, standard_plant
 from lftkit.systems.arguments import checked
@@ -172,17 +172,26 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
         tuple(map(int, places([p.name for p in group])))
         for places, group in ((system.output_indices, ports.measured), (system.input_indices, ports.commanded))
     )
-    none = [np.zeros((0, 0))] * 4
-    given = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none, *none)
+    none = [np.zeros((0, 0))] * 10
+    given = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none)
+    undisturbed = [undisturbed_states(A, B, seen, given.dt) for A, B, _, _, seen in _sides(given)]
     # what a sampled plant measures without noise may change until the next sample: sums of squares, not zero
     combinations = [
-        np.zeros((0, len(seen))) if given.dt else noiseless_combinations(A, B, seen)
-        for A, B, _, _, seen in _sides(given)
+        np.zeros((0, len(seen))) if given.dt else noiseless_combinations(A, B, seen, own)
+        for (A, B, _, _, seen), own in zip(_sides(given), undisturbed)
     ]
-    halves = [_Half.of(side, rows) for side, rows in zip(_sides(given), combinations)]
+    halves = [_Half.of(side, *rows) for side, *rows in zip(_sides(given), undisturbed, combinations)]
     decaying, adjoint = (half.decaying_modes(given.dt) for half in halves)
     noiseless, weightless = combinations
-    return replace(given, noiseless=noiseless, weightless=weightless, decaying=decaying, decaying_adjoint=adjoint)
+    return replace(
+        given,
+        noiseless=noiseless,
+        weightless=weightless,
+        decaying=decaying,
+        decaying_adjoint=adjoint,
+        undisturbed=undisturbed[0],
+        undisturbed_adjoint=undisturbed[1],
+    )
 
 
 @dataclass(frozen=True)
@@ -200,10 +209,12 @@ class _Half:
     basis: FloatArray
 
     @classmethod
-    def of(cls, side: Side, combinations: FloatArray, decaying: FloatArray | None = None) -> _Half:
-        """With the rates of combinations of measurements without noise, and decaying modes, among what is seen."""
+    def of(
+        cls, side: Side, undisturbed: FloatArray, combinations: FloatArray, decaying: FloatArray | None = None
+    ) -> _Half:
+        """With undisturbed states, rates of measurements without noise, and decaying modes among what is seen."""
         A, B, C, D, seen = side
-        states, rows = (part.astype(float) for part in exact_constraints(A, B, seen, combinations))
+        states, rows = (part.astype(float) for part in exact_constraints(A, B, seen, undisturbed, combinations))
         if decaying is not None:
             states, rows = np.vstack([states, decaying]), np.vstack([rows, np.pad(decaying, ((0, 0), (0, B.shape[1])))])
         return cls(A, B, C, D, rows, _null_space(states))
@@ -285,7 +296,10 @@ class _Working:
         units = np.diag(balanced(A, one, one)[2]) if len(A) else np.zeros(0)
         scale = np.array([1.0 if k in given.measured else 1.0 / level for k in range(len(D))])[:, None]
         A, B, C = balanced(A, B, C)
-        kept = (given.noiseless, given.decaying), (given.weightless, given.decaying_adjoint)
+        kept = (
+            (given.undisturbed, given.noiseless, given.decaying),
+            (given.undisturbed_adjoint, given.weightless, given.decaying_adjoint),
+        )
         halves = tuple(_Half.of(side, *rows) for side, rows in zip(_sides(given), kept))
         this = cls(given, halves, (), units, level)
         maps = this.vectors(*(np.eye(half.seen.shape[1]) for half in halves))

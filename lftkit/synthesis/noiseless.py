@@ -14,13 +14,17 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.trusted.lower_bound import exact_constraints, rational
+from lftkit.proofs.trusted.lower_bound import exact_constraints, follows, rational
 
+MARGINAL = 1e-9
+"""Decay of modes, over the largest magnitude of one, from which they count as stable."""
 WORST = 1e8
 """Condition of normalised rows above which they count as dependent."""
 
 
-def noiseless_combinations(A: FloatArray, B: FloatArray, seen: FloatArray) -> FloatArray:
+def noiseless_combinations(
+    A: FloatArray, B: FloatArray, seen: FloatArray, undisturbed: FloatArray | None = None
+) -> FloatArray:
     """All independent ones of the measurements ``y = C x + D w`` of a plant ``x' = A x + B w``, and of their rates.
 
     Parameters
@@ -29,10 +33,12 @@ def noiseless_combinations(A: FloatArray, B: FloatArray, seen: FloatArray) -> Fl
         A sampled plant's are of the next state.
     seen : ndarray, shape (y, n + w)
         ``[C D]``.
+    undisturbed : ndarray, shape (k, n), optional
+        Those of :func:`undisturbed_states`.
 
     Returns
     -------
-    ndarray, shape (r, y + r)
+    ndarray, shape (r, y + k + r)
         Row k: factors of the measurements and of the rates of the k combinations before. Those whose factors are no
         floating-point numbers are left out.
 
@@ -45,18 +51,57 @@ def noiseless_combinations(A: FloatArray, B: FloatArray, seen: FloatArray) -> Fl
     array([[1., 0., 0.],
            [0., 1., 0.]])
     """
-    n, count = len(A), len(seen)
+    n, own = len(A), np.zeros((0, len(A))) if undisturbed is None else undisturbed
+    count = len(exact_constraints(A, B, seen, own, np.zeros((0, 0)))[1])
     chosen: FloatArray = np.zeros((0, count))
     while True:
-        rows, before = exact_constraints(A, B, seen, chosen)[1], len(chosen)
+        rows, before = exact_constraints(A, B, seen, own, chosen)[1], len(chosen)
         for factors in _null_rows(rows[:, n:]):
             size = count + len(chosen) + 1
             row = np.pad(factors, (0, size - len(factors)))[None]
             wider = np.vstack([np.pad(chosen, ((0, 0), (0, 1))), row])
-            if all(_independent(part) for part in exact_constraints(A, B, seen, wider)):
+            if all(_independent(part) for part in exact_constraints(A, B, seen, own, wider)):
                 chosen = wider
         if len(chosen) == before:
             return chosen
+
+
+def undisturbed_states(A: FloatArray, B: FloatArray, seen: FloatArray, dt: float = 0.0) -> FloatArray:
+    """Unit rows (k, n) of stable states that no w reaches while the measurements are zero, as those of a weight.
+
+    Their rates are combinations of these states and the measurements, exactly.
+
+    Examples
+    --------
+    ``x1' = -x1 + x2 + w1`` of the measurement ``x2 + w1``, while x2 has another disturbance:
+
+    >>> A, B = np.array([[-1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
+    >>> undisturbed_states(A, B, np.array([[0.0, 1.0, 1.0, 0.0]]))
+    array([[1., 0.]])
+    """
+    n, dynamics = len(A), np.hstack([A, B])
+    own = list(range(n))
+    while True:
+        others = [k for k in range(dynamics.shape[1]) if k not in own]
+        left = [j for j in own if _spanned(dynamics[j, others], seen[:, others])]
+        if left == own or not left:
+            break
+        own = left
+    if not left or len(left) == n:
+        return np.zeros((0, n))
+    factors = linalg.lstsq(seen[:, others].T, dynamics[np.ix_(own, others)].T)[0]
+    poles = linalg.eigvals(A[np.ix_(own, own)] - factors.T @ seen[:, own])
+    stable = np.abs(poles).max() < 1.0 - MARGINAL if dt else poles.real.max() < -MARGINAL * np.abs(poles).max()
+    rows = np.eye(n)[own]
+    apart = all(_independent(part) for part in exact_constraints(A, B, seen, rows, np.zeros((0, 0))))
+    return rows if stable and apart else np.zeros((0, n))
+
+
+def _spanned(row: FloatArray, rows: FloatArray) -> bool:
+    """Whether a row is a combination of others; exactly so where it is for rounding."""
+    rest = row - linalg.lstsq(rows.T, row)[0] @ rows
+    small = float(np.abs(rest).max(initial=0.0)) <= 1e-9 * float(np.abs(row).max(initial=0.0))
+    return small and follows(rational(row), rational(rows))
 
 
 def _independent(rows: Any) -> bool:

@@ -242,7 +242,7 @@ def scaling(content: Content, chance: random.Random) -> None:
         names = [
             n
             for n in arrays
-            if n in ("unseen", "unmoved", "left", "right", "noiseless", "decaying_adjoint")
+            if n in ("unseen", "unmoved", "left", "right", "noiseless", "decaying_adjoint", "undisturbed")
             or (n.split("_")[-1][0] in "DG" and n.split("_")[-1][1:].isdecimal())
             or "factors" in n
         ]

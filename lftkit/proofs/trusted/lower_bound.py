@@ -37,6 +37,9 @@ from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT, Ball, definite
 from lftkit.proofs.trusted.axis import neumann
 from lftkit.proofs.trusted.proof import FloatArray, indices, refusing, require
 
+ROWS = "decaying", "decaying_adjoint", "undisturbed", "undisturbed_adjoint"
+COMBINATIONS = "noiseless", "weightless"
+
 
 @dataclass(frozen=True)
 class LowerBoundClaim:
@@ -57,12 +60,15 @@ class LowerBoundClaim:
         Columns (p, q).
     left, right : ndarray, shape (n, m)
         ``T = left right'``; zero where one of both has no columns.
-    noiseless : ndarray, shape (r, y + r)
-        Row k combines the measurements, and the rates of the k combinations before, to one that no w reaches.
-    weightless : ndarray, shape (s, u + s)
+    noiseless : ndarray, shape (r, any)
+        Row k combines the measurements, the undisturbed states and their rates that do not follow, and the rates of
+        the k combinations before, to one that no w reaches.
+    weightless : ndarray, shape (s, any)
         The same of the adjoint.
     decaying, decaying_adjoint : ndarray, shape (k, n)
         Rows on x and p that are left-invariant but for rounding where there are no inputs.
+    undisturbed, undisturbed_adjoint : ndarray, shape (k, n)
+        Rows on x and p whose rates follow from themselves and the measurements, as those of a weight of measurements.
     """
 
     level: float
@@ -81,6 +87,8 @@ class LowerBoundClaim:
     weightless: FloatArray
     decaying: FloatArray
     decaying_adjoint: FloatArray
+    undisturbed: FloatArray
+    undisturbed_adjoint: FloatArray
 
 
 class CheckedLowerBound(NamedTuple):
@@ -113,8 +121,8 @@ def check_lower_bound(claim: LowerBoundClaim) -> CheckedLowerBound:
         seen = np.hstack([claim.C[y], claim.D[np.ix_(y, w)]])
         moved = np.hstack([claim.B[:, u].T, claim.D[np.ix_(z, u)].T])
         sides = (
-            _constraints(A, B, seen, claim.noiseless, claim.decaying),
-            _constraints(A.T, C.T, moved, claim.weightless, claim.decaying_adjoint),
+            _constraints(A, B, (seen, claim.undisturbed, claim.noiseless), claim.decaying),
+            _constraints(A.T, C.T, (moved, claim.undisturbed_adjoint, claim.weightless), claim.decaying_adjoint),
         )
         own = _sums((A, B, C, D), sides[0], claim.unseen, claim.dt)
         adjoint = _sums((A.T, C.T, B.T, D.T), sides[1], claim.unmoved, claim.dt)
@@ -137,10 +145,9 @@ def require_plant(claim: LowerBoundClaim) -> None:
     require(own, f"some outputs must be measured and some not, got {claim.measured} of {rows}")
     own = indices(claim.commanded, columns) and len({*claim.commanded}) == u and 0 < u < columns
     require(own, f"some inputs must be commanded and some not, got {claim.commanded} of {columns}")
-    r, s = len(claim.noiseless), len(claim.weightless)
     shapes = {"A": (n, n), "B": (n, columns), "C": (rows, n), "D": (rows, columns)}
-    shapes |= {"noiseless": (r, y + r), "weightless": (s, u + s)}
-    shapes |= {name: (len(getattr(claim, name)), n) for name in ("decaying", "decaying_adjoint")}
+    shapes |= {name: (len(getattr(claim, name)), n) for name in ROWS}
+    shapes |= {name: (len(getattr(claim, name)), getattr(claim, name).shape[-1]) for name in COMBINATIONS}
     shapes |= {"left": (n, claim.left.shape[-1]), "right": (n, claim.left.shape[-1])}
     vectors = {"unseen": n + columns - u, "unmoved": n + rows - y}
     for name in (*shapes, *vectors):
@@ -160,21 +167,41 @@ class Constraints(NamedTuple):
     vectors: Ball
 
 
-def exact_constraints(A: FloatArray, B: FloatArray, seen: FloatArray, combinations: FloatArray) -> tuple[Any, Any]:
-    """Rows of both, as rational numbers, of combinations of measurements, and of rates of the ones before.
+def exact_constraints(
+    A: FloatArray, B: FloatArray, seen: FloatArray, undisturbed: FloatArray, combinations: FloatArray
+) -> tuple[Any, Any]:
+    """Rows of both, as rational numbers: what is seen, undisturbed states and combinations without noise.
 
     Raises
     ------
     ProofError
         A combination that some w reaches.
     """
-    dynamics, rows, n = rational(np.hstack([A, B])), rational(seen), len(A)
-    states = rows[:0, :n]
+    dynamics, rows, states, n = rational(np.hstack([A, B])), rational(seen), rational(undisturbed), len(A)
+    rows = np.vstack([rows, np.hstack([states, rational(np.zeros((len(states), B.shape[1])))])])
+    for rate in states @ dynamics:
+        rows = rows if follows(rate, rows) else np.vstack([rows, rate])
     for k, combination in enumerate(rational(combinations)):
-        row = combination[: len(rows)] @ rows
+        size = min(len(combination), len(rows))
+        row = combination[:size] @ rows[:size]
         require(not row[n:].any(), f"combination {k + 1} of measurements must have no noise, got some")
         states, rows = np.vstack([states, row[:n]]), np.vstack([rows, row[:n] @ dynamics])
     return states, rows
+
+
+def follows(row: Any, rows: Any) -> bool:
+    """Whether a row of rational numbers is a combination of others, by Gaussian elimination."""
+    left, rest = rows.tolist(), row.tolist()
+    for column in range(len(rest)):
+        pivot = next((own for own in left if own[column]), None)
+        if pivot is None and rest[column]:
+            return False
+        if pivot is not None:
+            reduced = [own for own in left if own is not pivot]
+            *left, rest = (
+                [a - own[column] / pivot[column] * b for a, b in zip(own, pivot)] for own in [*reduced, rest]
+            )
+    return True
 
 
 def rational(matrix: FloatArray) -> Any:
@@ -183,9 +210,9 @@ def rational(matrix: FloatArray) -> Any:
 
 
 def _constraints(
-    A: FloatArray, B: FloatArray, seen: FloatArray, combinations: FloatArray, decaying: FloatArray
+    A: FloatArray, B: FloatArray, given_rows: tuple[FloatArray, FloatArray, FloatArray], decaying: FloatArray
 ) -> Constraints:
-    given = Constraints(*map(_rounded, exact_constraints(A, B, seen, combinations)))
+    given = Constraints(*map(_rounded, exact_constraints(A, B, *given_rows)))
     if not len(decaying):
         return given
     rows = _invariant(A, B, given, decaying)
