@@ -362,7 +362,7 @@ def forged(file: Path, target: Path, chance: random.Random) -> str:
     kinds = [chance.choice(KINDS) for _ in range(chance.choice((1, 1, 2)))]
     claim(content, chance)
     for kind in kinds:
-        with contextlib.suppress(KeyError, IndexError, TypeError, ValueError, OverflowError):
+        with contextlib.suppress(KeyError, IndexError, TypeError, ValueError, OverflowError, AttributeError):
             kind(content, chance)  # where an earlier change has left a place for this one
     twice = chance.choice(sorted(header)) if header and chance.random() < 0.05 else ""
     write(target, content, twice)
