@@ -188,15 +188,20 @@ def test_a_file_says_in_one_sentence_what_is_proven(proof: LowerBoundProof, tmp_
     assert proof.level * (1.0 - 2e-8) < float(printed) <= proof.level
 
 
-@pytest.mark.parametrize("name", ["HE1", "NN17", "AC3", "REA2", "MFP", "AC7"])
+@pytest.mark.parametrize("name", ["HE1", "NN17", "AC3", "REA2", "MFP"])
 def test_published_plants_without_noise_have_a_proof(name: str) -> None:
     """HE1 has a stable zero from its commands, too, and NN17 neither noise nor all weights."""
     plant = published_plant(name)
     found, design = lower_bound_proof(plant, "y", "u"), hinfsyn(plant, "y", "u")
-    assert 0.0 <= 1.0 - found.level / design.value < 2e-3
+    assert 0.0 <= 1.0 - found.level / design.value < 1e-3
     assert found.level <= design.lower * (1.0 + 1e-9), (
         "the bound of a design without a certificate is the better one of both"
     )
+
+
+def test_a_proof_beside_actuators_that_no_error_weighs() -> None:
+    """COMPleib's AC7, whose bound 0.037849 was numerical; the best loop that is known here has the norm 0.037905."""
+    assert 0.0378 < lower_bound_proof(published_plant("AC7"), "y", "u").level <= 0.037905
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
