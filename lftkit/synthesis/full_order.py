@@ -158,21 +158,19 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerB
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
         near = (1.0 - NEAR) * design.value
-        if design.lower > -np.inf or known >= near:
-            above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
-            return replace(design, lower=max(design.lower, min(above, design.value)))
-        lower = (
-            level()
-            if level() >= near
-            else max(level(), confirmed_optimum(given.system, measured, commanded, design.value))
-        )
-        return replace(design, lower=lower if lower > LEAST * design.value else -np.inf)
+        above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
+        lower = max(design.lower, min(above, design.value))
+        if design.lower == -np.inf and lower < near:
+            lower = max(lower, level())
+        if design.lower == -np.inf and lower < near:
+            lower = max(lower, confirmed_optimum(given.system, measured, commanded, design.value))
+        return replace(design, lower=lower if lower >= LEAST * design.value else -np.inf)
 
     found = bounded(_controller_of_least_norm(given, generalised))
     if not found.lower >= (1.0 - NEAR) * found.value:
         better = _with_weights(given, generalised, of_states=True)
         found = bounded(better) if better is not None and better.value < found.value else found
-    return replace(found, lower=known) if found.lower == -np.inf and 0.0 < known <= found.value else found
+    return found
 
 
 def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
