@@ -240,11 +240,24 @@ COMMANDS = {
 }
 
 
-def refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, row: Row, name: str
+KINDS = {
+    "data.csv": ANALYSE,
+    "wheel.csv": DISTURBANCE,
+    "data.toml": SOURCE,
+    "mission.toml": REQUIREMENTS,
+    "telescope.toml": TELESCOPE,
+}
+"""Wrong inputs of a command by the name of its file."""
+
+
+@pytest.mark.parametrize(
+    ("name", "case"), [pytest.param(name, case, id=f"{name}-{case}") for name, kind in KINDS.items() for case in kind]
+)
+def test_a_wrong_input_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, case: str
 ) -> None:
-    content, options, words = row
-    monkeypatch.chdir(folder)
+    content, options, words = KINDS[name][case]
+    monkeypatch.chdir(tmp_path)
     files = {"data.csv": PLAIN, name: content} if name == "mission.toml" else {name: content}
     for file, text in files.items():
         Path(file).write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -254,39 +267,4 @@ def refused(
     missing = [word for word in (name, *words.split("|")) if word not in messages[0]]
     assert not missing, (missing, messages[0])
     assert messages[0].count(f"{name}: ") <= 1, messages[0]
-    assert "topic" not in messages[0] and sorted(path.name for path in folder.iterdir()) == sorted(files)
-
-
-@pytest.mark.parametrize("name", ANALYSE)
-def test_a_wrong_line_of_sight_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    refused(capsys, monkeypatch, tmp_path, ANALYSE[name], "data.csv")
-
-
-@pytest.mark.parametrize("name", DISTURBANCE)
-def test_a_wrong_disturbance_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    refused(capsys, monkeypatch, tmp_path, DISTURBANCE[name], "wheel.csv")
-
-
-@pytest.mark.parametrize("name", SOURCE)
-def test_a_wrong_source_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    refused(capsys, monkeypatch, tmp_path, SOURCE[name], "data.toml")
-
-
-@pytest.mark.parametrize("name", REQUIREMENTS)
-def test_a_wrong_requirement_file_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    refused(capsys, monkeypatch, tmp_path, REQUIREMENTS[name], "mission.toml")
-
-
-@pytest.mark.parametrize("name", TELESCOPE)
-def test_a_wrong_telescope_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    refused(capsys, monkeypatch, tmp_path, TELESCOPE[name], "telescope.toml")
+    assert "topic" not in messages[0] and sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
