@@ -20,7 +20,7 @@ from lftkit.systems.sampled.image import image_of, sampled_from_image
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import AGREEMENT, certify
 from lftkit.tuning.descent.starts import start_checked
-from lftkit.tuning.full_order import predictor_starts
+from lftkit.tuning.full_order import sampled_lqg_starts
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.lexicographic import tuned_in_order
@@ -94,7 +94,7 @@ def tune_discrete(
     images = [r.on_image(ready[0]) for r in needs]
     starts = [start_checked(x, structure) for x in initial]
     if options is None or options.starts:
-        starts += predictor_starts(ready[0], needs, structure)
+        starts += sampled_lqg_starts(ready[0], needs, structure)
     if isinstance(law, AffineStructure):
         starts = [_parameters_of_image(law, x, dt) for x in starts]
     found = tune([image_of(m) for m in ready], images, law, initial=starts, min_decay=min_decay, options=options)

@@ -55,7 +55,7 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
     return found
 
 
-def predictor_starts(
+def sampled_lqg_starts(
     model: System, requirements: Sequence[TuningRequirement], structure: Structure
 ) -> list[FloatArray]:
     """Parameters of discrete LQG controllers for H2 gains without weights, with and without a direct path.
