@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
-from pointing_analysis.requirements.conditions import ACTING, WHEEL_SPEEDS
+from pointing_analysis.requirements.conditions import ACTING, LINES, WHEEL_SPEEDS
 from pointing_analysis.spectra.spectra import SpectralLine
 
 ORDERS = 6
@@ -23,8 +23,8 @@ def origin(line: SpectralLine) -> str:
 def likely_source(view: RunView, line: SpectralLine) -> str:
     """Likely cause of a line; empty if nothing in the recording fits.
 
-    A line within the resolution of the run, one over its length, at a multiple of the speed of a wheel is that wheel's;
-    others that the recording names are of its scenario.
+    A line within the resolution of the run, one over its length, of a tone of a source is that source's, at a multiple
+    of the speed of a wheel that wheel's; others that the recording names are of its scenario.
     """
     if line.found is not None and line.found.is_sideband:
         return f"sideband of {line.found.carrier / (2 * math.pi):.4g} Hz"
@@ -33,7 +33,7 @@ def likely_source(view: RunView, line: SpectralLine) -> str:
     found = _wheels(
         line.omega, [abs(float(x)) for x in speeds if is_number(x)] if isinstance(speeds, list) else [], near
     )
-    return found or (_scenario(view.run) if line.found is None else "")
+    return _sources(view.run, line.omega, near) or found or (_scenario(view.run) if line.found is None else "")
 
 
 def _wheels(omega: float, speeds: Sequence[float], near: float) -> str:
@@ -45,7 +45,21 @@ def _wheels(omega: float, speeds: Sequence[float], near: float) -> str:
     return ""
 
 
-def _scenario(run: Recording) -> str:
+def _acting(run: Recording) -> list[dict[str, object]]:
     entries = run.parameters.get(ACTING)
-    known = entries if isinstance(entries, list) else []
-    return next((str(e.get("name")) for e in known if isinstance(e, dict) and e.get("kind") == "scenario"), "")
+    return [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+
+
+def _sources(run: Recording, omega: float, near: float) -> str:
+    """Names of the sources with a tone at a frequency [rad/s]."""
+    found: list[str] = []
+    for entry in _acting(run):
+        lines = entry.get(LINES)
+        known = [float(x) for x in lines if is_number(x)] if isinstance(lines, list) else []
+        if any(abs(line - omega) <= near for line in known):
+            found.append(str(entry.get("name")))
+    return ", ".join(found)
+
+
+def _scenario(run: Recording) -> str:
+    return next((str(entry.get("name")) for entry in _acting(run) if entry.get("kind") == "scenario"), "")

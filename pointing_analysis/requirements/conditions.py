@@ -10,6 +10,8 @@ from pointing_analysis.read.recording import Recording
 ACTING = "acting"
 """Key of what acts in the metadata of a bag: a list of entries with name, kind and, where there is more to say, what.
 An empty list: no disturbance."""
+LINES = "lines_rad_s"
+"""Key of an entry of a source with tones: their frequencies [rad/s]."""
 MEMBER = "member"
 """Key of the telescope's parameter values in the metadata of a bag, in words."""
 WHEEL_SPEEDS = "wheel_speeds_rad_s"

@@ -6,9 +6,12 @@ with a bar between them. Nothing is written, and messages about a table do not s
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.io
 from support.command_line import call_command
 
 HEAD = "time,x_mas,y_mas\n"
@@ -44,6 +47,16 @@ def semicolons(text: str) -> str:
     return text.replace(",", ";")
 
 
+def stored(kind: str, los: np.ndarray) -> bytes:
+    """The content of a file with an array, and with times beside it where the format names arrays."""
+    file = io.BytesIO()
+    if kind == "npy":
+        np.save(file, los)
+    else:
+        scipy.io.savemat(file, {"los": los, "t": 0.01 * np.arange(len(los))})
+    return file.getvalue()
+
+
 BAD_CELLS = ["#N/A", "NA", "-", "null", "?", "1.0.0", "0x1F", "1_000", "3 mas", "1e", "1/2", "True", "12:00:00"]
 LAST_ROWS = ["total,1,2", "Mean,,", "sum;1;2", "[EOF]"]
 
@@ -51,6 +64,8 @@ Row = tuple[str | bytes, str, str]
 ANALYSE: dict[str, Row] = {
     **{f"cell {text}": (cell(text), "", f"row 5|column x_mas|{text}") for text in BAD_CELLS},
     **{f"last {text}": (PLAIN + text + "\n", "", "row 14") for text in LAST_ROWS},
+    "complex numbers": (stored("mat", np.full((50, 2), 1j)), "", "two of the columns t|complex numbers not used: los"),
+    "an array of complex numbers": (stored("npy", np.full((50, 2), 1j)), "", "real numbers|complex128"),
     "most of a column": (
         "time,x_mas,y_mas,z_mas\n" + "".join(f"{k}e-2,{'#N/A' if k % 3 else k},1,{k}\n" for k in range(12)),
         "",
@@ -228,6 +243,11 @@ TELESCOPE: dict[str, Row] = {
     "a missing file of modes": ("[payload]\nmodal_data = 'm.toml'\n", "", "line 2|payload.modal_data|m.toml"),
     "a source at no place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "", "disturbance 'c'|place|'moon'"),
 }
+RUN_FILE: dict[str, Row] = {
+    "a value out of range": ("duration: -3\n", "", "duration must be between|-3"),
+    "an unknown setting": ("durration: 3\n", "", "unknown parameter 'durration'|duration"),
+    "TOML": ('duration = "x"\n', "", "YAML"),
+}
 RUN = ["run", "--mode=inprocess", "--duration=2", "--loop=isolator", "--output=out", "--disturbance"]
 
 
@@ -237,6 +257,7 @@ COMMANDS = {
     "data.toml": [*RUN, "data.toml"],
     "mission.toml": ["analyse", "data.csv", "--requirements", "mission.toml"],
     "telescope.toml": ["plant", "check", "telescope.toml"],
+    "run.yaml": ["run", "--mode=inprocess", "--output=out", "--config", "run.yaml"],
 }
 
 
@@ -246,6 +267,7 @@ KINDS = {
     "data.toml": SOURCE,
     "mission.toml": REQUIREMENTS,
     "telescope.toml": TELESCOPE,
+    "run.yaml": RUN_FILE,
 }
 """Wrong inputs of a command by the name of its file."""
 

@@ -182,7 +182,7 @@ def parsed(content: bytes, where: str) -> Any:
     except ProofError:
         raise
     except (ValueError, RecursionError) as error:
-        raise ProofError(f"{where} must be JSON, got {type(error).__name__}") from None
+        raise ProofError(f"{where} must be JSON: {error}"[:300]) from None
 
 
 def zip_members(path: Path) -> dict[str, bytes]:

@@ -114,6 +114,8 @@ def read_numpy(path: Path) -> Table:
     if array.dtype.names:
         columns = {name: array[name] for name in array.dtype.names if array.dtype[name].kind in "fiuM"}
         return Table(path, "NumPy", columns)
-    if array.ndim != 2 or not 2 <= array.shape[1] <= 12 or array.dtype.kind not in "fiu":
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: array must hold real numbers, got {array.dtype}")
+    if array.ndim != 2 or not 2 <= array.shape[1] <= 12:
         raise InputError(f"{path}: array must have the shape (n, 2), or (n, 3) with the time first, got {array.shape}")
     return Table(path, "NumPy", {f"column_{i + 1}": np.array(array[:, i]) for i in range(array.shape[1])})

@@ -17,7 +17,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.arrays import FloatArray, IntArray
-from pointing_analysis.read.series import Provenance, Series, make_series, scale_of, stamps_of
+from pointing_analysis.read.series import LOS, Provenance, Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.dates import DATES
 from pointing_analysis.read.tables.formats import Format, format_of
@@ -234,7 +234,9 @@ def _asked_time(table: Table, time: str) -> tuple[str, str]:
 
 
 def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str, str | None]:
-    """Names of the columns of the line of sight and of the time."""
+    """Names of the columns of the line of sight, by default of the true one of an exported bag, and of the time."""
+    if los is None and _of_topic(table, LOS) is not None:
+        los = LOS
     if los is not None:
         x, y = _named(table, los)
         columns = table.of_length(len(table.columns[x]))
@@ -247,8 +249,17 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
         for name in _texts_of_angles(table):
             table.refuse_text(name)
     if len(found) != 1:
-        raise InputError(f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none")
+        others = f" ({'; '.join(table.left_out)})" if table.left_out else ""
+        raise InputError(
+            f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none{others}"
+        )
     return found[0]
+
+
+def _of_topic(table: Table, name: str) -> str | None:
+    """First part of the names of an array's columns, or of a topic's in a file that ``bag export`` wrote."""
+    starts = f"{name} ", f"{name}.", f"{name.replace('/', '_')}.values."
+    return next((start for start in starts if table.find(f"{start}x")), None)
 
 
 def _texts_of_angles(table: Table) -> list[str]:
@@ -263,8 +274,8 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     for part in parts:
         table.refuse_text(part)
     if len(parts) == 1:
-        mark = " " if table.find(f"{parts[0]} x") else "."  # of a table that bag export wrote
-        parts = [f"{parts[0]}{mark}x", f"{parts[0]}{mark}y"]
+        start = _of_topic(table, parts[0]) or f"{parts[0]}."
+        parts = [f"{start}x", f"{start}y"]
     names, every = [table.find(part) for part in parts], table.names or tuple(table.columns)
     if all(name is None and part.isdecimal() and 0 < int(part) <= len(every) for name, part in zip(names, parts)):
         names = [every[int(part) - 1] for part in parts]

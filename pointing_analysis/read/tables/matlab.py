@@ -160,7 +160,7 @@ def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
         if dataset.size == 1:
             found.add_setting(name, _text(np.asarray(dataset[()]).reshape(-1)[0]))
         return
-    if dataset.dtype.kind in "fiuMV" and "MATLAB_empty" not in dataset.attrs:
+    if dataset.dtype.kind in "fiucMV" and "MATLAB_empty" not in dataset.attrs:
         found.add(name, _values(dataset))
 
 
@@ -203,7 +203,8 @@ def _text(value: Any) -> str:
 
 
 def _made(found: Gathered, path: Path, kind: str, notes: list[str]) -> Table:
-    if not found.columns:
-        advice = f" ({notes[0]})" if notes else ""
+    table = found.table(path, kind, notes)
+    if not table.columns:
+        advice = f" ({table.left_out[0]})" if table.left_out else ""
         raise InputError(f"{path}: file must hold arrays of numbers with 2 or more rows, got none{advice}")
-    return found.table(path, kind, notes)
+    return table

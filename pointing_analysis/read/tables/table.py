@@ -257,6 +257,7 @@ class Gathered:
     columns: dict[str, Column] = field(default_factory=dict)
     units: dict[str, list[str]] = field(default_factory=dict)
     rates: dict[str, list[float]] = field(default_factory=dict)
+    complex_arrays: list[str] = field(default_factory=list)
 
     def add(self, name: str, array: NDArray[Any], unit: str = "") -> None:
         """An array: a column, some columns side by side, or a scalar that may be the rate; another one is left out."""
@@ -266,6 +267,8 @@ class Gathered:
             return
         if array.dtype.kind == "m":
             array, unit = array.astype("timedelta64[ns]").astype(np.int64), "ns"
+        if array.dtype.kind == "c" and array.size > 1:
+            self.complex_arrays.append(name)
         if array.dtype.kind not in "fiuM" or array.ndim > 2:
             return
         if array.size == 1:
@@ -317,7 +320,8 @@ class Gathered:
         units = {owner: [*self.units.get(owner, ()), *filter(None, [named.get(owner)])] for owner in self.units | named}
         about = {name: next((units[o] for o in _owners(name) if o in units), ()) for name in self.columns}
         rates = {name: next((self.rates[o] for o in _owners(name) if o in self.rates), ()) for name in self.columns}
-        return Table(path, kind, self.columns, about, rates, tuple(left_out))
+        own = [f"complex numbers not used: {', '.join(self.complex_arrays)}"] if self.complex_arrays else []
+        return Table(path, kind, self.columns, about, rates, (*left_out, *own))
 
 
 def _owners(name: str) -> list[str]:

@@ -195,19 +195,19 @@ def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
 
 
 def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
-    """A wheel, a multiple of its speed, else the scenario that acts; what fits nothing has no name."""
-    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}]
+    """A tone of a source, a wheel, a multiple of its speed, else the scenario that acts; else there is no name."""
+    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}, {"name": "cooler", "lines_rad_s": [210.0, 260.0]}]
     path = make(
         tmp_path / "bag", "fsm", 5.0, wheel_speeds_rad_s=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
     )
     seen = view(Run.open(path), "fsm")
     names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
-    assert names == {70: "wheel 1", 88: "wheel 2", 210: "3 × wheel 1", 301: "imbalance"}
+    assert names == {70: "wheel 1", 88: "wheel 2", 210: "cooler", 301: "imbalance"}
     nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
     found = replace(seen.tones[0], omega=333.0, found=nobody)
     assert likely_source(seen, found) == ""
     alt = density([seen]).alt
-    assert "14.01 Hz wheel 2" in alt and "33.42 Hz 3 × wheel 1" in alt
+    assert "14.01 Hz wheel 2" in alt and "33.42 Hz cooler" in alt
 
 
 def test_text_from_a_bag_is_not_markup(tmp_path, monkeypatch) -> None:

@@ -68,23 +68,17 @@ def test_matlab_has_each_topic_as_a_structure(
 
 
 @pytest.mark.parametrize(
-    ("name", "los", "version"),
-    [
-        ("a.mat", "truth_los.values", "5"),
-        ("a.mat", "truth_los.values", "7.3"),
-        *((f"a{end}", "truth/los", "") for end in (".npz", ".csv", ".parquet")),
-    ],
+    ("name", "version"), [("a.mat", "5"), ("a.mat", "7.3"), ("a.npz", ""), ("a.csv", ""), ("a.parquet", "")]
 )
-def test_the_line_of_sight_is_read_by_its_topic(
-    name: str, los: str, version: str, signals: list[TopicSignal], tmp_path: Path
+def test_the_line_of_sight_is_read_without_an_option_and_by_its_topic(
+    name: str, version: str, signals: list[TopicSignal], tmp_path: Path
 ) -> None:
     """With the unit that the file has, also of one topic of the bag."""
     write_signals(signals, tmp_path / name, version)
     (truth,) = [s for s in signals if s.name == "truth/los"]
-    found = open_los(tmp_path / name, los=los)
-    np.testing.assert_array_equal(found["truth/los"].values, truth.values[:, :2])
     write_signals([truth], tmp_path / f"one{name}", version)
-    np.testing.assert_array_equal(open_los(tmp_path / f"one{name}")["truth/los"].values, truth.values[:, :2])
+    for path, options in ((name, {}), (name, {"los": "truth/los"}), (f"one{name}", {})):
+        np.testing.assert_array_equal(open_los(tmp_path / path, **options)["truth/los"].values, truth.values[:, :2])
 
 
 def test_numpy_has_arrays_by_topic(signals: list[TopicSignal], tmp_path: Path) -> None:

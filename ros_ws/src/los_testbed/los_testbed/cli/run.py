@@ -287,7 +287,14 @@ def configure(
         settings_given.pop("mode", None)
     else:
         free_mode = False
-    chosen = completed(settings_given, designs or "")
+    of_file = {name for name, value in first.items() if file is not None and settings_given.get(name) is value}
+    try:
+        chosen = completed(settings_given, designs or "")
+    except InputError as error:
+        stated_there = str(error).startswith(tuple(f"{name} must" for name in of_file))
+        if file is None or not (stated_there or any(f"unknown parameter {name!r}" in str(error) for name in of_file)):
+            raise
+        raise InputError.of_file(file, error) from None
     if free_mode:
         chosen = first_choice(chosen)
     if chosen.output is None:

@@ -60,7 +60,7 @@ def stages(
     given: dict[str, Any],
     samples: Annotated[
         int | None,
-        typer.Option(help="Number of telescopes: nominal and random members; default: 3, or 1 with --case."),
+        typer.Option(help="Number of telescopes: nominal and random members; default: 3, or 1 with --case or a ramp."),
     ] = None,
     designs: Designs = None,
     case: Case = None,
@@ -79,7 +79,7 @@ def stages(
     from los_testbed.config.run_settings import chosen_member, layered, of_designs
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.processes.node_launch import check_ros
-    from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
+    from los_testbed.run.stages import COMPARED, MOVING, PARTS, PLAN, Plan, finish
     from titop_plant.interface import SCENARIOS
 
     if samples is not None:
@@ -96,7 +96,7 @@ def stages(
     if base.mode != "inprocess":
         check_ros(base.domain)
     names = COMPARED if scenario == "both" else (scenario,)
-    count = samples or (1 if case else 3)
+    count = samples or (1 if case or MOVING in names else 3)
     plan = Plan(base, folder, names, count, tuple(PARTS) if parts else ("all",), keep_all, designs or "")
     with resume_hint("bags of finished runs", folder):
         content = _write(Screen(stderr=json_), _perform(plan), plan)

@@ -286,7 +286,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if isinstance(content, dict) and set(content) == {"/**"}:
         content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
     if not isinstance(content, dict):
-        raise InputError(f"{path} must hold names and values, got {kind_of_file(path) or 'another content'}")
+        raise InputError(
+            f"{path} must be a YAML file of names and values, got {kind_of_file(path) or 'another content'}"
+        )
     return content
 
 

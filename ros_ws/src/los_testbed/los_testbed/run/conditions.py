@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pointing_analysis.requirements.conditions import ACTING, MEMBER, WHEEL_SPEEDS
+from pointing_analysis.requirements.conditions import ACTING, LINES, MEMBER, WHEEL_SPEEDS
 
 if TYPE_CHECKING:
     from los_testbed.parts.run_parts import RunParts
@@ -27,9 +27,14 @@ def wheel_speeds(parts: RunParts) -> tuple[float, ...]:
     return parts.config.wheel_speed or parts.telescope.default_speeds
 
 
-def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
-    """Scenario, user's disturbance and sources, each with name, kind and details."""
-    config, found = parts.config, []
+MOST_LINES = 100
+"""Frequencies of a source that are stated."""
+
+
+def acting(parts: RunParts, start: RunStart) -> list[dict[str, Any]]:
+    """Scenario, user's disturbance and sources, each with name, kind and details; of sources with tones the lines."""
+    config = parts.config
+    found: list[dict[str, Any]] = []
     if config.scenario_acts:
         tone = start.tone
         text = ""
@@ -39,7 +44,10 @@ def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
         found.append({"name": str(config.scenario), "kind": "scenario", "what": text})
     if config.disturbance and config.disturbance_source:
         found.append({"name": config.disturbance_source, "kind": "code", "what": "code of the user"})
-    found += [{"name": s.name, "kind": s.kind, "what": f"{s.kind} at {s.place}"} for s in parts.sources]
+    for source in parts.sources:
+        lines = [float(f"{line:.9g}") for line in source.signal.lines[:MOST_LINES]]
+        entry = {"name": source.name, "kind": source.kind, "what": f"{source.kind} at {source.place}"}
+        found.append({**entry, **({LINES: lines} if lines else {})})
     return found
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,7 +30,7 @@ from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
 from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
-from los_testbed.config.run_settings import TELESCOPE_FILE
+from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, on_screen
 
@@ -127,6 +129,19 @@ def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> No
             temporary.write_bytes(content)
 
 
+@contextmanager
+def _removed_if_refused(folder: Path, new: bool) -> Iterator[None]:
+    """A new folder that holds only the telescope's files is removed where the design refuses its input."""
+    from los_design.redesign import ROUNDS_FILE
+
+    try:
+        yield
+    except InputError:
+        if new and not any((folder / name).exists() for name in (*DESIGN_FILES.values(), ROUNDS_FILE)):
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
 @with_cluster
 def design_all(
     *,
@@ -162,6 +177,7 @@ def design_all(
         raise InputError(
             f"--certify must be used with a telescope without sensors and actuators of its own, got {names}"
         )
+    new = not folder.exists()
     check_output(folder, parameters, uncertain or ())
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):
         sys.stderr.write(f"sources: the tuning does not consider {', '.join(unseen)}; the verification does\n")
@@ -179,7 +195,7 @@ def design_all(
     limit = ROUNDS_OF_ALL * time_limit if certify else time_limit
     options = DesignOptions(seed=seed, short=effort == "short", wall_limit=limit, nominal=nominal)
     kept = resume_hint("rounds and designs so far", folder, without=("--anew",))
-    with cluster.workers() as pool, kept:
+    with cluster.workers() as pool, kept, _removed_if_refused(folder, new):
         with Progress("design") as bar:
             summary = redesign.design_all(
                 own,
