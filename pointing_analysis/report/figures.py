@@ -355,8 +355,8 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
 
 
 def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:
-    """Commands of mirror and proof-mass actuators as a share of their authority."""
-    shown = [(v, [n for n in authority if n in v.run and len(v.run[n])]) for v in views]
+    """Commands of mirror and proof-mass actuators as a share of their authority; none where all of them are zero."""
+    shown = [(v, [n for n in authority if n in v.run and np.any(v.run[n].values)]) for v in views]
     shown = [(v, names) for v, names in shown if names]
     if not shown:
         return None
