@@ -24,13 +24,8 @@ def test_a_recording_or_its_copy_is_no_further_run(table: Path, capsys: pytest.C
     shutil.copy(table, copy)
     for second in (table, copy):
         assert "recordings must be distinct, got" in refused(capsys, "analyse", table, second)
-
-
-def test_recordings_that_are_not_there_are_not_called_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = refused(capsys, "analyse", tmp_path / "a", tmp_path / "b")
-    assert f"{tmp_path / 'a'}: no such file or folder" in said and "different ones" not in said
+    said = refused(capsys, "analyse", absent := table.with_name("absent"), table.with_name("other"))
+    assert f"{absent}: no such file or folder" in said and "different ones" not in said
 
 
 def test_compressed_bags_are_compared_by_their_content(tmp_path: Path) -> None:
