@@ -57,11 +57,9 @@ FURTHER = {
     "unit/los_design/test_paper_figures.py": "pictures of the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_paper_problem.py": "the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_synthesis.py": "a design from end to end: unit/los_design",
-    "unit/los_testbed/cli/test_verify_goes_on.py": "results that are kept: unit/lftkit/support/test_kept_workers.py",
     "unit/titop_plant/test_nastran_decks.py": "decks of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_deliveries.py": "runs of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_matrices.py": "superelements of others: integration/test_nastran_to_run.py",
-    "unit/titop_plant/test_structures_nastran.py": "the optional reader of NASTRAN files",
 }
 """Files below `tests`, and what else looks at the same, or what they are."""
 

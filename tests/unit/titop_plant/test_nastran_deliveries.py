@@ -24,8 +24,7 @@ from support.nastran_deliveries import (
     write_deck,
     write_results,
 )
-from unit.titop_plant.test_nastran_decks import scaled
-from unit.titop_plant.test_structures_nastran import same_body
+from unit.titop_plant.test_nastran_decks import same_body, scaled
 
 from titop_plant.structures import (
     Beam,

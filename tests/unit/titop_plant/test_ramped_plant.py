@@ -150,7 +150,6 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     [
         ("time,theta\n", "the header must be time,theta,wheel_speed_1"),
         ("HEAD\n0,0,1,2,3\n", "line 2: must hold 6 finite numbers, got '0,0,1,2,3'"),
-        ("HEAD\n0,0,1,2,3,inf\n", "line 2: must hold 6 finite numbers"),
         ("HEAD\n1,0,1,2,3,4\n2,0,1,2,3,4\n", "time must increase from 0"),
         ("HEAD\n0,0,1,2,3,4\n", "over two lines or more, got 1 lines"),
     ],

@@ -1,4 +1,4 @@
-"""Commands ``bag info``, ``verify`` and ``sign`` on whole, damaged and altered bags, and their exit codes."""
+"""Commands ``bag info``, ``verify``, ``sign`` and others on whole, damaged and altered bags, and their exit codes."""
 
 from __future__ import annotations
 

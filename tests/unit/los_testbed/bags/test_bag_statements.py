@@ -1,4 +1,4 @@
-"""What a bag says of its messages and of the end of its run, against the messages that it holds."""
+"""What a bag says of its messages, the end of its run and its checksums, against the messages that it holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags: readers that others wrote find what was put in."""
+"""Bags: readers that others wrote find what was put in; traces of ticks; the small bag of the repository."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ def test_viewers_of_foxglove_that_take_nothing_are_closed_for_another_one(monkey
 
 
 def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
-    """A page at any bare address of the internet is no page of this machine."""
+    """A page at any bare address of the internet is no page of this machine; it has numbers and its own name."""
     access = Access("0.0.0.0")
     assert access.origin("http://192.0.2.5:8080", "192.0.2.5:8765")
     assert access.origin("http://localhost:8080", "192.0.2.5:8765")
@@ -189,12 +189,12 @@ def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
         assert not access.origin(origin, "192.0.2.5:8765")
         assert not access.origin(origin, "localhost:8765")
     assert not Access("::").origin("http://203.0.113.9", "[2001:db8::5]:8765")
-
-
-def test_the_gate_of_a_server_that_listens_everywhere_compares_origin_and_host():
     server = partial(FoxgloveServer, {}, "0.0.0.0", 0)
-    for origin, wanted in (("http://203.0.113.9", 403), ("http://127.0.0.1:8080", 101)):
-        assert status(server, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == wanted
+    for page, wanted in (("http://203.0.113.9", 403), ("http://127.0.0.1:8080", 101)):
+        assert status(server, headers=f"{FOXGLOVE}Origin: {page}\r\n") == wanted
+    assert access.host("192.0.2.5:8765") and access.host(os.uname().nodename)
+    assert not access.host("rebound.example:8765")
+    assert Access("testbed.example").host("testbed.example:8766")
 
 
 @pytest.fixture(scope="module")
@@ -229,11 +229,3 @@ def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
             return int(line.split()[1]), plain
 
     assert asyncio.run(once()) == (101, 0)
-
-
-def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_name():
-    access = Access("0.0.0.0")
-    assert access.host("192.0.2.5:8765")
-    assert access.host(os.uname().nodename)
-    assert not access.host("rebound.example:8765")
-    assert Access("testbed.example").host("testbed.example:8766")

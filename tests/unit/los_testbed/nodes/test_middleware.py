@@ -21,27 +21,20 @@ def chosen(**environment):
     return environment
 
 
-def test_this_machine_alone_by_a_profile_since_the_layer_would_add_shared_memory():
-    environment = chosen(ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-    assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
-    assert environment["FASTDDS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
-    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
-
-
 @pytest.mark.parametrize(
     "environment",
     [
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"},  # unknown to ROS, which then takes LOCALHOST
         {"ROS_LOCALHOST_ONLY": "1"},
-        {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+        {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},  # deprecated, which goes first
     ],
-    ids=["unknown to ROS, which then takes LOCALHOST", "deprecated", "deprecated, which goes first"],
 )
-def test_what_ros_takes_for_this_machine_alone_is_made_by_the_profile_too(environment):
+def test_this_machine_alone_is_made_by_a_profile_since_the_layer_would_add_shared_memory(environment):
     after = chosen(**environment)
     assert after["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
-    assert after["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
-    assert "ROS_LOCALHOST_ONLY" not in after
+    assert after["FASTDDS_DEFAULT_PROFILES_FILE"] == str(LOCALHOST_PROFILE)
+    assert after["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET" and "ROS_LOCALHOST_ONLY" not in after
 
 
 def test_another_middleware_keeps_its_range():

@@ -1,4 +1,4 @@
-"""Settings that change at a tick: order, checks, the plant and the controller that they act on."""
+"""Settings that change at a tick: order, checks, plant and controller that they act on, sentences about requests."""
 
 import json
 from types import SimpleNamespace

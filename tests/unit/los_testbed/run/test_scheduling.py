@@ -1,4 +1,4 @@
-"""Scheduling of a process: what is refused is named, the middleware's thread, a thread that never blocks."""
+"""Scheduling of a process: what is refused, the middleware's thread, a thread that never blocks; supervision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of a run and its JSON object: statistics of the nodes, shares of ticks, lines beside the table."""
+"""The table of a run and its JSON object, and what a row of the stage comparison says of its limits."""
 
 from __future__ import annotations
 
