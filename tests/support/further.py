@@ -38,7 +38,7 @@ FURTHER = {
     "ros/test_fixed_grid.py": "the clock: unit/los_testbed/nodes",
     "ros/test_image_camera_in_processes.py": "the camera: unit/pointing_analysis/test_star_camera.py",
     "ros/test_isolated_runs.py": "names of a run: ros/test_remaps.py",
-    "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_server.py",
+    "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_access.py",
     "ros/test_missed_ticks.py": "missed ticks: ros/test_recorder_counts.py",
     "ros/test_namespaces.py": "names of topics: ros/test_remaps.py",
     "ros/test_node_interfaces.py": "nodes as users see them: ros/test_uncertain_plant_node.py",

@@ -159,6 +159,7 @@ STEPPER = (
 )
 FILES = [
     ("[pma\n", "is not a TOML file"),
+    ("[robot]\nx = 1\n", "line 1|unknown parameter 'robot'"),
     ("pma = 3\n", "line 1|'pma' must be a table"),
     ("\n\n[pma]\n\nmoving_mass = 0", "line 5|'pma.moving_mass' must be positive|0"),
     ("[fsm]\nstiffness = nan", "line 2|'fsm.stiffness' must be a number|nan"),

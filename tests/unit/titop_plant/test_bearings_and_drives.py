@@ -1,4 +1,4 @@
-"""Array drive with a stepper motor: its joint against equations of motion, its torques against a simulated motor."""
+"""Wheels on bearings and array drives with steppers: equations of motion of their own, a simulated motor."""
 
 from __future__ import annotations
 

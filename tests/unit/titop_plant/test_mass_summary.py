@@ -1,4 +1,4 @@
-"""Mass properties beside those of the source, and effective masses of modes with the sum that they should have."""
+"""Mass properties of bodies and of the whole, beside those of the source; effective masses and their sum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of a plant: superposition of its inputs, limits that limit nothing, resets, and what is refused."""
+"""Parts of a plant: superposition of its inputs, limits of devices by their own laws, resets, and what is refused."""
 
 from __future__ import annotations
 

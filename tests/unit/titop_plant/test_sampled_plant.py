@@ -1,4 +1,4 @@
-"""The telescope in time against independent simulation, statistics and conservation."""
+"""The telescope in time: exact tones, held commands and disturbances, scenarios, the plant of the design."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of the loop: what is known of all of them whatever a telescope's file adds."""
+"""Rows of the loop, sensors and the guide camera: order, noise, bias, frames, low-pass, what a file adds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Modal data: what it refuses, rotation, truncation, residual mass, the file format."""
+"""Structures: beam frames, modal data and their files, residual mass, the bodies of the reference telescope."""
 
 from __future__ import annotations
 
@@ -206,6 +206,7 @@ tip = [0.3, 0.0, 0.0, 0.0, 0.0, 0.04]
             ["line 20", "mode 2", "damping must be given"],
         ),
         ("frequency = 2.65", "frequency = 'x'", ["line 21", "mode 2", "frequency"]),
+        ("frequency = 2.65", "frequency = -2.65", ["panel", "frequencies must be positive", "mode 2"]),
         ("tip = [0.3, 0.0", "top = [0.3, 0.0", ["mode 2", "['tip']", "['top']"]),
         ("47.0]", "48.0]", ["panel", "residual mass", "z rotation"]),
         ("[[child]]", "[child]", ["line 10", "panel", "[[child]]"]),

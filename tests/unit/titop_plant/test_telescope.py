@@ -1,4 +1,4 @@
-"""The reference telescope: order, occurrences, optics, calibration, parameter file."""
+"""The reference telescope and that of the paper: order, occurrences, optics, calibration, figures of the paper."""
 
 from __future__ import annotations
 
@@ -23,10 +23,7 @@ from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 OCCURRENCES = {
-    "wheel_1.speed": 2,
-    "wheel_2.speed": 2,
-    "wheel_3.speed": 2,
-    "wheel_4.speed": 2,
+    **{f"wheel_{i}.speed": 2 for i in range(1, 5)},
     "solar_array.omega_1": 4,
     "solar_array.omega_2": 4,
     "solar_array.tau": 32,

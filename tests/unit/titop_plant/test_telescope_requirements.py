@@ -1,4 +1,4 @@
-"""Requirements of a parameter file: the verdict and the design take their limits from the same place."""
+"""A user's parameter file: limits of verdict and design, tables merged by name, what differs from the reference."""
 
 from __future__ import annotations
 

@@ -9,14 +9,14 @@ import subprocess
 from functools import partial
 
 import pytest
-
-pytest.importorskip("tornado")
-pytest.importorskip("foxglove")
 from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
 from tornado.websocket import websocket_connect
+
+pytest.importorskip("tornado")
+pytest.importorskip("foxglove")
 
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 UPGRADE = f"Connection: Upgrade\r\nUpgrade: websocket\r\n{KEY}"
@@ -229,3 +229,29 @@ def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
             return int(line.split()[1]), plain
 
     assert asyncio.run(once()) == (101, 0)
+
+
+VISITORS = 60
+
+
+async def visit():
+    """Codes with which connections were closed, and the number that got frames, before and after one has left."""
+    server = PageServer("127.0.0.1", 0, lambda seen: {"tick": 1}, lambda name, value: None)
+    address = f"ws://127.0.0.1:{server.port}/data"
+    crowd = [await websocket_connect(address) for _ in range(VISITORS)]
+    first = [await connection.read_message() for connection in crowd]
+    codes = [connection.close_code for connection, frame in zip(crowd, first) if frame is None]
+    crowd[0].close()
+    while len(server.viewers) >= MAX_VIEWERS:
+        await asyncio.sleep(0.01)
+    late = await websocket_connect(address)
+    again = await late.read_message()
+    await server.stop()
+    return codes, sum(frame is not None for frame in first), again
+
+
+def test_a_crowd_of_viewers_is_served_up_to_a_number_and_the_others_are_sent_away():
+    codes, served, again = asyncio.run(visit())
+    assert served == MAX_VIEWERS
+    assert codes == [1013] * (VISITORS - MAX_VIEWERS)
+    assert again == '{"tick":1}'
