@@ -59,6 +59,12 @@ def crane(beam: Beam | None = None, *masses: LumpedMass) -> BeamFrame:
     return BeamFrame("crane", nodes, (beam or Beam("a", "c", SECTION, X),), masses)
 
 
+def loose() -> BeamFrame:
+    """A second part has a mass and no stiffness."""
+    nodes = {"a": 0 * X, "c": X, "d": 5 * X}
+    return BeamFrame("loose", nodes, (Beam("a", "c", SECTION),), (LumpedMass("d", 1.0, np.eye(3), name="lost"),))
+
+
 def wheel(**bearing: float) -> ReactionWheel:
     return ReactionWheel(
         1.0, 0.096, 0.05, WheelBearing(**{"rotor_mass": 0.8, "rotor_radial_inertia": 0.045, **bearing})
@@ -96,6 +102,7 @@ OBJECTS: list[tuple[Callable[[], Any], str]] = [
         lambda: to_modal_data(BeamFrame("b", {"a": 0 * X, "c": X, "d": 2 * X}, (Beam("a", "c", SECTION),)), "a", []),
         "mass in all six",
     ),
+    (lambda: to_modal_data(loose(), "a", ["c"]), "loose: structure must have no mechanism"),
     (lambda: static_displacement(crane(), "a", {"x": np.zeros(6)}), "loaded node must be one of |got 'x'"),
     (lambda: crane(Beam("a", "x", SECTION)), "ends of beam a-x must be nodes, got unknown node 'x'"),
     (lambda: crane(None, LumpedMass("x", 1.0)), "must be at a node, got 'x'"),

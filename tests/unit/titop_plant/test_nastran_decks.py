@@ -204,19 +204,17 @@ def test_what_is_no_body_on_its_parent_is_refused_by_its_card(tmp_path: Path, na
     assert "\n" not in str(caught.value)
 
 
-def test_springs_in_a_joint_hold_nothing(tmp_path: Path) -> None:
-    """Between rotations about one axis of two grid points: no force in a rigid motion."""
+@pytest.mark.parametrize(
+    "cards",
+    [
+        "CELAS2,5001,1.+5,3,4,4,4\n",  # between rotations about one axis of two grid points
+        "MPC,4,3,1,1.,2,1,-1.\n,,2,5,-.3,2,6,.8\n",  # the x component of d on c, with the arm (-0.1, 0.8, 0.3)
+    ],
+)
+def test_springs_in_a_joint_and_equations_of_a_rigid_bar_hold_nothing(tmp_path: Path, cards: str) -> None:
     written(tmp_path, frame())
     whole = load(tmp_path)
-    written(tmp_path, frame(), "CELAS2,5001,1.+5,3,4,4,4\n")
-    same_body(load(tmp_path), whole, 1e-12)
-
-
-def test_the_equations_of_a_rigid_bar_hold_nothing(tmp_path: Path) -> None:
-    """MPC of the x component of d on c, with the arm d - c = (-0.1, 0.8, 0.3)."""
-    written(tmp_path, frame())
-    whole = load(tmp_path)
-    written(tmp_path, frame(), "MPC,4,3,1,1.,2,1,-1.\n,,2,5,-.3,2,6,.8\n")
+    written(tmp_path, frame(), cards)
     same_body(load(tmp_path), whole, 1e-12)
 
 

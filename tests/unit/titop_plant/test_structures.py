@@ -303,16 +303,6 @@ def test_dividing_a_beam_does_not_change_statics() -> None:
     np.testing.assert_allclose(fine, coarse, rtol=1e-7)
 
 
-def test_a_mechanism_is_found() -> None:
-    """A disconnected second part has a mass but no stiffness."""
-    nodes = {**crane().nodes, "f": np.array([5.0, 0.0, 0.0])}
-    free = dataclasses.replace(
-        crane(), nodes=nodes, masses=(*crane().masses, LumpedMass("f", 1.0, np.eye(3), name="lost"))
-    )
-    with pytest.raises(ValueError, match="crane: structure must have no mechanism"):
-        to_modal_data(free, "a", ["e"])
-
-
 def test_sections_of_known_shapes() -> None:
     """A thin tube has J = 2 I and I = pi r^3 t; a square bar has J = 0.1406 a^4."""
     thin = tube(ALUMINIUM, 0.2, 1e-5)

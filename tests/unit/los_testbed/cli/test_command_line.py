@@ -12,7 +12,6 @@ import pytest
 from command_line import CommandLine, refused
 from los_testbed.cli.analysis.recordings import require_different
 from los_testbed.cli.environment import TRACEBACK
-from los_testbed.cli.run import configure
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
@@ -48,12 +47,6 @@ def test_analyse_gives_the_figures_again(run):
     assert code == 0
     assert len(json.loads(out.splitlines()[-1])["runs"]) == 2
     assert (run.here / "two.html").exists()
-
-
-def test_options_beat_settings_which_beat_the_file(run):
-    (run.files / "run.yaml").write_text("duration: 4.0\nseed: 5\nloop: fsm\n")
-    config = configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
-    assert (config.duration, config.seed, config.loop, config.theta) == (4.0, 6, "isolator", 0.5)
 
 
 def test_a_gate_has_a_code_for_a_requirement_that_is_not_met_and_one_that_is_not_demonstrated(run, tmp_path):
