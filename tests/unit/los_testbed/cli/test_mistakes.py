@@ -130,6 +130,7 @@ SHIPPED = design_file("k-fsm")
         (["design", "k-fsm", "--output=no/such/folder/k.json"], ["folder of --output", "no/such"]),
         (["analyse", "{bag}", "--output={bag}"], ["must be a file"]),
         (["plant", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
+        (["design", "figures", "--output={bag}/metadata.yaml"], ["must be a folder"]),
         (["design", "figures", "--samples=-1"], ["--samples", "-1"]),
         (["design", "k-fsm", "--loop-delay=-1"], ["--loop-delay must be between 0 and 1 s, got -1"]),
         (["design", "k-fsm", "--output=k.csv"], ["--output must end in .json, got k.csv"]),
