@@ -23,8 +23,8 @@ ROOT = Path(__file__).parents[2]
 NOT_RUN = {
     r"--scheduler": "needs a cluster: test_campaign_cluster.py",
     r"^design (all|certify|k-fsm|k-pma|sensitivity|verify)\b": "takes minutes to hours: test_example_designs.py",
-    r"^design check-proof|--proof\b": "needs the proofs of hours: test_check_proof_command.py",
-    r"^image (trade|noise)\b": "takes minutes: test_star_trade.py, test_noise_curve.py",
+    r"^design check-proof|--proof\b": "needs the proofs of hours: test_design_certify.py",
+    r"^image (trade|noise)\b": "takes minutes: test_star_trade.py, test_image_commands.py",
     r"--only\b|^control\b|^keys\b|--to-ros|--live|--isolated|--domain": "needs several processes: tests/ros",
     r"--device\b|^device check": "needs a rig: test_device_runs.py, test_rig_page.py",
     r"liblos_flight": "needs a compiler: test_flight_library_runs.py",

@@ -23,8 +23,6 @@ ANYWHERE = (
     "unit/los_testbed/rig/test_device_samples.py",
     "unit/los_testbed/cli/test_exit_codes.py",
     "unit/los_testbed/flight/test_flight_code.py",
-    "unit/los_testbed/cli/test_interrupts.py",
-    "unit/los_testbed/cli/test_program_start.py",
     "unit/los_testbed/run/test_scheduling.py",
     "unit/los_testbed/run/test_summary_on_screen.py",
     "unit/los_testbed/cli/test_unusual_files.py",

@@ -38,7 +38,7 @@ FURTHER = {
     "ros/test_fixed_grid.py": "the clock: unit/los_testbed/nodes",
     "ros/test_image_camera_in_processes.py": "the camera: unit/pointing_analysis/test_star_camera.py",
     "ros/test_isolated_runs.py": "names of a run: ros/test_remaps.py",
-    "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_server.py",
+    "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_access.py",
     "ros/test_missed_ticks.py": "missed ticks: ros/test_recorder_counts.py",
     "ros/test_namespaces.py": "names of topics: ros/test_remaps.py",
     "ros/test_node_interfaces.py": "nodes as users see them: ros/test_uncertain_plant_node.py",
@@ -57,12 +57,9 @@ FURTHER = {
     "unit/los_design/test_paper_figures.py": "pictures of the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_paper_problem.py": "the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_synthesis.py": "a design from end to end: unit/los_design",
-    "unit/los_testbed/cli/test_verify_goes_on.py": "results that are kept: unit/lftkit/support/test_kept_workers.py",
-    "unit/los_testbed/run/test_own_windows.py": "windows of a mission: unit/pointing_analysis/test_budget_windows.py",
     "unit/titop_plant/test_nastran_decks.py": "decks of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_deliveries.py": "runs of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_matrices.py": "superelements of others: integration/test_nastran_to_run.py",
-    "unit/titop_plant/test_structures_nastran.py": "the optional reader of NASTRAN files",
 }
 """Files below `tests`, and what else looks at the same, or what they are."""
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.nastran_deliveries import Delivery, write_deck, write_superelement
-from unit.titop_plant.test_nastran_decks import scaled
+from unit.titop_plant.test_nastran_decks import same_body, scaled
 from unit.titop_plant.test_nastran_deliveries import HELD, RING, expected, tower
-from unit.titop_plant.test_structures_nastran import same_body
 
 from titop_plant.structures import Interface, ModalData, read_nastran_matrices
 from titop_plant.structures.nastran_units import INCH, POUND_FORCE

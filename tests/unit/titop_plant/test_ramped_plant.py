@@ -17,7 +17,7 @@ from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
-from titop_plant.simulation.plant_config import motion, parameter_values, values_along
+from titop_plant.simulation.plant_config import motion, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.sensor_samples import SensorModel
@@ -150,7 +150,6 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     [
         ("time,theta\n", "the header must be time,theta,wheel_speed_1"),
         ("HEAD\n0,0,1,2,3\n", "line 2: must hold 6 finite numbers, got '0,0,1,2,3'"),
-        ("HEAD\n0,0,1,2,3,inf\n", "line 2: must hold 6 finite numbers"),
         ("HEAD\n1,0,1,2,3,4\n2,0,1,2,3,4\n", "time must increase from 0"),
         ("HEAD\n0,0,1,2,3,4\n", "over two lines or more, got 1 lines"),
     ],
@@ -162,29 +161,19 @@ def test_files_that_are_no_profile(text: str, message: str, tmp_path: Path) -> N
         read_profile(path)
 
 
-def test_modes_of_the_report_are_those_of_the_telescope() -> None:
-    ramp = replace(CROSSING, ramp_duration=0.01)
-    plant = build_plant(ramp)
-    assert plant.motion is not None
-    family = PlantFamily.of(ramp)
-    poles = linalg.eigvals(family.control_loop.at(parameter_values(ramp, family.telescope)).A)
-    near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
-    assert near_400 and all(np.abs(poles.imag - w).min() < 0.1 for w in near_400)
-    assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
-    first, *_, last = plant.motion["modes_over_time"]
-    assert first == [0.0, *plant.motion["modes"]] and last[0] == pytest.approx(0.01) and len(last) == len(first)
-
-
 def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
     """Gyroscopic: two hundred rad/s more of a wheel move some modes, as they do at constant speed."""
     ramp = replace(CROSSING, wheel_acceleration=(100.0, 0.0, 0.0, 0.0), ramp_duration=2.0)
     plant, family = build_plant(ramp), PlantFamily.of(ramp)
     assert plant.motion is not None
-    for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
+    assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
+    first, *_, last = plant.motion["modes_over_time"]
+    assert first == [0.0, *plant.motion["modes"]] and last[0] == pytest.approx(2.0) and len(last) == len(first)
+    for row in (first, last):
         values = values_along(ramp, motion(ramp, family.telescope), row[0], family.telescope)
         poles = linalg.eigvals(family.control_loop.at(values).A)
         light = np.sort(poles.imag[(poles.imag > 0.0) & (-poles.real < 0.1 * np.abs(poles)) & (poles.imag < 2500.0)])
         found = np.array([w for w in row[1:] if w < 2500.0])
         np.testing.assert_allclose(found[:40], light[:40], rtol=1e-4)
-    moved = np.abs(np.array(plant.motion["modes_over_time"][-1][1:41]) - plant.motion["modes"][:40])
+    moved = np.abs(np.array(last[1:41]) - plant.motion["modes"][:40])
     assert moved.max() > 0.05

@@ -1,8 +1,9 @@
-"""The reference telescope: order, occurrences, optics, calibration, parameter file."""
+"""The reference telescope and that of the paper: order, occurrences, optics, calibration, figures of the paper."""
 
 from __future__ import annotations
 
 import itertools
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,16 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.minimal import minimal_realisation
+from los_loop.continuous_loop import continuous_open_loop
+from titop_plant.disturbances.responses import DRIVES, WHEELS, disturbance_responses
 from titop_plant.structures import smallest_residual_fraction
-from titop_plant.telescope.assembly import assembled_telescope, build_telescope
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 OCCURRENCES = {
-    "wheel_1.speed": 2,
-    "wheel_2.speed": 2,
-    "wheel_3.speed": 2,
-    "wheel_4.speed": 2,
+    **{f"wheel_{i}.speed": 2 for i in range(1, 5)},
     "solar_array.omega_1": 4,
     "solar_array.omega_2": 4,
     "solar_array.tau": 32,
@@ -51,8 +51,8 @@ def corners(telescope) -> list[dict[str, float]]:
 
 
 def test_order_and_occurrences(system) -> None:
-    assert system.order == 204
-    assert system.occurrences() == OCCURRENCES
+    for plant in (system, assembled_telescope(load_telescope(FILE)).system):
+        assert (plant.order, plant.occurrences()) == (204, OCCURRENCES)
 
 
 def test_the_realisation_is_minimal(system) -> None:
@@ -70,20 +70,6 @@ def test_stable_and_no_slow_pole_at_any_parameter_value(system, telescope) -> No
         assert np.abs(poles).min() > 1e-3, values
 
 
-def test_lft_sampled_equals_the_telescope_rebuilt(system, telescope) -> None:
-    """New nominal values in the parameter file give the same model as Delta at these values."""
-    w1, w2 = 0.743 * 1.03, 2.65 * 0.96
-    rebuilt = build_telescope(telescope.changed({"solar_array": {"frequencies": [w1, w2]}})).system
-    # the attitude law uses the inertia of the nominal telescope, which does not depend on the frequencies
-    values = {"wheel_2.speed": 700.0, "solar_array.tau": 0.6}
-    omega = np.geomspace(1e-2, 3e3, 25)
-    both = {**values, "solar_array.omega_1": w1, "solar_array.omega_2": w2}
-    one = frequency_response(system["los", "wheel_imbalance"].at(both), omega, tolerance=1e-11)
-    two = frequency_response(rebuilt["los", "wheel_imbalance"].at(values), omega, tolerance=1e-11)
-    size = np.sqrt(np.sum(np.abs(two) ** 2, axis=(1, 2)))
-    assert np.max(np.sqrt(np.sum(np.abs(one - two) ** 2, axis=(1, 2))) / size) < 1e-9
-
-
 def test_line_of_sight_identities(telescope) -> None:
     """Rigid translation of all elements gives 0, rigid rotation about any point gives 1."""
     optics = optics_component(telescope)
@@ -98,11 +84,6 @@ def test_line_of_sight_identities(telescope) -> None:
             move = shift + np.cross(turn, np.array([0.0, 0.0, z]) - centre)
             los += optics.sensitivity(name) @ np.concatenate([move, turn])
         np.testing.assert_allclose(los, turn[:2], atol=1e-12)
-
-
-def test_a_commanded_mirror_moves_the_line_of_sight_by_a_tenth(system) -> None:
-    slow = frequency_response(system["los_controlled", "fsm_command"].at({}), [0.01])[0]
-    np.testing.assert_allclose(slow, 0.1 * np.eye(2), atol=1e-6)
 
 
 def test_no_body_has_a_negative_residual_mass(telescope) -> None:
@@ -167,19 +148,47 @@ def test_a_users_file_contains_only_the_changed_values(tmp_path: Path) -> None:
     assert mine.parameters_hash != reference.parameters_hash
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[pma]\nstifness = 9.0\n", "unknown parameter 'pma.stifness'"),
-        ("[robot]\nx = 1\n", "unknown parameter 'robot'"),
-        ("pma = 3\n", "'pma' must be a table"),
-        ("[pma\n", "is not a TOML file"),
-    ],
-)
-def test_bad_parameter_files(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "bad.toml"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        load_telescope(path)
-    with pytest.raises(ValueError, match="cannot read the parameter file"):
-        load_telescope(tmp_path / "none.toml")
+FILE = str(Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml")
+
+BANDS = (1.0, 6.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+
+
+def decades(file: str | None) -> list[float]:
+    """Median over each band of the decades by which the wheels exceed the drives, resonances in each hundredth."""
+    both, found = disturbance_responses(load_telescope(file)), []
+    for low, high in pairwise(BANDS):
+        edges = np.geomspace(low, high, round(100 * np.log10(high / low)) + 1)
+        wheels, drives = (both.weighted(both.isolated, {}, of, low, high).columns(edges) for of in (WHEELS, DRIVES))
+        found.append(float(np.median(np.log10(wheels / drives))))
+    return found
+
+
+@pytest.mark.further
+def test_wheels_are_up_to_three_decades_above_the_drives_below_100_rad_s() -> None:
+    """In each band, not at one frequency; above 100 rad/s the two come closer. The reference has other drives."""
+    found = decades(FILE)
+    assert all(value > 1.5 for value in found[:4]) and 2.5 < max(found[:4]) < 3.5
+    assert found[5] < 1.1 and found[5] < found[4] < 2.1
+    assert decades(None)[3] < 1.0
+
+
+def test_the_open_loop_needs_more_than_the_mirror_by_what_the_pairs_of_figures_say() -> None:
+    """Reach 109.3 arcsec; 10 arcsec times the APE of a nominal and of a robust design more, 0.7115 and 0.9857."""
+    telescope = load_telescope(FILE)
+    loop, rng = continuous_open_loop(telescope), np.random.default_rng(0)
+    points = rng.uniform(size=(2000, len(loop.names)))
+    points = np.where(rng.uniform(size=points.shape) < 0.6, np.round(points), points)
+    points[0] = loop.point({})
+    omega = np.geomspace(0.055, 0.065, 7)
+    size = np.max(
+        [
+            np.linalg.norm(loop.closed_over(lft, points)[:, -2:, : loop.disturbances], 2, axis=(1, 2))
+            for lft in loop.at(omega)
+        ],
+        axis=0,
+    )
+    reach = telescope.fsm.authority * telescope.fsm.los_sensitivity
+    limit = telescope.weights.ape_limit
+    assert size[0] / ARCSEC == pytest.approx(116.4, abs=0.1)
+    assert (size[0] - reach) / limit == pytest.approx(0.7115, rel=0.02)
+    assert (size.max() - reach) / limit == pytest.approx(0.9857, rel=0.02)

@@ -1,4 +1,4 @@
-"""Requirements of a parameter file: the verdict and the design take their limits from the same place."""
+"""A user's parameter file: limits of verdict and design, tables merged by name, what differs from the reference."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.units import ANGLES
 from titop_plant.telescope.load import differences, load_telescope
 from titop_plant.telescope.requirements import design_limits
+from titop_plant.telescope.sections import Equipment
 from titop_plant.telescope.telescope import Telescope
 
 MAS, ARCSEC = ANGLES["mas"], ANGLES["arcsec"]
@@ -64,33 +65,6 @@ def test_both_forms_must_agree(tmp_path: Path) -> None:
         own(tmp_path, text.format(3))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            '[[requirement]]\nname = "APE"\ntext = "APE below 3"\n',
-            r"line 3: 'requirement\[0\].text' must be a requirement",
-        ),
-        ('[[requirement]]\ntext = "x"\n', r"'requirement\[0\]' has no 'name'"),
-        ('[[requirement]]\nname = "APE"\nloop = 3\n', r"line 3: .*must be a text or a list of texts, got 3"),
-        ('[[requirement]]\nname = "APE"\nloop = "both"\n', r"line 3: .*must be among none, isolator, fsm, fsm\+pma"),
-        ('[[requirement]]\nname = "APE"\nlimit = 3\n', r"unknown parameter 'requirement\[0\].limit'"),
-        ('[[requirement]]\nname = "new"\nloop = "fsm"\n', r"'requirement\[0\]' has no 'text'"),
-        ("[weights]\nape_limit = -1.0\n", r"line 2: 'weights.ape_limit' must be positive"),
-        ("[weights]\nape_limits = 1.0\n", r"unknown parameter 'weights.ape_limits'"),
-        ('weights = "none"\n', "'weights' must be a table"),
-        (
-            'replace = ["requirement"]\n[[requirement]]\nname = "drift"\n'
-            'text = "prob(|PDE(1 s, 10 s)| < 1 arcsec) >= 0.9 at 90 % confidence"\n',
-            r"must hold one on \|APE\| and one on rms RPE for the stages fsm and fsm\+pma",
-        ),
-    ],
-)
-def test_mistakes_are_named_with_their_line(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        own(tmp_path, text)
-
-
 def test_a_requirement_beside_the_design_changes_no_basis(tmp_path: Path) -> None:
     """A drift is judged and not designed for: the shipped controllers stay those of this telescope."""
     text = '[[requirement]]\nname = "drift"\ntext = "prob(|PDE(1 s, 10 s)| < 1 arcsec) >= 0.9 at 90 % confidence"\n'
@@ -129,3 +103,42 @@ def test_the_strictest_of_the_stage_counts() -> None:
     assert found["ape_limit"] == pytest.approx(5 * ARCSEC) and found["rpe_window"] == 0.02
     assert (found["rpe_limit"], found["rpe_limit_fine"]) == (60 * MAS, 30 * MAS)
     assert places == {"ape_limit": [0], "rpe_limit": [4], "rpe_limit_fine": [5], "rpe_window": [4, 5]}
+
+
+def equipment(tmp_path: Path, text: str) -> dict[str, Equipment]:
+    file = tmp_path / "own.toml"
+    file.write_text(text, "utf-8")
+    return {item.name: item for item in load_telescope(file).payload.equipment}
+
+
+def test_a_table_changes_that_of_its_name_and_leaves_the_others(tmp_path: Path) -> None:
+    reference = {item.name: item for item in load_telescope().payload.equipment}
+    found = equipment(tmp_path, '[[payload.equipment]]\nname = "front-end electronics"\nmass = 48.5\n')
+    assert list(found) == list(reference)
+    changed = found.pop("front-end electronics")
+    assert changed == replace(reference.pop("front-end electronics"), mass=48.5)
+    assert found == reference
+
+
+def test_the_whole_list_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    one = '[[payload.equipment]]\nname = "all"\nmass = 30.0\nsize = [0.5, 0.5, 0.5]\nnode = "bench"\n'
+    assert list(equipment(tmp_path, '[payload]\nreplace = ["equipment"]\n' + one)) == ["all"]
+
+
+def test_the_differences_are_those_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text(
+        '[isolator]\nmass = 2.0\n[fsm]\nlos_sensitivity = 0.1\n[[payload.equipment]]\nname = "FSM mount"\nmass = 1.5\n'
+    )
+    assert differences(file) == [
+        "payload.equipment[FSM mount].mass = 1.5, reference 0.9",
+        "isolator.mass = 2, reference 1.5",
+    ]
+    file.write_text(
+        '[body]\nreplace = ["equipment"]\n[[body.equipment]]\n'
+        'name = "battery"\nmass = 1.0\nsize = [1, 1, 1]\nnode = "G"\n'
+    )
+    lines = differences(file)
+    assert "body.equipment[battery].mass = 1, reference 117.6" in lines
+    assert "body.equipment[computer].mass removed" in lines
+    assert "body.equipment[battery].node = G, added" in lines

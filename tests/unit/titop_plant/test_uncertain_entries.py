@@ -89,13 +89,8 @@ def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monk
     ("text", "message"),
     [
         ("isolator.stiffness", "ENTRY=SPREAD"),
-        ("isolator.stiffness=much", "ENTRY=SPREAD"),
-        ("isolator.mass=10%", "must name one of isolator.stiffness"),
-        ("isolator.damping=0%", "above 0"),
-        ("isolator.damping=nan", "above 0"),
-        ("isolator.damping=95%", "at most 0.9"),
+        ("isolator.damping=nan", "above 0 and at most 0.9"),
         ("payload.frequency_0=5%", r"payload\.frequency_1, payload\.damping_1, got 'payload\.frequency_0'"),
-        ("payload.frequency=5%", "must name one of"),
     ],
 )
 def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> None:

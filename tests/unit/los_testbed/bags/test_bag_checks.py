@@ -1,4 +1,4 @@
-"""Commands ``bag info``, ``verify`` and ``sign`` on whole, damaged and altered bags, and their exit codes."""
+"""Commands ``bag info``, ``verify``, ``sign`` and others on whole, damaged and altered bags, and their exit codes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.repair import repair_bag
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import TRUTH_LOS
 from support.forged_bags import forge, forge_with_manifest, without_chain
 
 from pointing_analysis.indices.synthetic import write_bag
-from pointing_analysis.read.mcap.records import OP_CHUNK, RefutedBagError
+from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST, RefutedBagError
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import TICK_NS
 
 Call = Callable[..., tuple[int, str, str]]
@@ -241,3 +243,60 @@ def test_info_describes_a_bag_of_this_testbed(bag: Path, call: Call) -> None:
     assert content["sha256"]["bag_0.mcap"] == hashlib.sha256((bag / "bag_0.mcap").read_bytes()).hexdigest()
     _, out, _ = call("bag", "info", bag)
     assert "2.999 s" in out and "/telescope/camera/los" in out and "1970-01-01 00:00:01 UTC" in out
+
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+
+def test_the_altered_messages_are_not_used_and_nothing_is_judged(bag: Path) -> None:
+    before = Run.open(bag)["truth/los"]
+    forge(bag)
+    run = Run.open(bag)
+    assert len(run.contradictions) == 1 and run.contradictions[0] in run.problems
+    left = run["truth/los"]
+    rows = np.searchsorted(before.stamp, left.stamp)
+    assert len(left) == 2000 and np.array_equal(left.values, before.values[rows])
+    assert len(run["los_estimate"]) == 3000, "what agrees with its checksum is used"
+    found = summarise(run)
+    assert found.verdicts and {verdict.status for verdict in found.verdicts} == {"not judged"}
+    assert all("contradicts its own digests" in verdict.note for verdict in found.verdicts)
+
+
+@pytest.mark.parametrize("command", ["analyse", "report", "replay", "bag repair"])
+def test_each_command_says_it_and_ends_with_its_exit_code(
+    bag: Path, call: Callable[..., tuple[int, str, str]], command: str
+) -> None:
+    forge(bag)
+    code, out, err = call(*command.split(), bag, "--json")
+    assert code == ExitCode.CONTRADICTION
+    content = json.loads(out.splitlines()[-1])
+    [text] = (content["runs"][0] if command == "report" else content)["contradictions"]
+    assert "does not match the digest in its manifest" in text and text in " ".join(err.split())
+    if command in ("analyse", "report"):
+        assert text in (bag / "report.html").read_text()
+
+
+def test_a_budget_takes_no_such_bag(bag: Path, call: Callable[..., tuple[int, str, str]]) -> None:
+    forge(bag)
+    text = 'unit = "mas"\n[[requirement]]\ntext = "prob(|APE_x| < 10 mas) >= 0.9 at 95 % confidence"\n'
+    source = '[sources.a]\ntype = "measured"\nbag = "bag"\ntransient = 0.5\n'
+    (bag.parent / "budget.toml").write_text(text + source)
+    code, _, err = call("budget", bag.parent / "budget.toml")
+    assert code == 2 and "bag must agree with its own digests" in err and err.count("\n") == 1
+
+
+def test_the_repaired_bag_repeats_it(bag: Path) -> None:
+    forge(bag)
+    result = repair_bag(bag, bag.parent / "new")
+    assert result.contradictions == Run.open(bag).contradictions == Run.open(bag.parent / "new").contradictions
+    assert any("truth/los: 1000 of 3000 recorded messages are lost" in text for text in result.sentences())
+
+
+def test_exchanged_manifests_refute_nothing(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    found = taken_apart(file.read_bytes())
+    first, second, *_ = places(found, OP_MANIFEST)
+    found[first], found[second] = found[second], found[first]
+    file.write_bytes(put_together(found, True))
+    run = Run.open(bag)
+    assert not run.losses and len(run["truth/los"]) == 3000

@@ -148,19 +148,15 @@ def test_damaged_chunks_are_named_by_offset_and_kind_and_the_next_is_copied(tmp_
     assert (result.messages, result.last_stamp) == (2, 8)
 
 
-@pytest.mark.parametrize("size", [1, 10, -1])
-def test_a_record_that_is_cut_off_is_told(tmp_path: Path, size: int) -> None:
-    good = chunk(channel(1, FIRST) + message(1, 5, b"a"))
-    cut = chunk(message(1, 6, b"b"))[:size]
-    result, file = repaired(tmp_path, good, end=cut)
-    assert not result.finished and any("truncated" in text for text in result.sentences())
-    assert [m[1] for m in messages(file)][:1] == [5]
+CUT = chunk(message(1, 6, b"b"))
+ENDS = [(CUT[:1], False), (CUT[:10], False), (CUT[:-1], False), (b"", False), (MAGIC, False), (MAGIC + b"more", False)]
 
 
-@pytest.mark.parametrize(("end", "finished"), [(b"", False), (MAGIC, False), (MAGIC + b"more", False), (END, True)])
+@pytest.mark.parametrize(("end", "finished"), [*ENDS, (END, True)])
 def test_a_file_is_finished_if_it_has_the_end_of_its_data(tmp_path: Path, end: bytes, finished: bool) -> None:
     result, file = repaired(tmp_path, chunk(channel(1, FIRST) + message(1, 5, b"a")), end=end)
-    assert result.finished == finished and [m[1] for m in messages(file)] == [5]
+    assert result.finished == finished and [m[1] for m in messages(file)][:1] == [5]
+    assert finished or any("truncated" in text for text in result.sentences()) or end[:8] == MAGIC
 
 
 def test_a_file_without_anything_to_read_is_refused_and_leaves_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a bag says of its messages and of the end of its run, against the messages that it holds."""
+"""What a bag says of its messages, the end of its run and its checksums, against the messages that it holds."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import yaml
 from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.check import BagCheck, BagCheckRow, check_bag
+from mcap.writer import CompressionType, Writer
 from support.forged_bags import cut_short, with_metadata
 
 from pointing_analysis.read.mcap.records import OP_STATISTICS
@@ -97,3 +98,62 @@ def test_the_total_alone_is_compared_where_no_topic_is_counted(bag: Path) -> Non
     assert row_of(check_bag(bag), "counts").state == "agrees"
     with_yaml(bag, message_count=7)
     assert row_of(check_bag(bag), "counts").state == "contradicts"
+
+
+MESSAGES = 3000
+
+DEFINITION = b"std_msgs/Header header\ngeometry_msgs/Vector3 vector"
+
+
+def written(file: Path, *, chunks: bool, checksums: bool, of_data: bool) -> Path:
+    """A file with values on one topic, as the package mcap writes it."""
+    with file.open("wb") as stream:
+        writer = Writer(
+            stream,
+            compression=CompressionType.NONE,
+            use_chunking=chunks,
+            enable_crcs=checksums,
+            enable_data_crcs=of_data,
+        )
+        writer.start("ros2", "test")
+        schema = writer.register_schema("geometry_msgs/msg/Vector3Stamped", "ros2msg", DEFINITION)
+        channel = writer.register_channel("/los", "cdr", schema)
+        for k in range(MESSAGES):
+            time = 10**9 + k * 10**6
+            head = b"\0\1\0\0" + struct.pack("<iII", time // 10**9, time % 10**9, 1) + b"\0\0\0\0"
+            writer.add_message(channel, time, head + struct.pack("<ddd", 1e-8 * k, 2e-8, 0.0), time, k + 1)
+        writer.finish()
+    return file
+
+
+def damaged(file: Path) -> None:
+    """Change a value in the middle of the file."""
+    content = bytearray(file.read_bytes())
+    at = content.index(struct.pack("<d", 1e-8 * (MESSAGES // 2)))
+    content[at : at + 8] = struct.pack("<d", 5.0)
+    file.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("chunks", "of_chunks", "of_data", "state", "after"),
+    [
+        (True, False, True, "agrees", "damaged"),
+        (False, False, True, "agrees", "damaged"),
+        (True, True, False, "agrees", "damaged"),
+        (True, False, False, "none", "none"),
+        (False, False, False, "none", "none"),
+    ],
+)
+def test_the_checksums_that_are_there_are_compared(
+    tmp_path: Path, chunks: bool, of_chunks: bool, of_data: bool, state: str, after: str
+) -> None:
+    """A file without any is not called whole."""
+    file = written(tmp_path / "los.mcap", chunks=chunks, checksums=of_chunks, of_data=of_data)
+    for change, expected in ((lambda _: None, state), (damaged, after)):
+        change(file)
+        found = check_bag(file)
+        row = next(row for row in found.rows if row.name == "checksums")
+        assert row.state == expected and (found.title == "whole") == (expected == "agrees")
+        assert expected != "none" or "no checksum of any of the 3000 messages" in found.title
+        assert expected != "damaged" or (found.code, found.title) == (1, "not whole")
+    assert not of_data or row.found.endswith("the checksum of the data does not match")

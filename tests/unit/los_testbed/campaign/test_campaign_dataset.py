@@ -10,29 +10,29 @@ from typing import Any
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import finished_row, metric_columns
+from los_testbed.campaign.overview import campaign_summary
+from los_testbed.campaign.page import write_page
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from support import axe, headless_browser
 
 BASE = RunConfig(mode="inprocess")
 TIME_METRICS = metric_columns("time", RunParts(BASE).telescope.requirements)
 
 
 def campaign(**changes: Any) -> Campaign:
-    given = {
-        "base": BASE,
-        "sampling": "uniform",
-        "samples": 23,
-        "seed": 1,
-        "depth": "time",
-        "identity": {"version": "1"},
-    }
-    return Campaign.of(**{**given, **changes})
+    given = {"base": BASE, "sampling": "uniform", "samples": 23, "seed": 1, "depth": "time"}
+    return Campaign.of(**{**given, "identity": {"version": "1"}, **changes})
 
 
 def rows(asked: Campaign, number: int, status: str = "ok") -> list[dict[str, Any]]:
     chunk = dict(asked.chunks())[number]
     values = dict.fromkeys(TIME_METRICS, 1.0)
-    return [finished_row(m["index"], m, {**values, "rpe_window_p997_mas": 1.0 + m["index"]}, status, "") for m in chunk]
+    errors = {m["index"]: 20.0 + 5.0 * m["tau"] + 1e-3 * m["wheel_speed_2"] for m in chunk}
+    return [
+        finished_row(k, m, {**values, "rpe_window_p997_mas": errors[k]}, status, "")
+        for k, m in zip(errors, chunk, strict=True)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -117,3 +117,33 @@ def test_parts_of_another_campaign_are_computed_again_or_refused(tmp_path: Path)
     folder.write(3, rows(asked, 1))
     with pytest.raises(ValueError, match=r"must hold parts 0 to 2 of its campaign, got part-0000003\.parquet"):
         folder.open(asked, True)
+
+
+def test_members_that_are_no_random_draws_have_no_probability(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    asked, folder = (
+        campaign(base=replace(BASE, loop="fsm"), sampling="corners", samples=0),
+        ResultFolder(tmp_path / "c"),
+    )
+    folder.open(asked, False)
+    for number, _ in asked.chunks():
+        folder.write(number, rows(asked, number))
+    assert {v["interpretation"] for v in campaign_summary(asked, folder)["verdicts"]} == {"temporal"}
+
+
+@pytest.mark.further
+def test_the_page_shows_what_the_error_depends_on_and_axe_finds_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    asked, folder = campaign(samples=400), ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    for number, _ in asked.chunks():
+        folder.write(number, rows(asked, number))
+    page = write_page(asked, folder, campaign_summary(asked, folder), tmp_path / "report.html")
+    text = page.read_text("utf-8")
+    assert "Influence of the parameters on" in text and "Main effects of the most influential" in text
+    if headless_browser.browser() is None:
+        pytest.skip("no chromium on this machine")
+    pytest.importorskip("axe_core_python")
+    with headless_browser.Page() as browser:
+        for scheme, width in (("light", 390), ("dark", 1280)):
+            assert axe.findings(browser, page, width, scheme) == []

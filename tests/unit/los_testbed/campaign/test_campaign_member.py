@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -51,20 +52,14 @@ def test_metrics_are_those_of_the_bag(loop: str, scenario: str, tmp_path: Path) 
     assert row["mirror_max_mrad"] == 1e3 * np.abs(run["fsm/command"].values[:, :2]).max()
 
 
-def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluator) -> None:
-    first = evaluator.row(0, member(0), "time")
-    evaluator.row(1, member(1), "time")
-    assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
-
-
-def test_rows_of_members_of_one_part_are_those_of_each_alone() -> None:
-    """One of them fails before its run."""
-    evaluator = MemberEvaluator.of(replace(BASE, scenario="design", duration=1.1))
+def test_rows_do_not_depend_on_what_was_computed_before_or_beside() -> None:
+    """Rows of one part are those of each alone; one of them fails before its run."""
+    together, alone = (MemberEvaluator.of(replace(BASE, scenario="design", duration=1.1)) for _ in range(2))
     asked = [{**member(k), "index": k} for k in range(4)]
     asked[2]["omega_1"] = 3.0
-    together = evaluator.rows(asked, "time")
-    assert [row["status"] for row in together] == ["ok", "ok", "failed", "ok"]
-    assert together == [evaluator.row(m["index"], m, "time") for m in asked[::-1]][::-1]
+    found = together.rows(asked, "time")
+    assert [row["status"] for row in found] == ["ok", "ok", "failed", "ok"]
+    assert found == [alone.row(m["index"], m, "time") for m in asked[::-1]][::-1]
 
 
 def test_member_that_fails_is_a_row_with_its_reason(
@@ -76,25 +71,17 @@ def test_member_that_fails_is_a_row_with_its_reason(
     short = MemberEvaluator.of(replace(BASE, duration=0.5, start="rest")).row(5, member(0), "time")
     assert short["status"] == "failed" and short["reason"] == "duration must exceed the start-up of 1 s, got 0.5 s"
 
-    def diverge(*_: Any) -> None:
-        raise LoopDivergedError("the loop diverged within the first 1000 ms")
-
-    monkeypatch.setattr(SimulatedLoop, "run", diverge)
-    diverged = evaluator.row(5, member(0), "time")
-    assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
-
-    def without_memory(*_: Any) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(SimulatedLoop, "run", without_memory)
-    crashed = evaluator.row(5, member(0), "time")
-    assert (crashed["status"], crashed["reason"]) == ("crashed", "no memory")
-
-    def within_a_step(*_: Any) -> None:
-        raise RunFailedError("plant failed at tick 3: MemoryError") from MemoryError()
-
-    monkeypatch.setattr(SimulatedLoop, "run", within_a_step)
-    assert evaluator.row(5, member(0), "time")["status"] == "crashed"
+    lost = LoopDivergedError("the loop diverged within the first 1000 ms")
+    within_a_step = RunFailedError("plant failed at tick 3: MemoryError")
+    within_a_step.__cause__ = MemoryError()
+    for raised, status, reason in (
+        (lost, "diverged", "the loop diverged within the first 1000 ms"),
+        (MemoryError(), "crashed", "no memory"),
+        (within_a_step, "crashed", ""),
+    ):
+        monkeypatch.setattr(SimulatedLoop, "run", Mock(side_effect=raised))
+        found = evaluator.row(5, member(0), "time")
+        assert found["status"] == status and reason in found["reason"]
 
 
 def test_hash_of_a_row_sees_every_bit(evaluator: MemberEvaluator) -> None:

@@ -60,36 +60,32 @@ def member(parameters: str) -> dict[str, Any]:
     return {**dict(zip(own.columns, point)), "seed": int(member_seeds(1, 4)[0])}
 
 
-@pytest.mark.further
-@pytest.mark.parametrize("name", list(COLUMNS))
-def test_the_command_of_a_member_gives_its_row(
-    name: str, files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The last stage that the telescope has is the one of a campaign and of a run that name none."""
-    parameters = files[name]
-    base = RunConfig.from_mapping(with_stage({"mode": "inprocess", "duration": 1.04, "parameters": parameters}))
-    base, values = replace(base, scenario="design"), member(parameters)
+def as_commanded(base: RunConfig, values: dict[str, Any], folder: Path, capsys: Any) -> dict[str, Any]:
+    """Row of a member, whose command gives its largest relative error to the printed digits."""
     row = MemberEvaluator.of(base).row(0, values, "time")
     assert row["status"] == "ok", row["reason"]
     words = shlex.split(member_command({**values, **row}, base, "time"))[1:]
-    code, out, err = call_command(capsys, *words, "--no-report", "--output", str(tmp_path / "bag"), "--json")
+    code, out, err = call_command(capsys, *words, "--no-report", "--output", str(folder / "bag"), "--json")
     assert code == 0, err
     found = json.loads(out.splitlines()[-1])
     assert found["rpe_mas"]["windows_p997"] == float(f"{row['rpe_window_p997_mas']:.6g}")
+    return row
+
+
+@pytest.mark.further
+@pytest.mark.parametrize("name", list(COLUMNS))
+def test_the_command_of_a_member_gives_its_row(name: str, files: dict[str, str], tmp_path: Path, capsys: Any) -> None:
+    """The last stage that the telescope has is the one of a campaign and of a run that name none."""
+    base = RunConfig.from_mapping(with_stage({"mode": "inprocess", "duration": 1.04, "parameters": files[name]}))
+    as_commanded(replace(base, scenario="design"), member(files[name]), tmp_path, capsys)
 
 
 def test_the_command_of_a_member_has_every_setting_of_the_campaign(capsys: Any, tmp_path: Path) -> None:
     """Two frames late, an authority that is reached, lost samples: each of them changes the figure."""
     own = {"fsm_authority": 2e-6, "camera_latency": 40.0, "camera_dropout": 0.2, "noise": False, "old_frames": "use"}
     base = RunConfig(mode="inprocess", duration=1.2, scenario="design", **own)  # type: ignore[arg-type]
-    values = member("")
-    row = MemberEvaluator.of(base).row(0, values, "time")
-    words = shlex.split(member_command({**values, **row}, base, "time"))[1:]
-    code, out, err = call_command(capsys, *words, "--no-report", "--output", str(tmp_path / "bag"), "--json")
-    assert code == 0, err
-    found = json.loads(out.splitlines()[-1])
-    assert found["rpe_mas"]["windows_p997"] == float(f"{row['rpe_window_p997_mas']:.6g}")
-    plain = MemberEvaluator.of(replace(base, fsm_authority=None)).row(0, values, "time")
+    row = as_commanded(base, member(""), tmp_path, capsys)
+    plain = MemberEvaluator.of(replace(base, fsm_authority=None)).row(0, member(""), "time")
     assert plain["rpe_window_p997_mas"] != row["rpe_window_p997_mas"]
 
 

@@ -167,24 +167,6 @@ def test_a_lower_limit_is_judged_as_an_upper_one_of_the_complement() -> None:
     assert seen == {"compliant", "not compliant", "not enough data"}
 
 
-def test_the_worst_under_a_lower_limit_is_the_smallest() -> None:
-    """Three members: smallest transfer 0.8, 0.9 (the limit), 0.95; quantiles 0.91, 0.92, 0.97."""
-    mtf = parse("prob(MTF(20 ms, Nyquist) > 0.9) >= 0.5 at 50 % confidence")
-    ensemble, temporal, mixed = verdicts(
-        population(mtf, [0.8, 0.9, 0.95], [0.91, 0.92, 0.97], [0.1, 0.01, 0.0], [10, 10, 20]), ["ok"] * 3, "fsm", [mtf]
-    )
-    assert (ensemble.exceeding, ensemble.value, ensemble.limit) == (2 / 3, 0.9, 0.9), "the limit is not above itself"
-    assert (temporal.status, temporal.value) == ("compliant", 0.91)
-    assert mixed.value == pytest.approx(0.9333333) and mixed.exceeding == 2 / 40
-    at, above = (
-        verdicts(population(mtf, [1.0], [own], [0.0], [1.0]), ["ok"], "fsm", [mtf])[1].exceeding
-        for own in (0.9, math.nextafter(0.9, 1.0))
-    )
-    assert (at, above) == (1.0, 0.0)
-    diverged = verdicts(population(mtf, [1.0], [1.0], [0.0], [9.0]), ["diverged"], "fsm", [mtf])
-    assert [v.value for v in diverged] == [-math.inf] * 3 and diverged[0].as_dict()["value"] is None
-
-
 @pytest.mark.parametrize("text", ["Strehl(20 ms) > 0.25", "|APE_x| < 1 arcsec"])
 def test_a_worse_member_never_helps(text: str) -> None:
     """Whichever of its metrics gets worse: the exceedance of no interpretation falls, and no value improves."""
@@ -227,10 +209,16 @@ def test_what_runs_cannot_be_judged_by_is_said_of_their_stage() -> None:
     assert RPE not in not_judged([APE, RPE], "fsm+pma", "model", refusals)
 
 
-def test_a_member_at_its_limit_is_beyond_it() -> None:
-    for own in (2.0, math.nextafter(2.0, 0)):
-        found = by_kind(verdicts(columns([1, 1], [1, own], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [APE]))
-        assert found["temporal"].exceeding == (own >= 2.0) / 2
+@pytest.mark.parametrize(("text", "limit", "kept"), [("|APE| < 2 arcsec", 2.0, 0.0), ("Strehl(20 ms) > 0.9", 0.9, 1.0)])
+def test_a_member_at_its_limit_is_beyond_it(text: str, limit: float, kept: float) -> None:
+    r = parse(f"prob({text}) >= 0.75 at 75 % confidence")
+    for own in (limit, math.nextafter(limit, kept)):
+        ensemble, temporal, _ = verdicts(
+            population(r, [kept, own], [kept, own], [0, 0], [9, 9]), ["ok"] * 2, "fsm", [r]
+        )
+        assert ensemble.exceeding == temporal.exceeding == (own == limit) / 2
+    lost = verdicts(population(r, [kept], [kept], [0.0], [9.0]), ["diverged"], "fsm", [r])
+    assert [math.isinf(v.value) and v.as_dict()["value"] is None for v in lost] == [True] * 3
 
 
 def test_no_more_samples_are_above_than_there_are() -> None:

@@ -1,20 +1,34 @@
-"""Folders of designs: what a run takes from them, and what is refused before any work is done."""
+"""Folders of designs: what a run takes from them, the telescope with its files, what is proven, what is refused."""
 
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from los_testbed.cli.designs.folders import name_unseen_requirements
+from los_testbed.cli.designs import redesign
+from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
 from los_testbed.config.members import WORST_POINTS, worst_member
-from los_testbed.config.run_settings import TELESCOPE_FILE, of_designs
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE, of_designs
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.identity import telescope_digest
 
+from lftkit import SampledSystem
+from lftkit.support.workers import Workers
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
+from titop_plant.structures.modal_file import write_modal_data
+from titop_plant.telescope.bodies import build_payload
+from titop_plant.telescope.guide_camera import STORED_CURVES
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 SOFT = "[isolator]\nstiffness = [1.33e6, 1.33e6, 1.33e6, 0.365e6, 0.52e6, 0.8825e6]\n"
 
@@ -71,3 +85,134 @@ def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsy
     name_unseen_requirements(load_telescope(tmp_path / "mission.toml"))
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in said
+
+
+PANEL = """
+format = "los-testbed/modal-data"
+version = 1
+name = "antenna"
+parent = "P"
+parent_position = [0.0, 0.0, 0.0]
+mass = 1.0
+inertia_at_cg = [[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]]
+cg = [0.0, 0.0, -0.1]
+
+[[mode]]
+frequency = 9.2
+damping = 0.05
+participation = [0.3, 0.0, 0.0, 0.0, 0.0, 0.0]
+shapes = {}
+"""
+
+
+def payload(folder: Path) -> str:
+    write_modal_data(build_payload(load_telescope()), folder / "payload.toml")
+    return '[payload]\nmodal_data = "payload.toml"\n'
+
+
+def appendage(folder: Path) -> str:
+    (folder / "panel.toml").write_text(PANEL, "utf-8")
+    return '[[appendage]]\nname = "antenna"\npoint = "A1"\nmodal_data = "panel.toml"\n'
+
+
+def noise_curve(folder: Path) -> str:
+    (folder / "curve.json").write_bytes(STORED_CURVES.read_bytes())
+    return '[camera]\nnoise_curve = "curve.json"\nmagnitude = 12.0\n[sensors]\ncamera = "magnitude"\n'
+
+
+def disturbance(folder: Path) -> str:
+    (folder / "shake.csv").write_text("time (s),Fx (N)\n0,0.0\n1,1.0\n2,0.0\n", "utf-8")
+    return '[[disturbance]]\nname = "shaker"\nkind = "series"\nplace = "payload"\nfile = "shake.csv"\nrepeat = true\n'
+
+
+@pytest.fixture(params=[payload, appendage, noise_curve, disturbance])
+def mine(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A parameter file that names a file beside it."""
+    (tmp_path / "mine").mkdir()
+    make: Callable[[Path], str] = request.param
+    file = tmp_path / "mine" / "mine.toml"
+    file.write_text(make(file.parent), "utf-8")
+    return file
+
+
+def with_controllers(folder: Path, telescope: Telescope) -> None:
+    """The shipped controllers, as if they were made for a telescope."""
+    for name, path in RunParts(RunConfig()).model_files.items():
+        law = SampledSystem.from_file(path)
+        made = {**law.design_basis, "parameters_hash": telescope.parameters_hash}
+        replace(law, design_basis=made).to_file(folder / DESIGN_FILES[name])
+
+
+def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, tmp_path: Path) -> None:
+    """The same values, noise and sources, when neither the user's file nor the first folder is there any more."""
+    wanted = telescope_digest(load_telescope(mine))
+    sources = len(RunParts(RunConfig(parameters=str(mine))).sources)
+    check_output(tmp_path / "designs", mine)
+    check_output(tmp_path / "designs", mine)  # the same telescope goes on
+    check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE)
+    moved = (tmp_path / "designs").rename(tmp_path / "moved")
+    mine.parent.rename(tmp_path / "gone")
+    file = moved / TELESCOPE_FILE
+    assert telescope_digest(load_telescope(file)) == wanted
+    assert len(RunParts(RunConfig(parameters=str(file))).sources) == sources
+    with_controllers(moved, load_telescope(file))
+    assert telescope_digest(designs_in(moved)[0]) == wanted
+
+
+def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
+    """They were refused beside a file with files of its own."""
+    mine = tmp_path / "mine.toml"
+    mine.write_text(payload(tmp_path), "utf-8")
+    check_output(tmp_path / "designs", mine, ["isolator.stiffness=10%"])
+    found = load_telescope(tmp_path / "designs" / TELESCOPE_FILE)
+    assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
+    with pytest.raises(ValueError, match="--uncertain must be in the table"):
+        check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE, ["isolator.stiffness=10%"])
+
+
+@pytest.fixture
+def loops(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Loops that were to be proven, in place of the proofs of hours."""
+    found: list[Any] = []
+
+    def prove(chosen: Any, loops: Any, *_: Any) -> tuple[()]:
+        found.append(loops)
+        return ()
+
+    monkeypatch.setattr(redesign, "prove_figures", prove)
+    return found
+
+
+def proven(telescope: Telescope, folder: Path) -> None:
+    """What `design all --certify` does behind the design."""
+    with Workers(1) as workers:
+        redesign._proven(telescope, folder, workers, time.monotonic() + 1.0)
+
+
+def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any]) -> None:
+    """The loop has the poles of the telescope of the file, not of the reference."""
+    mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
+    mine.write_text(appendage(tmp_path), "utf-8")
+    check_output(folder, mine)
+    with_controllers(folder, load_telescope(mine))
+    proven(load_telescope(mine), folder)
+    orders = [loops[0]["fsm"].system.order]
+    (tmp_path / "reference").mkdir()
+    with_controllers(tmp_path / "reference", load_telescope())
+    proven(load_telescope(), tmp_path / "reference")
+    assert orders[0] == loops[1]["fsm"].system.order + 2  # the mode of the antenna
+
+
+def test_another_telescope_or_controllers_of_another_are_not_proven(tmp_path: Path, loops: list[Any]) -> None:
+    mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
+    mine.write_text(payload(tmp_path) + "[body]\ndamping = 0.004\n", "utf-8")
+    own = load_telescope(mine)
+    check_output(folder, mine)
+    with_controllers(folder, load_telescope())
+    with pytest.raises(ValueError, match=f"must be made for the telescope there.*{own.parameters_hash}"):
+        proven(own, folder)
+    with_controllers(folder, own)
+    (folder / TELESCOPE_FILE).unlink()
+    with pytest.raises(ValueError, match=f"must be of the telescope {own.parameters_hash} to be proven"):
+        proven(own, folder)
+    assert not loops

@@ -1,4 +1,6 @@
-"""The page of exit codes and the table in the code; code of the user that ends the program."""
+"""The program: its start and list of commands, signals, exit codes, and code of the user that ends it."""
+
+from __future__ import annotations
 
 import os
 import re
@@ -10,8 +12,11 @@ from pathlib import Path
 import pytest
 from los_testbed.cli import app
 from los_testbed.cli import run as run_command
+from los_testbed.cli.command_group import ENTRIES
 from los_testbed.config.exit_codes import COMMANDS, MEANINGS, ExitCode
 from los_testbed.run.results import Results
+from support.command_line import call_command
+from support.slow_cases import slow
 
 from pointing_analysis.read.run import Run
 
@@ -104,3 +109,104 @@ def test_what_is_left_of_a_run_may_be_too_short_to_be_evaluated(tmp_path, monkey
     assert "not evaluated" in told.out + told.err
     assert "the run must be longer than its start-up transient" in " ".join((told.out + told.err).split())
     assert len(Run.open(tmp_path / "bag")["truth/los"]) == 500
+
+
+PROGRAM = """
+import os, signal, sys
+
+class Sender:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            os.kill(os.getpid(), signal.{name})
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the tests may have been started where one is ignored
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+sys.meta_path.insert(0, Sender())
+sys.argv = ["los-testbed", "--version"]
+from los_testbed.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_during_the_imports_is_one_line(name: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(name=name)], capture_output=True, text=True, timeout=600, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "los-testbed: interrupted\n")
+
+
+def test_a_limit_of_memory_in_which_nothing_loads_is_told_before_the_imports() -> None:
+    """With less, a package fails to load somewhere (an ImportError), or OpenBLAS waits for memory for ever."""
+    command = ["bash", "-c", 'ulimit -v 320000 && exec "$@"', "bash", sys.executable, "-m", "los_testbed", "plant"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr == (
+        "los-testbed: memory of a process (ulimit -v) must be at least 600000 kB for a command, got 320000: "
+        "too little memory\n"
+    )
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    program = PROGRAM.format(name="SIGHUP").replace(
+        "sys.meta_path", "signal.signal(signal.SIGHUP, signal.SIG_IGN)\nsys.meta_path"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=False)
+    assert ended.returncode == 0 and ended.stdout.startswith("los-testbed 0") and not ended.stderr
+
+
+CALLBACK = """
+import os, signal, sys, time, weakref
+from los_testbed.cli import app
+
+class Thing:
+    pass
+
+def work(**_):
+    thing = Thing()
+    kept = weakref.ref(thing, lambda ref: os.kill(os.getpid(), signal.{name}))
+    del thing  # the signal comes in a callback, which no exception leaves
+    print("goes on", flush=True)
+    time.sleep(60)
+
+app.app.command(name="work")(lambda: work())
+app.main(["work"])
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", slow("SIGINT"), slow("SIGHUP")])
+def test_a_signal_in_a_callback_is_not_lost(name: str) -> None:
+    prepared = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # under nohup it is ignored
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", prepared + CALLBACK.replace("{name}", name)], capture_output=True, text=True, timeout=240
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.splitlines()[-1] == "los-testbed: interrupted"
+
+
+def test_the_help_imports_no_command() -> None:
+    code = (
+        "import sys; from los_testbed.cli.app import main; main(['--help']);"
+        "print('imported', sorted({'numpy', 'scipy', 'pydantic', 'los_testbed.cli.run'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600)
+    assert done.stdout.splitlines()[-1] == "imported []"
+    assert all(f" {name} " in done.stdout for name in ENTRIES)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("los-testbed ca", {"campaign"}), ("los-testbed bag ve", {"verify"}), ("los-testbed run --mo", {"--mode"})],
+)
+def test_bash_completes_commands_and_options(
+    words: str, expected: set[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = {"_LOS_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    for name, value in asked.items():
+        monkeypatch.setenv(name, value)
+    code, out, err = call_command(capsys)
+    assert code == 0 and set(out.split()) == expected, err

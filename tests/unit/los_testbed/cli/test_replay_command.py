@@ -43,6 +43,18 @@ def other_observer(path, pole=0.9):
     return path
 
 
+def changed(recorded, path, places, change):
+    """A bag like the recorded one, with other values at these places."""
+    run = Run.open(recorded)
+    signals = {name: (run[name].stamp, run[name].values.copy()) for name in run.topics}
+    for name, place in places.items():
+        signals[name][1][place] = change(signals[name][1][place])
+    given = {k: v if isinstance(v, str) else json.dumps(v) for k, v in run.parameters.items() if k != "statistics"}
+    files = {name: ("application/json", data) for name, data in run.attachments.items()}
+    with BagWriter(path, {"los_testbed": given}, files) as bag:
+        write_signals(bag, signals)
+
+
 def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
     code, out, _ = call(recorded, "--json")
     assert code == 0
@@ -54,14 +66,8 @@ def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
 
 
 def test_one_bit_is_found(call, recorded, tmp_path) -> None:
-    run = Run.open(recorded)
-    signals = {name: (run[name].stamp, run[name].values.copy()) for name in run.topics}
-    signals["m1/accel"][1][1500, 2] = np.nextafter(signals["m1/accel"][1][1500, 2], 1.0)
-    signals["fsm/command"][1][3000, 0] = np.nextafter(signals["fsm/command"][1][3000, 0], 1.0)
-    given = {k: v if isinstance(v, str) else json.dumps(v) for k, v in run.parameters.items() if k != "statistics"}
-    files = {name: ("application/json", data) for name, data in run.attachments.items()}
-    with BagWriter(tmp_path / "bag", {"los_testbed": given}, files) as bag:
-        write_signals(bag, signals)
+    places = {"m1/accel": (1500, 2), "fsm/command": (3000, 0)}
+    changed(recorded, tmp_path / "bag", places, lambda value: np.nextafter(value, 1.0))
     code, out, _ = call(tmp_path / "bag", "--json")
     assert code == 1
     found = {d["topic"]: d for d in json.loads(out.splitlines()[-1])["differences"]}
@@ -177,11 +183,6 @@ def test_a_controller_that_diverges_is_said_with_tick_and_port(call, recorded, t
 
 
 def test_a_sensor_with_nan_is_told_and_where(call, recorded, tmp_path) -> None:
-    run = Run.open(recorded)
-    signals = {name: (run[name].stamp, run[name].values.copy()) for name in run.topics}
-    signals["m1/accel"][1][1234, 2] = np.nan
-    files = {name: ("application/json", data) for name, data in run.attachments.items()}
-    with BagWriter(tmp_path / "odd", {"los_testbed": {"loop": "fsm"}}, files) as bag:
-        write_signals(bag, signals)
+    changed(recorded, tmp_path / "odd", {"m1/accel": (1234, 2)}, lambda value: np.nan)
     code, _, err = call(tmp_path / "odd")
     assert code == 2 and "m1/accel must be finite" in err and "1.234 s" in err

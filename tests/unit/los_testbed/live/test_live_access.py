@@ -9,14 +9,14 @@ import subprocess
 from functools import partial
 
 import pytest
-
-pytest.importorskip("tornado")
-pytest.importorskip("foxglove")
 from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
 from tornado.websocket import websocket_connect
+
+pytest.importorskip("tornado")
+pytest.importorskip("foxglove")
 
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 UPGRADE = f"Connection: Upgrade\r\nUpgrade: websocket\r\n{KEY}"
@@ -180,7 +180,7 @@ def test_viewers_of_foxglove_that_take_nothing_are_closed_for_another_one(monkey
 
 
 def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
-    """A page at any bare address of the internet is no page of this machine."""
+    """A page at any bare address of the internet is no page of this machine; it has numbers and its own name."""
     access = Access("0.0.0.0")
     assert access.origin("http://192.0.2.5:8080", "192.0.2.5:8765")
     assert access.origin("http://localhost:8080", "192.0.2.5:8765")
@@ -189,12 +189,12 @@ def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
         assert not access.origin(origin, "192.0.2.5:8765")
         assert not access.origin(origin, "localhost:8765")
     assert not Access("::").origin("http://203.0.113.9", "[2001:db8::5]:8765")
-
-
-def test_the_gate_of_a_server_that_listens_everywhere_compares_origin_and_host():
     server = partial(FoxgloveServer, {}, "0.0.0.0", 0)
-    for origin, wanted in (("http://203.0.113.9", 403), ("http://127.0.0.1:8080", 101)):
-        assert status(server, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == wanted
+    for page, wanted in (("http://203.0.113.9", 403), ("http://127.0.0.1:8080", 101)):
+        assert status(server, headers=f"{FOXGLOVE}Origin: {page}\r\n") == wanted
+    assert access.host("192.0.2.5:8765") and access.host(os.uname().nodename)
+    assert not access.host("rebound.example:8765")
+    assert Access("testbed.example").host("testbed.example:8766")
 
 
 @pytest.fixture(scope="module")
@@ -231,9 +231,27 @@ def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
     assert asyncio.run(once()) == (101, 0)
 
 
-def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_name():
-    access = Access("0.0.0.0")
-    assert access.host("192.0.2.5:8765")
-    assert access.host(os.uname().nodename)
-    assert not access.host("rebound.example:8765")
-    assert Access("testbed.example").host("testbed.example:8766")
+VISITORS = 60
+
+
+async def visit():
+    """Codes with which connections were closed, and the number that got frames, before and after one has left."""
+    server = PageServer("127.0.0.1", 0, lambda seen: {"tick": 1}, lambda name, value: None)
+    address = f"ws://127.0.0.1:{server.port}/data"
+    crowd = [await websocket_connect(address) for _ in range(VISITORS)]
+    first = [await connection.read_message() for connection in crowd]
+    codes = [connection.close_code for connection, frame in zip(crowd, first) if frame is None]
+    crowd[0].close()
+    while len(server.viewers) >= MAX_VIEWERS:
+        await asyncio.sleep(0.01)
+    late = await websocket_connect(address)
+    again = await late.read_message()
+    await server.stop()
+    return codes, sum(frame is not None for frame in first), again
+
+
+def test_a_crowd_of_viewers_is_served_up_to_a_number_and_the_others_are_sent_away():
+    codes, served, again = asyncio.run(visit())
+    assert served == MAX_VIEWERS
+    assert codes == [1013] * (VISITORS - MAX_VIEWERS)
+    assert again == '{"tick":1}'

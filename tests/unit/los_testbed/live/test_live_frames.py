@@ -1,20 +1,24 @@
-"""What a viewer gets: recent samples, decimated where it is behind, indices as the report computes them, settings."""
+"""What a viewer gets: samples, indices as the report computes them, settings; layouts name what the nodes send."""
 
 import json
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
+from los_testbed.bags.schemas import DEFINITIONS
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
+from los_testbed.config.topics import FSM_COMMAND, NAMESPACE, PMA_COMMAND, TOPICS, TRUTH_LOS
 from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
 from los_testbed.parts.run_parts import RunParts
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import rpe_rms
+from pointing_analysis.read.messages.message_types import JOINT_NAMES
 from titop_plant.interface import TICK_NS
 
 START = 1_700_000_000 * 10**9
@@ -90,3 +94,19 @@ def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report(
     assert frame["stage"] == "fsm"
     assert frame["settings"] == {"noise": True, "disturbance": True, "camera_dropout": 0.1}
     assert set(frame["nodes"]) == {"controller", "estimator"}
+
+
+FOLDER = Path(__file__).parents[4] / "ros_ws" / "src" / "los_testbed" / "layouts"
+
+
+@pytest.mark.parametrize("name", ["foxglove.json", "plotjuggler.xml"])
+def test_a_layout_has_every_topic_with_fields_of_its_messages(name: str) -> None:
+    named = re.findall(rf'[">]({NAMESPACE}/[^"<]*)["<]', (FOLDER / name).read_text())
+    seen = set()
+    for path in named:
+        (topic,) = [topic for topic in TOPICS if path.startswith((f"{topic.path}/", f"{topic.path}."))]
+        fields = re.split(r"[./]", re.sub(r"\[\d+\]", "", path[len(topic.path) + 1 :]))
+        known = {*re.findall(r"\w+", DEFINITIONS[topic.type_name]), *JOINT_NAMES}
+        assert fields and set(fields) <= known, path
+        seen.add(topic.path)
+    assert seen == {topic.path for topic in TOPICS}

@@ -50,16 +50,22 @@ def page_after(folder, *events):
     return json.loads(done.stdout)
 
 
-def test_at_the_end_the_page_says_so_and_its_buttons_are_inactive(tmp_path):
-    found = page_after(tmp_path, ("frame", {"tick": -1}), ("frame", {}), ("frame", {"over": True}), CLOSED)
-    assert found["told"] == [["waiting for the run", 2], ["running", 2], ["run over", 0], ["run over", 0]]
-    assert found["reconnects"] == 0
+RUNNING, OVER = ["running", 2], ["run over", 0]
 
 
-def test_a_server_that_ends_in_order_has_ended_its_run_also_without_a_last_frame(tmp_path):
-    assert page_after(tmp_path, ("frame", {}), CLOSED) == {"told": [["running", 2], ["run over", 0]], "reconnects": 0}
-
-
-def test_without_a_connection_the_buttons_are_inactive_until_there_is_one_again(tmp_path):
-    found = page_after(tmp_path, ("frame", {}), LOST, ("frame", {}))
-    assert found == {"told": [["running", 2], ["connection lost", 0], ["running", 2]], "reconnects": 1}
+@pytest.mark.parametrize(
+    ("events", "told", "reconnects"),
+    [
+        (
+            [("frame", {"tick": -1}), ("frame", {}), ("frame", {"over": True}), CLOSED],
+            [["waiting for the run", 2], RUNNING, OVER, OVER],
+            0,
+        ),
+        ([("frame", {}), CLOSED], [RUNNING, OVER], 0),  # a server that ends in order has ended its run
+        ([("frame", {}), LOST, ("frame", {})], [RUNNING, ["connection lost", 0], RUNNING], 1),
+    ],
+)
+def test_without_a_run_or_a_connection_the_page_says_so_and_its_buttons_are_inactive(
+    tmp_path, events, told, reconnects
+):
+    assert page_after(tmp_path, *events) == {"told": told, "reconnects": reconnects}

@@ -117,12 +117,8 @@ def test_units_of_harmonics(tmp_path: Path, header: str, factor: float) -> None:
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("frequency (Hz),Tz (Nm/rtHz)", r"Tz \(Nm/rtHz\) must be Nm\^2/Hz or .*, got 'nm/rthz'"),
         ("frequency (MHz),Tz", "frequency .* must be Hz, kHz or rad/s, got 'mhz'"),
-        ("order,Fx (N)", r"must be N s\^2/rad\^2 or .* \(squared = false for N\), got 'N'"),
         ("time (ticks),Fx", "unit of the time must be one of s, ms, us, ns, min, h, d, got 'ticks'"),
-        ("time (s),Fx (Nm)", r"unit of Fx \(Nm\) must be N or mN, got 'Nm'"),
-        ("time,Fx (N)", r"unit of the times must be known where they are 1 apart"),
     ],
 )
 def test_units_of_another_quantity_are_refused(tmp_path: Path, header: str, message: str) -> None:
@@ -166,16 +162,8 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('kind = "wind"', "kind must be one of series, harmonics, waterfall, psd, cooler, pulses, got 'wind'"),
-        ('kind = "cooler"\nfrequncy = 45.0', "keys must be among .*frequency.*, got frequncy"),
-        ('kind = "cooler"\nfrequency = -1.0\nharmonics = [{order = 1}]', "frequency must be .* got -1.0"),
-        ('kind = "pulses"\nplace = "moon"\nperiod = 1.0\nwidth = 0.1', "place must be one of bus, wheels"),
         ('kind = "harmonics"\nharmonics = [{order = 1}]', "speed must be given"),
-        ('kind = "series"\nfile = "none.csv"', "none.csv: no such file"),
         ('kind = "series"\nfile = "timed.csv"\nkeep_mean = "false"', "keep_mean must be true or false, got 'false'"),
-        ('kind = "series"\nfile = "timed.csv"\nrepeat = "no"', "repeat must be true or false, got 'no'"),
-        ('kind = "series"\nfile = "timed.csv"\nrepeat = 1', "repeat must be true or false, got 1"),
-        (HARMONIC % 1 + "\nsquared = 0", "squared must be true or false, got 0"),
         (
             'kind = "series"\nfile = "timed.csv"\nrate = 500.0\nrepeat = true',
             r"rate must be that of .*timed.csv, 1000 Hz by its column time \(s\), got 500 Hz",
@@ -189,21 +177,8 @@ def folder(tmp_path: Path) -> Path:
             HARMONIC % 1 + '\nfile = "h.csv"',
             "harmonics must be in a file or in the table, got both: 'h.csv' and a list",
         ),
-        (
-            'kind = "cooler"\nfrequency = 40.0\nfile = "h.csv"\nharmonics = [{order = 1, force = [1.0, 0.0, 0.0]}]',
-            "harmonics must be in a file or in the table, got both",
-        ),
-        *(
-            (HARMONIC % order, rf"a.toml, disturbance 'a': order of a harmonic must be a number above 0, got {shown}")
-            for order, shown in (
-                ("[1, 2]", r"\[1, 2\]"),
-                ('"abc"', "'abc'"),
-                ('"1"', "'1'"),
-                ("true", "True"),
-                ("inf", "inf"),
-                ("-1", "-1"),
-            )
-        ),
+        (HARMONIC % '"1"', "a.toml, disturbance 'a': order of a harmonic must be a number above 0, got '1'"),
+        (HARMONIC % "inf", "order of a harmonic must be a number above 0, got inf"),
         (
             'kind = "waterfall"\nfile = "w.csv"\nspeed = 150.0',
             "w.csv: waterfall must have one row for each frequency at each speed, got two of 1000 rpm, 59 Hz",

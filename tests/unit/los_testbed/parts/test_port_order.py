@@ -17,7 +17,7 @@ from scipy import io
 import los_estimator
 from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.systems.exchange import as_system, read_sampled
+from lftkit.systems.exchange import read_sampled
 from lftkit.systems.mat_files import write_mat
 from lftkit.systems.sampled.sampled_system import SampledSystem
 
@@ -76,10 +76,3 @@ def test_a_continuous_controller_is_refused(tmp_path: Path) -> None:
     write_mat(tmp_path / "a.mat", K=System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)]))
     with pytest.raises(ValueError, match="must have its sampling period Ts in s, got a continuous one"):
         read_sampled(tmp_path / "a.mat")
-
-
-def test_a_mat_file_has_the_bits_of_its_json_file(tmp_path: Path) -> None:
-    write_mat(tmp_path / "k_fsm.mat", K=as_system(STORED))
-    read = read_sampled(tmp_path / "k_fsm.mat")
-    assert [(p.name, p.size) for p in read.inputs] == [(p.name, p.size) for p in STORED.inputs]
-    assert all(np.array_equal(getattr(read, key), getattr(STORED, key)) for key in "ABCD") and read.dt == STORED.dt

@@ -162,21 +162,16 @@ def test_a_changed_or_lost_byte_costs_one_packet(place, change, lost):
     assert len(found) == len(PACKETS) - 1 and all(packet in PACKETS for packet in found)
 
 
-def test_lost_and_reordered_packets_are_counted():
+@pytest.mark.parametrize(
+    ("numbers", "read", "counts"),
+    [
+        ([1, 2, 5, 4, 6, 6], [1, 2, 5, 4, 6, None], (1, 1, {"repeated": 1})),
+        ([2**32 - 2, 2**32 - 1, 2**32, 2**32 + 1, 2**32 + 3], None, (1, 0, {})),  # more than 32 bits count
+    ],
+)
+def test_lost_and_reordered_packets_are_counted(numbers, read, counts):
     reader = Reader(KEY)
-    for number in (1, 2, 5, 4, 6, 6):
-        reader.read(encode(Kind.FAST, number, 5, VALUES, KEY))
-    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 1, {"repeated": 1})
-
-
-def test_a_sender_of_more_packets_than_32_bits_count_is_read_on():
-    reader = Reader(KEY)
-    numbers = [2**32 - 2, 2**32 - 1, 2**32, 2**32 + 1, 2**32 + 3]
-    assert [reader.read(encode(Kind.FAST, n, 5, VALUES, KEY)).sequence for n in numbers] == numbers
-    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 0, {})
-
-
-def test_a_packet_of_another_run_is_refused():
-    reader = Reader(KEY)
-    assert reader.read(encode(Kind.COMMAND, 1, 5, np.zeros(8), OTHER)) is None
-    assert dict(reader.refused) == {"check": 1}
+    found = [reader.read(encode(Kind.FAST, n, 5, VALUES, KEY)) for n in numbers]
+    assert [packet and packet.sequence for packet in found] == (read or numbers)
+    assert (reader.lost, reader.reordered, dict(reader.refused)) == counts
+    assert reader.read(encode(Kind.COMMAND, 1, 5, np.zeros(8), OTHER)) is None and reader.refused["check"] == 1

@@ -1,14 +1,16 @@
-"""Settings that change at a tick: order, checks, the plant and the controller that they act on."""
+"""Settings that change at a tick: order, checks, plant and controller that they act on, sentences about requests."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import build_controller
+from los_testbed.run.change_requests import SHOWN, requested
 from los_testbed.run.loop.changes import NAMES, Changes, parse_change
 
-from fsm_pma_controller.fade import FADE_TICKS, Fade
+from fsm_pma_controller.fade import FADE_TICKS
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
@@ -72,19 +74,6 @@ def test_a_fault_that_is_no_change_is_refused(text):
         parse_change(text)
 
 
-def test_a_fade_is_smooth_both_ways_and_can_turn_round():
-    fade = Fade(20)
-    assert fade.whole
-    fade.turn(False)
-    down = [fade.weight() for _ in range(12)]
-    fade.turn(True)
-    up = [fade.weight() for _ in range(12)]
-    assert fade.whole
-    weights = np.array([1.0, *down, *up])
-    assert np.abs(np.diff(weights)).max() <= np.pi / 40
-    assert down == sorted(down, reverse=True) and up == sorted(up)
-
-
 def small_plant(dropout=0.0):
     """Measurement 20 is the sine of one tone; no dynamics."""
     matrix = np.zeros((MEASUREMENTS + TRUTH, COMMANDS + 2))
@@ -119,7 +108,7 @@ def test_a_change_of_the_stage_does_not_step_a_command():
     found, whole = np.zeros((400, COMMANDS)), np.zeros((400, COMMANDS))
     for k in range(400):
         estimate, accel = np.full(2, 1e-5), 1e-3 * np.sin(0.05 * k + np.arange(6))
-        if k % 50 == 25:
+        if k % 13 == 5:  # within the fade of the change before
             controller.switch(str(rng.choice(STAGES)))
         controller.step(estimate, accel, found[k])
         kept.step(estimate, accel, whole[k])
@@ -134,24 +123,46 @@ def test_a_change_of_the_stage_does_not_step_a_command():
 
 
 def test_the_controller_opens_and_closes_loops_and_limits_at_the_next_step():
-    controller, fresh = build_controller(RunConfig()), build_controller(RunConfig())
+    controller = build_controller(RunConfig())
     estimate, accel, u, v = np.full(2, 1e-5), np.full(6, 1e-3), np.zeros(COMMANDS), np.zeros(COMMANDS)
-    for _ in range(50):
-        controller.step(estimate, accel, u)
-    assert np.any(u[MIRROR]) and np.any(u[FORCES])
-    controller.switch("isolator")
-    for _ in range(FADE_TICKS):
-        controller.step(estimate, accel, u)
-    assert not np.any(u)
-    controller.switch("fsm")
-    for _ in range(FADE_TICKS):
-        controller.step(estimate, accel, u)
-    assert np.any(u[MIRROR]) and not np.any(u[FORCES])
-    controller.switch("fsm+pma")
-    for _ in range(FADE_TICKS):
-        controller.step(estimate, accel, u)
-        fresh.step(estimate, accel, v)
+    for stage, mirror, forces in (("fsm+pma", 1, 1), ("isolator", 0, 0), ("fsm", 1, 0), ("fsm+pma", 1, 1)):
+        controller.switch(stage)
+        fresh = build_controller(RunConfig())
+        for _ in range(FADE_TICKS):
+            controller.step(estimate, accel, u)
+            fresh.step(estimate, accel, v)
+        assert (np.any(u[MIRROR]), np.any(u[FORCES])) == (mirror, forces)
     assert np.array_equal(u, v), "K_PMA starts from its zero state"
     controller.limit(fsm_authority=1e-6)
     controller.step(np.full(2, 1e-3), accel, u)
     assert np.abs(u[MIRROR]).max() == 1e-6
+
+
+def run(**changes):
+    """A run whose nodes tell these changes."""
+    statistics = {node: {"changes": json.dumps(rows)} for node, rows in changes.items()}
+    return SimpleNamespace(parameters={"statistics": statistics})
+
+
+def row(tick, name, value, by="/stranger"):
+    return {"tick": tick, "name": name, "value": value, "by": by}
+
+
+def test_requests_are_told_in_order_of_time_with_their_senders():
+    plant = [row(100, "noise", False), row(9100, "stop", True)]
+    controller = [row(50, "loop", "fsm", "/user"), row(60, "active", False)]
+    assert requested(run(plant=plant, controller=controller)) == (
+        'loop set to "fsm" by request at 0.05 s, from /user',
+        "controller deactivated by request at 0.06 s, from /stranger",
+        "noise set to false by request at 0.1 s, from /stranger",
+        "stopped by request at 9.1 s, from /stranger",
+    )
+    many = requested(run(plant=[row(k, "noise", False) for k in range(50)] + [row(99, "reset", True)]))
+    assert len(many) == SHOWN + 2, "the first ones and the last"
+    assert many[SHOWN:] == (f"{50 - SHOWN} more changes by request", "reset by request at 0.099 s, from /stranger")
+
+
+@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, '[{"by": 1, "name": "stop", "tick": 3}]', None])
+def test_what_is_no_list_of_changes_is_left_out(text):
+    assert requested(SimpleNamespace(parameters={"statistics": {"plant": {"changes": text}}})) == ()
+    assert requested(SimpleNamespace(parameters={"statistics": text})) == ()

@@ -1,16 +1,21 @@
-"""Code of the user that raises any exception: one line with class, method, file and line, and a whole bag."""
+"""Plants and laws of the user: a broken contract or any exception is one line with its place, and the bag is whole."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
-from simple_telescope import write_controllers
+from los_testbed.cli import app
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
+from simple_telescope import SimpleTelescope, write_controllers
+from support.command_line import refused
 from user_code import STORED_LAW
 
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.summary import scenario_of, summarise
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -149,3 +154,81 @@ def test_an_exception_that_is_none_of_pythons_exceptions_is_one_line(call: Call,
     name = module(text, tick=1234)
     code, out, err = call(*command("--plant", f"{name}:Plant"))
     assert code == 1 and out == "" and err.count("\n") == 1 and "Stop" in err and "[/red]" in err, err
+
+
+MODULE = """
+from simple_telescope import SimpleTelescope
+
+class Plain(SimpleTelescope):
+    def __init__(self):
+        super().__init__()
+
+class Configured(SimpleTelescope):
+    def __init__(self, config):
+        super().__init__(seed=config.seed)
+
+class Silent(Plain):
+    def step(self, command, measurement, truth):
+        measurement[:] = 0.0
+
+class Infinite(Plain):
+    def step(self, command, measurement, truth):
+        super().step(command, measurement, truth)
+        measurement[8] = float("nan")
+
+class Long(Plain):
+    def step(self, command, measurement, truth):
+        truth[:] = [0.0, 0.0, 0.0]
+
+class Broken(Plain):
+    def step(self, command, measurement, truth):
+        raise ZeroDivisionError("own mistake")
+"""
+
+
+@pytest.fixture
+def plants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module in the working folder, of a name of its own, with two plants and a broken one."""
+    name = f"plants_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    return name
+
+
+@pytest.mark.parametrize("plant", ["Plain", "Configured"])
+def test_a_plant_is_named_on_the_command_line(plant: str, plants: str) -> None:
+    files = write_controllers(Path.cwd())
+    line = ["run", "--plant", f"{plants}:{plant}", "--mode", "inprocess", "--duration", "0.5", "--loop", "fsm"]
+    line += ["--k-fsm", files["k_fsm"], "--k-pma", files["k_pma"], "--no-report", "--output", "bag"]
+    assert app.main(line) == 0
+    run = Run.open("bag")
+    assert run.parameters["plant"] == f"{plants}:{plant}"
+    assert run.parameters["start"] == "rest"
+    direct = SimpleTelescope()
+    run_in_process(RunConfig(duration=0.5, loop="fsm", mode="inprocess", **files), Path("direct"), plant=direct)
+    np.testing.assert_array_equal(run["truth/los"].values, Run.open("direct")["truth/los"].values)
+    assert [scenario_of(r) for r in (run, Run.open("direct"))] == [
+        f"{plants}:{plant}",
+        f"{SimpleTelescope.__module__}:SimpleTelescope",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        ("{}:Silent", "must write all of truth"),
+        ("{}:Infinite", "finite|accel_M1[2]"),
+        ("{}:Long", "truth (2,)|ValueError"),
+        ("{}:Broken", "ZeroDivisionError|own mistake"),
+        ("no_such_module:Plant", "No module named 'no_such_module'"),
+        ("short_name", "entry point of los_testbed.plants, got 'short_name' (LookupError: known are none)"),
+    ],
+)
+def test_a_plant_that_cannot_be_used_is_an_error_of_the_user(
+    plant: str, words: str, plants: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [f"--{name.replace('_', '-')}={path}" for name, path in write_controllers(Path.cwd()).items()]
+    line = ["run", "--plant", plant.format(plants), "--mode=inprocess", "--duration=1", "--output=bag", *files]
+    error = refused(capsys, *line)
+    assert all(word in error for word in words.split("|"))
+    assert not Path("bag").exists()

@@ -17,36 +17,18 @@ from los_testbed.config.topics import NODES, TOPICS
 from los_testbed.run.processes.enclaves import ENCLAVES, enclave_path, heard_by, sent_by
 
 SPACE = "/telescope"
-GRANT = ["subject_name", "validity", "allow_rule", "default"]
+GRANT = "subject_name validity allow_rule default"
 """Order of the schema omg_shared_ca_permissions.xsd of DDS security 1.1."""
-DOMAIN_RULE = [
-    "domains",
-    "allow_unauthenticated_participants",
-    "enable_join_access_control",
-    "discovery_protection_kind",
-    "liveliness_protection_kind",
-    "rtps_protection_kind",
-    "topic_access_rules",
-]
-TOPIC_RULE = [
-    "topic_expression",
-    "enable_discovery_protection",
-    "enable_liveliness_protection",
-    "enable_read_access_control",
-    "enable_write_access_control",
-    "metadata_protection_kind",
-    "data_protection_kind",
-]
+DOMAIN_RULE = (
+    "domains allow_unauthenticated_participants enable_join_access_control discovery_protection_kind "
+    "liveliness_protection_kind rtps_protection_kind topic_access_rules"
+)
+TOPIC_RULE = (
+    "topic_expression enable_discovery_protection enable_liveliness_protection enable_read_access_control "
+    "enable_write_access_control metadata_protection_kind data_protection_kind"
+)
 """Order of the schema omg_shared_ca_governance.xsd."""
-FILES = {
-    "cert.pem",
-    "key.pem",
-    "governance.p7s",
-    "identity_ca.cert.pem",
-    "permissions_ca.cert.pem",
-    "permissions.p7s",
-    "permissions.xml",
-}
+FILES = "cert.pem key.pem governance.p7s identity_ca.cert.pem permissions_ca.cert.pem permissions.p7s permissions.xml"
 """What the security plugins of rmw look for in an enclave, and the unsigned document."""
 
 
@@ -69,7 +51,7 @@ def enclaves(store):
 
 def test_each_enclave_has_the_files_of_sros2_and_only_the_owner_can_read_keys(store):
     for place in enclaves(store):
-        assert {file.name for file in place.iterdir()} == FILES
+        assert {file.name for file in place.iterdir()} == set(FILES.split())
         assert all(file.resolve(strict=True).is_file() for file in place.iterdir())
     assert stat.S_IMODE(store.stat().st_mode) == 0o700
     assert {stat.S_IMODE(file.stat().st_mode) for file in store.rglob("*key.pem")} == {0o600}
@@ -116,7 +98,7 @@ def test_permissions_have_the_elements_of_the_standard_in_their_order(store):
         assert root.tag == "dds" and tags(root) == ["permissions"]
         (grant,) = root.find("permissions")
         assert grant.get("name") == grant.findtext("subject_name").removeprefix("CN=") == f"{SPACE}/{name}"
-        assert tags(grant) == GRANT and tags(grant.find("validity")) == ["not_before", "not_after"]
+        assert tags(grant) == GRANT.split() and tags(grant.find("validity")) == ["not_before", "not_after"]
         for time in grant.find("validity"):
             datetime.datetime.strptime(time.text, "%Y-%m-%dT%H:%M:%S")
         rule = grant.find("allow_rule")
@@ -129,11 +111,11 @@ def test_permissions_have_the_elements_of_the_standard_in_their_order(store):
 def test_governance_lets_nobody_in_without_a_certificate(store):
     root = ElementTree.parse(store / "enclaves/governance.xml").getroot()
     (rule,) = root.find("domain_access_rules")
-    assert tags(rule) == DOMAIN_RULE
+    assert tags(rule) == DOMAIN_RULE.split()
     assert rule.findtext("allow_unauthenticated_participants") == "false"
     assert {rule.findtext(f"{kind}_protection_kind") for kind in ("discovery", "liveliness", "rtps")} == {"ENCRYPT"}
     (topic,) = rule.find("topic_access_rules")
-    assert tags(topic) == TOPIC_RULE
+    assert tags(topic) == TOPIC_RULE.split()
     assert topic.findtext("enable_write_access_control") == topic.findtext("enable_read_access_control") == "true"
 
 

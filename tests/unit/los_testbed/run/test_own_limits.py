@@ -1,9 +1,10 @@
-"""The limits of a user's telescope judge its runs: table, page, JSON, bag and campaign."""
+"""The limits and windows of a user's telescope judge its runs: table, page, JSON, bag, campaign, star and replay."""
 
 from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,6 +20,8 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from support.requirement_outputs import page_rows, screen_rows
 
+from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.summary import METADATA, summarise
@@ -116,3 +119,46 @@ def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest
     other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)
     assert not is_older(other) and with_requirements(other) is other
     assert REMARK.startswith("the bag holds no requirements")
+
+
+WINDOW = 0.05
+
+MISSION = """replace = ["requirement"]
+[[requirement]]
+name = "APE"
+text = "prob(|APE| < 10 arcsec) >= 0.95 at 95 % confidence"
+[[requirement]]
+name = "RPE, mirror"
+text = "prob(rms RPE(50 ms) < 900 mas) >= 0.9999 at 95 % confidence"
+loop = ["fsm"]
+[[requirement]]
+name = "RPE, all"
+text = "prob(rms RPE(50 ms) < 400 mas) >= 0.9999 at 95 % confidence"
+loop = ["fsm+pma"]
+"""
+
+
+@pytest.mark.further
+def test_run_star_replay_and_campaign_have_the_window_of_the_mission(
+    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
+    file = tmp_path / "mission.toml"
+    file.write_text(MISSION)
+    settings = ("--parameters", file, "--loop", "fsm+pma", "--scenario", "none", "--duration", 3)
+    code, out, err = call("run", "--mode", "inprocess", *settings, "--output", "bag", "--no-report")
+    assert code == 0, err
+    run = Run.open(Path("bag"))
+    summary, error = summarise(run), performance_error(run)
+    sizes = radial(np.sqrt(windows(error.values, error.dt, WINDOW).variance)) / RAD_PER_MAS
+    assert summary.window == WINDOW
+    assert summary.rpe_windows_p997 == pytest.approx(np.quantile(sizes, 0.997, method="higher"))
+    assert summary.star is not None
+    assert summary.star.exposure == WINDOW
+    assert "RKE rms, 50 ms windows" in call("replay", "bag")[1]
+    code, out, err = call("campaign", *settings, "--samples", 2, "--output", "campaign", "--json")
+    assert code == 0, err
+    found = json.loads(out.splitlines()[-1])
+    assert found["window_s"] == WINDOW
+    assert found["metrics"]["rpe_window_p997_mas"]["members"] == 2
+    judged = {verdict["requirement"]: verdict["column"] for verdict in found["verdicts"]}
+    assert judged["RPE, all"] == "rpe_window_p9999_mas"

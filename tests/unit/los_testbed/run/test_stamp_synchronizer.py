@@ -115,12 +115,7 @@ def test_gaps_add_up_and_the_first_tick_and_a_hold_are_none():
     assert synchronizer.gaps == 6
     for i in range(3):
         synchronizer.put(i, sample(HOLD_STAMP, 0.0))
-    assert (synchronizer.gap, synchronizer.gaps, synchronizer.stamp, synchronizer.last) == (
-        0,
-        6,
-        HOLD_STAMP,
-        HOLD_STAMP,
-    )
+    assert (synchronizer.gap, synchronizer.gaps, synchronizer.stamp) == (0, 6, HOLD_STAMP)
     assert complete(synchronizer, 21) is not None and (synchronizer.gap, synchronizer.gaps) == (0, 6)
 
 
@@ -142,13 +137,9 @@ def test_a_message_that_ends_after_its_stamp_is_judged_by_its_stamp_first():
         assert synchronizer.put(0, sample(stamp, 1.0)[:12]) is None
     assert synchronizer.put(0, sample(7 * MS, 1.0)[:11]) is None
     assert dict(synchronizer.rejected) == {"off_grid": 1, "late": 1, "size": 2}
-
-
-def test_a_negative_stamp_is_refused():
-    synchronizer = make()
     before_the_epoch = sample(5 * MS, 1.0)[:4] + (-1).to_bytes(4, "little", signed=True) + sample(5 * MS, 1.0)[8:]
     assert synchronizer.put(0, before_the_epoch) is None
-    assert sum(synchronizer.rejected.values()) == 1 and not synchronizer.waiting
+    assert sum(synchronizer.rejected.values()) == 5 and not synchronizer.waiting
 
 
 def own_time(old="correct", latency_ms=0, every=20):
@@ -199,11 +190,6 @@ def test_irregular_frames_are_counted_by_name_and_said_in_words():
         tick(synchronizer, k)
         if k == 440:
             assert synchronizer.silent() == [(1, 290 * MS)]
-    assert {name: camera.counts[name] for name in ("early", "off_phase", "out_of_order")} == {
-        "early": 1,
-        "off_phase": 2,
-        "out_of_order": 1,
-    }
     (line,) = frames_in_words(camera.statistics())
     assert line == (
         "camera: 19 frames absent, 1 frame early, 2 frames off phase, 1 frame out of order, silent for 0.31 s"

@@ -1,4 +1,4 @@
-"""The table of a run and its JSON object: statistics of the nodes, shares of ticks, lines beside the table."""
+"""The table of a run and its JSON object, and what a row of the stage comparison says of its limits."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary import summary as screen
 from los_testbed.run.summary.summary import missed_share
+from los_testbed.run.summary.worst_case_rows import figure, level, limits_met
 from rich.table import Table
 
+from pointing_analysis.formatting.number_text import ABSENT
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import Summary, summarise
+from pointing_analysis.spectra.tone_budget import ToneBudget
 
 APE = parse("prob(|APE| < 10 arcsec) >= 0.997 at 60 % confidence", "APE")
 JITTER = series(None, 5.0 * np.random.default_rng(0).standard_normal((2000, 2)), unit="mas", rate=1000.0, name="mine")
@@ -114,3 +119,38 @@ def test_lost_samples_are_judged_where_they_are_known(
     other = replace(summary, samples_lost=lost, open_end=open_end)
     cells = rows(screen._table(other, metrics(other)))["samples lost"]
     assert cells == [other.lost_text(lost), "0", "", verdict]
+
+
+OMEGA = 3.0
+
+REQUIREMENTS = RunParts(RunConfig()).telescope.requirements
+
+
+def toned(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
+    budget = ToneBudget(noise, 0.0, fast, 30.0, {}, noise_error)
+    return SimpleNamespace(budget=budget, ape_p997=11.0, rpe_windows_p997=30.0, window=0.02)
+
+
+@pytest.mark.parametrize(
+    ("fast", "noise", "noise_error", "text"),
+    [
+        (17.0, 10.0, 0.3, "meets 100 and 40"),
+        (17.0, 12.0, 0.7, "meets 100, 40 within the scatter"),
+        (17.0, 12.4, 0.1, "meets 100, exceeds 40"),
+        (17.0, 12.4, float("nan"), "meets 100, exceeds 40"),
+        (66.7, 11.2, 0.5, "meets 100, exceeds 40"),
+        (482.0, 11.2, 0.5, "exceeds 100 and 40"),
+    ],
+)
+def test_a_limit_is_kept_or_broken_only_beyond_the_scatter_of_the_noise(
+    fast: float, noise: float, noise_error: float, text: str
+) -> None:
+    assert limits_met(toned(fast, noise, noise_error), "slow", OMEGA, REQUIREMENTS) == text
+
+
+def test_a_record_that_does_not_resolve_its_tone_has_no_level() -> None:
+    """Such a loop has not diverged, and no limit is met or exceeded."""
+    unresolved = toned(float("nan"), float("nan"), float("nan"))
+    assert limits_met(unresolved, "slow", OMEGA, REQUIREMENTS) == "tones not resolved"
+    assert figure(level(unresolved, "slow", OMEGA), "mas") == ABSENT
+    assert figure(level(toned(3.0, 4.0, 0.1), "APE", OMEGA), "arcsec") == "11 arcsec"

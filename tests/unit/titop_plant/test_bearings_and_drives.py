@@ -1,4 +1,4 @@
-"""Array drive with a stepper motor: its joint against equations of motion, its torques against a simulated motor."""
+"""Wheels on bearings and array drives with steppers: equations of motion of their own, a simulated motor."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from lftkit import System
+from lftkit import RealParameter, System
 from titop_plant.blocks.flexible_body import rigid_body
+from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel
 from titop_plant.blocks.revolute_joint import DriveRotor, on_revolute_joint
 from titop_plant.blocks.stepper import Stepper
+from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.disturbances.mechanisms import (
     ON_ARRAY,
     ON_ROTOR,
@@ -74,31 +76,6 @@ def test_the_rotor_by_lagrange() -> None:
         assert np.abs(ours - theirs).max(axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(theirs).max())
 
 
-def test_energy_and_momentum_are_conserved_without_damping() -> None:
-    system, still = joint(replace(ROTOR, damping=0.0), 0.0), 1e-3
-    for w in (0.5, 9.0, 60.0, 700.0):
-        impedance = 1j * w * response(system["wrench_P", "accel_P"], w)
-        assert np.abs(impedance + impedance.conj().T).max() < 1e-9 * np.abs(impedance).max()
-    whole = response(system["wrench_P", "accel_P"], still)[4, 4]
-    assert -whole.real == pytest.approx(INERTIA + ROTOR.inertia, rel=1e-6)
-    inner = response(system["wrench_P", ("joint_torque", "motor_torque")], still)
-    assert np.abs(inner).max() < 1e-6  # a torque inside of the drive moves nothing outside at rest
-
-
-@pytest.mark.parametrize("kind", ["light and held", "light"])
-def test_without_inertia_of_the_rotor_it_is_the_joint_on_springs_in_series(kind: str) -> None:
-    """Held firmly the joint of today; by its own spring that of both springs in series."""
-    stiffness = 1e4 if kind == "light and held" else ROTOR.stiffness
-    light = joint(DriveRotor(1e-8, ROTOR.gear_ratio, stiffness), 0.0)
-    motor = ROTOR.gear_ratio**2 * stiffness
-    array = rigid_body("array", "P", np.diag([60.0, 60.0, 60.0, 400.0, INERTIA, 400.0]))
-    series = on_revolute_joint(array, "P", AXIS, stiffness=GEARBOX * motor / (GEARBOX + motor), damping=0.0)
-    for w in (0.3, 20.0, 60.0):
-        one, two = about_the_axis(light, w), about_the_axis(series, w)
-        np.testing.assert_allclose(one[:, 0], two[:, 0], rtol=1e-6)
-        assert one[0, 1] == pytest.approx(two[0, 1], rel=1e-6)
-
-
 def simulated(motor: Stepper, count: int = 200_000) -> np.ndarray:
     """Torque over one electrical cycle by the currents in the windings, sample by sample."""
     x = (np.arange(count) + 0.5) * 2.0 * math.pi / count
@@ -130,25 +107,6 @@ def test_harmonics_are_those_of_a_simulated_motor() -> None:
         expected = 2j * np.mean(torque * np.exp(-1j * h * x))
         assert abs(a - expected) < 1e-6 * IMPERFECT.holding_torque, h
     assert {1.0, 2.0, 4.0, 12.0, 14.0, 16.0, 20.0, 32.0} <= set(order)
-
-
-@pytest.mark.parametrize(
-    ("error", "order", "size"),
-    [
-        ({"current_offset": 0.01}, 1.0, math.sqrt(2.0) * 0.01),
-        ({"gain_mismatch": 0.02}, 2.0, 0.01),
-        ({"quadrature_error": 0.02}, 2.0, 0.01),
-        ({"third_harmonic": 0.01}, 4.0, 0.01),
-        ({"detent_torque": 0.004}, 4.0, 0.01),
-        ({}, 64.0, 1.0 / 64.0 * 2.0),
-    ],
-)
-def test_each_imperfection_has_its_order(error: dict[str, float], order: float, size: float) -> None:
-    """To first order, for a holding torque of 0.4 Nm; the rounding to 16 micro-steps is a sawtooth of 4 x 16."""
-    found, amplitude = replace(PERFECT, **error).torque_harmonics(64)
-    chosen = {h: abs(a) / 0.4 for h, a in zip(found, amplitude) if abs(a) > 1e-3 * 0.4 * size}
-    assert chosen[order] == pytest.approx(size, rel=2e-2)
-    assert max(chosen, key=lambda h: chosen[h] if h < 62 or not error else 0.0) == order
 
 
 def test_tones_follow_the_rate_of_the_array() -> None:
@@ -213,3 +171,77 @@ def test_torques_and_noise_are_in_no_design() -> None:
     plain, noisy, other = load_telescope(), with_mechanisms(), with_mechanisms(detent_torque=0.01, rate=2e-3)
     assert noisy.parameters_hash == other.parameters_hash != plain.parameters_hash
     assert noisy.without_steppers().parameters_hash == plain.parameters_hash
+
+
+MASS, AXIAL, RADIAL = 1.0, 0.096, 0.05
+
+ROTOR_MASS, TILTING = 0.8, 0.045
+
+SPRINGS = {"radial_stiffness": 1.5e6, "axial_stiffness": 1.0e6, "rocking_stiffness": 6.0e3}
+
+DAMPERS = {"radial_damping": 30.0, "axial_damping": 20.0, "rocking_damping": 0.3}
+
+SPEED = RealParameter("speed", 0.0, -1000.0, 1000.0)
+
+OMEGA = np.array([3.0, 120.0, 365.0, 900.0, 1370.0, 4000.0])
+
+
+def wheel(speed: RealParameter = SPEED, **bearing: float) -> System:
+    return reaction_wheel(ReactionWheel(MASS, AXIAL, RADIAL, WheelBearing(ROTOR_MASS, TILTING, **bearing)), speed)
+
+
+def wheel_response(system: System, w: float) -> np.ndarray:
+    """From acceleration (6), motor and load (5) to wrench and Omega', the rate of the base being the integral."""
+    A, B, C, D = system.matrices
+    found = C @ linalg.solve(1j * w * np.eye(len(A)) - A, B.astype(complex)) + D
+    found[:, 3:6] += found[:, 6:9] / (1j * w)
+    return np.delete(found, [6, 7, 8], axis=1)
+
+
+def newton_euler(w: float, spin: float, springs: dict[str, float], dampers: dict[str, float]) -> np.ndarray:
+    """The same by the momentum of two bodies: unknown is the absolute acceleration of the rotor (x, y, z, x, y)."""
+    s, kinds = 1j * w, ("radial", "radial", "axial", "rocking", "rocking")
+    stiffness, damping = (
+        np.array([of[f"{kind}_{what}"] for kind in kinds])
+        for of, what in ((springs, "stiffness"), (dampers, "damping"))
+    )
+    bearing = (stiffness + s * damping) / s**2  # force on the rotor for each unit of relative acceleration
+    rotor = np.diag([ROTOR_MASS] * 3 + [TILTING] * 2).astype(complex)
+    rotor[3, 4], rotor[4, 3] = AXIAL * spin / s, -AXIAL * spin / s  # the spin's momentum tilts with the rotor
+    housing = np.diag([MASS - ROTOR_MASS] * 3 + [RADIAL - TILTING] * 2)
+    found = np.zeros((7, 12), complex)
+    moved, loaded = np.hstack([np.eye(5), np.zeros((5, 7))]), np.hstack([np.zeros((5, 7)), np.eye(5)])
+    motion = linalg.solve(rotor + np.diag(bearing), loaded + np.diag(bearing) @ moved)
+    found[:5] = np.diag(bearing) @ (motion - moved) - housing @ moved
+    found[5, 6], found[6, 6], found[6, 5] = 1.0, -1.0 / AXIAL, -1.0
+    return found
+
+
+@pytest.mark.parametrize("nominal", [0.0, 150.0])
+def test_two_bodies_by_newton_and_euler(nominal: float) -> None:
+    system = wheel(RealParameter("speed", nominal, -1000.0, 1000.0), **SPRINGS, **DAMPERS)
+    for spin in (0.0, 230.0, -870.0):
+        for w in OMEGA:
+            ours, theirs = wheel_response(system.at({"speed": spin}), w), newton_euler(w, spin, SPRINGS, DAMPERS)
+            assert np.abs(ours - theirs).max() < 1e-10 * np.abs(theirs).max()
+
+
+def test_whirl_modes_split_with_the_speed() -> None:
+    """Backward and forward whirl of a symmetric rotor on springs; the other modes stay; one pair at rest."""
+    system, rocking = wheel(**SPRINGS), SPRINGS["rocking_stiffness"] / TILTING
+    others = [np.sqrt(SPRINGS[f"{kind}_stiffness"] / ROTOR_MASS) for kind in ("axial", "radial", "radial")]
+    for spin in (0.0, 40.0, -400.0, 1000.0):
+        half = abs(spin) * AXIAL / (2.0 * TILTING)
+        whirl = [sign * half + np.hypot(half, np.sqrt(rocking)) for sign in (-1.0, 1.0)]
+        found = np.sort(linalg.eigvals(system.at({"speed": spin}).A).imag)[5:]
+        np.testing.assert_allclose(found, np.sort([*whirl, *others]), rtol=1e-7)
+        assert (whirl[0] < whirl[1]) == (spin != 0.0)
+
+
+def test_directions_without_stiffness_are_rigid() -> None:
+    partly, rigid = (
+        wheel(axial_stiffness=1e6).at({"speed": 300.0}),
+        reaction_wheel(ReactionWheel(MASS, AXIAL, RADIAL), SPEED).at({"speed": 300.0}),
+    )
+    rest = np.array([0, 1, 3, 4, 5, 6])
+    np.testing.assert_allclose(wheel_response(partly, 90.0)[rest], wheel_response(rigid, 90.0)[rest], atol=1e-12)

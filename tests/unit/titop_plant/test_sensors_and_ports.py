@@ -1,14 +1,17 @@
-"""Rows of the loop: what is known of all of them whatever a telescope's file adds."""
+"""Rows of the loop, sensors and the guide camera: order, noise, bias, frames, low-pass, what a file adds."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lftkit.systems.ports import Port
-from titop_plant.interface import COMMAND_PORTS, COMMANDED, MEASURED_PORTS
+from titop_plant.interface import ACCELEROMETERS, COLUMNS, COMMAND_PORTS, COMMANDED, MEASURED, MEASURED_PORTS
+from titop_plant.telescope.guide_camera import exposure_low_pass
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT, LoopPorts
 
@@ -43,12 +46,6 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
     file = tmp_path_factory.mktemp("telescope") / "own.toml"
     file.write_text(OWN)
     return load_telescope(file).loop_ports
-
-
-def test_idle_devices_are_named_in_the_plural_where_there_are_several(own: LoopPorts) -> None:
-    left = own.idle(["shaker", "damper"])
-    assert left == "controllers and predictions do not use sensors on_m1, at_root of the telescope's file"
-    assert "use sensor at_root and actuators shaker, damper of" in own.idle(["on_m1"])
 
 
 def test_a_telescope_without_further_sensors_is_told() -> None:
@@ -111,3 +108,80 @@ def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPo
     found = own.among(given.inputs, given.outputs)
     assert [port.name for port in found.further] == ["on_m1", "at_root", "damper", "shaker"]
     assert found.commands == own.commands and not own.among((), ()).further
+
+
+REFERENCE = load_telescope()
+
+
+def user(folder: Path, text: str) -> str:
+    file = folder / "user.toml"
+    file.write_text(text, "utf-8")
+    return str(file)
+
+
+@pytest.mark.parametrize(("exposure", "delay", "ratio"), [(0.02, 0.0, 16), (0.02, 0.002, 8), (0.005, 0.02, 8)])
+def test_the_low_pass_is_the_exposure_up_to_the_second_order(exposure: float, delay: float, ratio: float) -> None:
+    """At half of the frequency an eighth of the difference to the exposure; without delay it is one order higher."""
+    c0, c1, c2 = exposure_low_pass(exposure, delay)
+    omega = np.array([2.0, 1.0]) / (exposure + delay) / 10.0
+    s = 1j * omega
+    exact = np.exp(-s * delay) * (1.0 - np.exp(-s * exposure)) / (s * exposure)
+    error = np.abs(c0 / (s**2 + c1 * s + c2) - exact)
+    assert 1e-9 < error[1] < 1e-3
+    assert error[0] / error[1] == pytest.approx(ratio, rel=0.05)
+
+
+def test_the_vector_camera_and_its_designs_are_as_they_were(tmp_path: Path) -> None:
+    """The table of the guide camera counts only where low-pass and noise follow from it."""
+    own = load_telescope(user(tmp_path, "[camera]\nmagnitude = 9.0\nexposure = 0.01\n"))
+    assert own.camera.magnitude == 9.0 and not own.takes_images
+    assert own.parameters_hash == REFERENCE.parameters_hash
+    assert own.to_mapping()["sensors"] == REFERENCE.to_mapping()["sensors"]
+
+
+def test_a_star_makes_low_pass_and_noise(tmp_path: Path) -> None:
+    values = {}
+    for magnitude in (10.0, 12.0, 14.0):
+        text = f'[sensors]\ncamera = "magnitude"\n[camera]\nmagnitude = {magnitude}\n'
+        values[magnitude] = load_telescope(user(tmp_path, text))
+    sensors = [own.to_mapping()["sensors"] for own in values.values()]
+    assert all(tuple(s["camera_filter"]) == exposure_low_pass(0.02, 0.002) for s in sensors)
+    noise = [s["camera_noise"] for s in sensors]
+    # a bright star: the noise of its photons alone, so the root of their number; a faint one has more
+    assert noise[1] / noise[0] > 10.0**0.4 and noise[2] / noise[1] > noise[1] / noise[0]
+    hashes = {own.parameters_hash for own in values.values()} | {REFERENCE.parameters_hash}
+    assert len(hashes) == 4
+
+
+TABLE: dict[str, Any] = {
+    "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
+    "accelerometer_bias": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+    "camera_noise": 2e-3,
+    "strain_gauge_noise": 5e-2,
+    "washout": 0.7,
+}
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    return load_telescope().changed({"sensors": TABLE})
+
+
+def test_each_port_has_its_own_values_in_the_order_of_the_measurement(sensed) -> None:
+    found = sensed.sensors
+    assert tuple(sensor.port.name for sensor in found) == MEASURED
+    noise, bias = sensed.loop_ports.reference.noise, sensed.loop_ports.reference.bias
+    for sensor in found:
+        part, name = COLUMNS[sensor.port.name], sensor.port.name
+        accelerometer = name in ACCELEROMETERS
+        assert (sensor.framed, sensor.washout) == (name == "camera_los", 0.7 if accelerometer else 0.0)
+        kind = {"camera_los": 2e-3, "fsm_angle": 5e-2}.get(name, TABLE["accelerometer_noise"])
+        assert np.array_equal(noise[part], np.broadcast_to(kind, sensor.port.size))
+        assert np.array_equal(bias[part], TABLE["accelerometer_bias"] if accelerometer else np.zeros(2))
+
+
+def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(sensed) -> None:
+    """The mean of the samples of a frame's ticks has the frame's noise."""
+    ratio = sensed.loop_ports.reference.noise_of_ticks(25) / sensed.loop_ports.reference.noise
+    assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
+    assert np.sum(ratio != 1.0) == 2
