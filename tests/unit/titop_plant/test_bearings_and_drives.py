@@ -245,3 +245,38 @@ def test_directions_without_stiffness_are_rigid() -> None:
     )
     rest = np.array([0, 1, 3, 4, 5, 6])
     np.testing.assert_allclose(wheel_response(partly, 90.0)[rest], wheel_response(rigid, 90.0)[rest], atol=1e-12)
+
+
+def test_energy_and_momentum_are_conserved_without_damping() -> None:
+    system, still = joint(replace(ROTOR, damping=0.0), 0.0), 1e-3
+    for w in (0.5, 9.0, 60.0, 700.0):
+        impedance = 1j * w * response(system["wrench_P", "accel_P"], w)
+        assert np.abs(impedance + impedance.conj().T).max() < 1e-9 * np.abs(impedance).max()
+    whole = response(system["wrench_P", "accel_P"], still)[4, 4]
+    assert -whole.real == pytest.approx(INERTIA + ROTOR.inertia, rel=1e-6)
+    inner = response(system["wrench_P", ("joint_torque", "motor_torque")], still)
+    assert np.abs(inner).max() < 1e-6  # a torque inside of the drive moves nothing outside at rest
+
+
+@pytest.mark.parametrize("kind", ["light and held", "light"])
+def test_without_inertia_of_the_rotor_it_is_the_joint_on_springs_in_series(kind: str) -> None:
+    """Held firmly the joint of today; by its own spring that of both springs in series."""
+    stiffness = 1e4 if kind == "light and held" else ROTOR.stiffness
+    light = joint(DriveRotor(1e-8, ROTOR.gear_ratio, stiffness), 0.0)
+    motor = ROTOR.gear_ratio**2 * stiffness
+    array = rigid_body("array", "P", np.diag([60.0, 60.0, 60.0, 400.0, INERTIA, 400.0]))
+    series = on_revolute_joint(array, "P", AXIS, stiffness=GEARBOX * motor / (GEARBOX + motor), damping=0.0)
+    for w in (0.3, 20.0, 60.0):
+        one, two = about_the_axis(light, w), about_the_axis(series, w)
+        np.testing.assert_allclose(one[:, 0], two[:, 0], rtol=1e-6)
+        assert one[0, 1] == pytest.approx(two[0, 1], rel=1e-6)
+
+
+def test_a_stiff_bearing_is_the_rigid_wheel() -> None:
+    rigid = reaction_wheel(ReactionWheel(MASS, AXIAL, RADIAL), SPEED)
+    errors = []
+    for stiff in (1e10, 1e12):
+        system = wheel(radial_stiffness=stiff, axial_stiffness=stiff, rocking_stiffness=stiff)
+        at = [(response(one.at({"speed": 640.0}), 700.0)) for one in (system, rigid)]
+        errors.append(np.abs(at[0] - at[1]).max() / np.abs(at[1]).max())
+    assert errors[0] < 1e-3 and errors[1] == pytest.approx(1e-2 * errors[0], rel=0.05)

@@ -17,9 +17,11 @@ from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator, actuated_platform, isolator
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
 from titop_plant.blocks.reaction_wheel import (
+    MountedWheel,
     ReactionWheel,
     reaction_wheel,
     spin_frame,
+    wheel_assembly,
 )
 from titop_plant.blocks.revolute_joint import on_revolute_joint
 from titop_plant.blocks.rotation import rotation_matrix, turned
@@ -228,3 +230,34 @@ def test_wheel_equals_newton_and_euler(speed: float, nominal: float) -> None:
         ("imbalance", 5),
     ]
     assert [(p.name, p.size) for p in wheel.outputs] == [("wrench_G", 6), ("wheel_accel", 1)]
+
+
+def test_assembly_is_the_sum_of_its_wheels() -> None:
+    """Two wheels with lever arms and axes of their own, moved from frame to frame by hand."""
+    data = [ReactionWheel(3.5, 0.096, 0.047), ReactionWheel(2.0, 0.05, 0.03)]
+    axes = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 1.0]])
+    positions = np.array([[0.3, -0.2, 0.1], [-0.4, 0.5, 0.2]])
+    speeds = [120.0, -300.0]
+    block = wheel_assembly(
+        [
+            MountedWheel(d, axis, r, RealParameter(f"wheel_{i + 1}.speed", 0.0, -1000.0, 1000.0))
+            for i, (d, axis, r) in enumerate(zip(data, axes, positions))
+        ]
+    )
+    assert block.occurrences() == {"wheel_1.speed": 2, "wheel_2.speed": 2}
+    rng = np.random.default_rng(4)
+    a, omega_dot, omega, u, w = (rng.standard_normal(n) for n in (3, 3, 3, 2, 10))
+    force, torque, spin = np.zeros(3), np.zeros(3), np.zeros(2)
+    for i, (d, axis, r) in enumerate(zip(data, axes, positions)):
+        R = spin_frame(axis)
+        acceleration, turning, rate = R @ (a + np.cross(omega_dot, r)), R @ omega_dot, R @ omega
+        f = -d.mass * acceleration + w[5 * i : 5 * i + 3]
+        t = np.r_[-d.radial_inertia * turning[:2] + w[5 * i + 3 : 5 * i + 5], u[i]]
+        t -= d.axial_inertia * speeds[i] * np.array([rate[1], -rate[0], 0.0])
+        force += R.T @ f
+        torque += R.T @ t + np.cross(r, R.T @ f)
+        spin[i] = -u[i] / d.axial_inertia - turning[2]
+    values = {f"wheel_{i + 1}.speed": s for i, s in enumerate(speeds)}
+    out = block.at(values).D @ np.r_[a, omega_dot, omega, u, w]
+    np.testing.assert_allclose(out, np.r_[force, torque, spin], rtol=1e-10, atol=1e-12)
+    assert [p.size for p in block.inputs] == [6, 3, 2, 10] and [p.size for p in block.outputs] == [6, 2]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, signal
 
 from lftkit import Port
 from lftkit.analysis.frequency_response import frequency_response
@@ -22,7 +22,7 @@ from titop_plant.simulation.driven_plant import (
 )
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
     held_commands,
@@ -30,6 +30,7 @@ from titop_plant.telescope.control_plant import (
     with_sensors,
 )
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import weight_amplitudes
 
 QUIET = PlantConfig(noise=False, disturbance=False)
@@ -243,3 +244,43 @@ def test_a_held_frame_is_as_old_as_the_mean_of_its_ticks() -> None:
         mean = np.mean(np.exp(-1j * omega * DT * np.arange(20)))
         phase = np.angle(frequency_response(hold, [omega])[0][0, 0])
         assert phase == pytest.approx(np.angle(mean), rel=1e-3)
+
+
+def test_energy_of_the_undamped_telescope_is_conserved() -> None:
+    """Without damping and attitude law the sampled motion keeps the energy of the second-order model."""
+    tables = load_telescope().to_mapping()
+    for name, key in (
+        ("body", "damping"),
+        ("payload", "damping"),
+        ("solar_array", "damping"),
+        ("sadm", "gearbox_damping"),
+        ("fsm", "damping"),
+        ("pma", "damping"),
+    ):
+        tables[name][key] = 0.0
+    tables["isolator"]["damping"] = [0.0] * 6
+    free = build_telescope(Telescope(tables), attitude_controlled=False).system
+    data = free.select(inputs=(*COMMANDED, *DISTURBANCES)).at({})
+    poles = linalg.eigvals(data.A)
+    moving = np.abs(poles) > 0.1
+    assert np.max(np.abs(poles[moving].real) / np.abs(poles[moving])) < 1e-9
+    n = len(data.A)
+    flow = linalg.expm(data.A * DT)
+    start = np.random.default_rng(0).standard_normal(n)
+    # An energy is a quadratic form that the motion conserves: amplitude of every mode stays what it was.
+    values, vectors = linalg.eig(data.A)
+    amplitude = np.linalg.solve(vectors, start)[np.abs(values) > 0.1]
+    state = np.linalg.matrix_power(flow, 10000) @ start
+    later = np.linalg.solve(vectors, state)[np.abs(values) > 0.1]
+    assert np.max(np.abs(np.abs(later) - np.abs(amplitude)) / np.abs(amplitude).max()) < 1e-6
+
+
+def test_commands_are_held_step_equals_dlsim() -> None:
+    rng = np.random.default_rng(0)
+    commands = np.hstack([1e-3 * rng.standard_normal((300, 2)), rng.standard_normal((300, 6))])
+    measured, truth = run(replace(QUIET, camera_rate=1000.0), commands)
+    data = plant_data(QUIET)
+    Ad, Bd, C, D, _ = signal.cont2discrete((data.A, data.B[:, :8], data.C, data.D[:, :8]), DT)
+    _, expected, _ = signal.dlsim((Ad, Bd, C, D, DT), commands)
+    size = np.abs(expected).max(axis=0)
+    assert np.max(np.abs(np.hstack([measured, truth]) - expected) / size) < 1e-8

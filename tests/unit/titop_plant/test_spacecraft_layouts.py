@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from oracles import any_spacecraft as oracle
 from oracles.accurate_response import accurate_response
-from oracles.kinematic_elimination import about_point, index_slices, turn
+from oracles.kinematic_elimination import about_point, carry, index_slices, turn
+from scipy import linalg
 
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.load import load_telescope
@@ -206,3 +207,42 @@ def test_a_list_of_the_reference_arrays_is_the_reference(tmp_path: Path) -> None
     assert one.parameters == two.parameters and one.inputs == two.inputs
     for name in "ABCD":
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_mass_and_inertia_are_the_sum_with_parallel_axes(case: Any) -> None:
+    """Rigid motion of the free spacecraft at 1e-4 rad/s, the rotors free about their axes."""
+    p, (body, payload) = case.telescope.to_mapping(), case.assembled.bodies[:2]
+    at = {child.name: child.position - body.parent_position for child in body.children}
+    parts = [body.mass_matrix]
+    for wheel in wheels_of(case.layout, {}):
+        axis = np.asarray(wheel.axis) / np.linalg.norm(wheel.axis)
+        disc = wheel.radial * (np.eye(3) - np.outer(axis, axis))
+        parts.append(moved(linalg.block_diag(wheel.mass * np.eye(3), disc), at["I_w"] + wheel.position))
+    for one in mounted_of(case.layout, {}):
+        frame = np.asarray(one.dcm) @ turn(one.axis, one.angle).T
+        twice = linalg.block_diag(frame, frame)
+        parts.append(moved(twice.T @ one.modes.mass_matrix @ twice, at[one.point]))
+    platform = about_point(*(p["isolator"][k] for k in ("mass", "inertia_at_cg", "center_of_mass")))
+    fsm, mirror = p["fsm"], next(c for c in payload.children if c.name == "I_f").position
+    platform = platform + payload.mass_matrix + moved(np.diag([fsm["mass"]] * 3 + fsm["inertia"]), mirror)
+    casing = np.diag(p["pma"]["inertia"])
+    for azimuth in np.radians(p["pma"]["azimuths_deg"]):
+        radial, up = np.array([math.cos(azimuth), math.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
+        tangent = np.cross(up, radial)
+        for frame in (np.array([radial, tangent, up]), np.array([up, radial, tangent])):
+            each = p["pma"]["casing_mass"] + p["pma"]["moving_mass"]
+            actuator = linalg.block_diag(each * np.eye(3), frame.T @ casing @ frame)
+            platform = platform + moved(actuator, p["pma"]["mounting_radius"] * radial)
+    total = sum(parts) + moved(platform, at["I_p"])
+    free = build_telescope(case.telescope, attitude_controlled=False).system["accel_G", "external_wrench"].at({})
+    gain = accurate_response(free.A, free.B, free.C, free.D, [1e-4])[0].real
+    scale = np.sqrt(np.diag(total))
+    difference = (linalg.inv(gain) - total) / np.outer(scale, scale)
+    assert np.abs(difference).max() < 1e-6
+    assert linalg.inv(gain)[0, 0] == pytest.approx(total[0, 0], rel=1e-7)
+
+
+def moved(mass: np.ndarray, lever: Any) -> np.ndarray:
+    """Mass matrix at the point that a body hangs on by a rigid lever."""
+    arm = carry(np.asarray(lever))
+    return arm.T @ mass @ arm

@@ -17,7 +17,7 @@ from lftkit.systems.minimal import minimal_realisation
 from los_loop.continuous_loop import continuous_open_loop
 from titop_plant.disturbances.responses import DRIVES, WHEELS, disturbance_responses
 from titop_plant.structures import smallest_residual_fraction
-from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
@@ -192,3 +192,17 @@ def test_the_open_loop_needs_more_than_the_mirror_by_what_the_pairs_of_figures_s
     assert size[0] / ARCSEC == pytest.approx(116.4, abs=0.1)
     assert (size[0] - reach) / limit == pytest.approx(0.7115, rel=0.02)
     assert (size.max() - reach) / limit == pytest.approx(0.9857, rel=0.02)
+
+
+def test_lft_sampled_equals_the_telescope_rebuilt(system, telescope) -> None:
+    """New nominal values in the parameter file give the same model as Delta at these values."""
+    w1, w2 = 0.743 * 1.03, 2.65 * 0.96
+    rebuilt = build_telescope(telescope.changed({"solar_array": {"frequencies": [w1, w2]}})).system
+    # the attitude law uses the inertia of the nominal telescope, which does not depend on the frequencies
+    values = {"wheel_2.speed": 700.0, "solar_array.tau": 0.6}
+    omega = np.geomspace(1e-2, 3e3, 25)
+    both = {**values, "solar_array.omega_1": w1, "solar_array.omega_2": w2}
+    one = frequency_response(system["los", "wheel_imbalance"].at(both), omega, tolerance=1e-11)
+    two = frequency_response(rebuilt["los", "wheel_imbalance"].at(values), omega, tolerance=1e-11)
+    size = np.sqrt(np.sum(np.abs(two) ** 2, axis=(1, 2)))
+    assert np.max(np.sqrt(np.sum(np.abs(one - two) ** 2, axis=(1, 2))) / size) < 1e-9

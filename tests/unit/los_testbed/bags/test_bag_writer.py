@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -152,3 +153,11 @@ def test_its_controllers_give_its_commands_again() -> None:
         scale = np.abs(run[difference.topic].values).max()
         assert difference.missing == 0
         assert difference.largest <= 1e-9 * scale
+
+
+def test_a_bag_is_never_overwritten(bag):
+    path, _, _ = bag
+    before = zlib.crc32((path / "a_0.mcap").read_bytes())
+    with pytest.raises(ValueError, match="exists already"):
+        BagWriter(path, {})
+    assert zlib.crc32((path / "a_0.mcap").read_bytes()) == before

@@ -12,6 +12,7 @@ import pytest
 from command_line import CommandLine, refused
 from los_testbed.cli.analysis.recordings import require_different
 from los_testbed.cli.environment import TRACEBACK
+from los_testbed.cli.run import configure
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
@@ -153,3 +154,9 @@ def test_compressed_bags_are_compared_by_their_content(tmp_path: Path) -> None:
     require_different(bags[:2])
     with pytest.raises(ValueError, match=r"c, which is the same as .*a$"):
         require_different(bags)
+
+
+def test_options_beat_settings_which_beat_the_file(run):
+    (run.files / "run.yaml").write_text("duration: 4.0\nseed: 5\nloop: fsm\n")
+    config = configure(run.files / "run.yaml", ["seed=6", "theta=0.5"], {"loop": "isolator", "seed": None})
+    assert (config.duration, config.seed, config.loop, config.theta) == (4.0, 6, "isolator", 0.5)

@@ -10,7 +10,7 @@ from los_testbed.parts.run_parts import build_controller
 from los_testbed.run.change_requests import SHOWN, requested
 from los_testbed.run.loop.changes import NAMES, Changes, parse_change
 
-from fsm_pma_controller.fade import FADE_TICKS
+from fsm_pma_controller.fade import FADE_TICKS, Fade
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
@@ -166,3 +166,16 @@ def test_requests_are_told_in_order_of_time_with_their_senders():
 def test_what_is_no_list_of_changes_is_left_out(text):
     assert requested(SimpleNamespace(parameters={"statistics": {"plant": {"changes": text}}})) == ()
     assert requested(SimpleNamespace(parameters={"statistics": text})) == ()
+
+
+def test_a_fade_is_smooth_both_ways_and_can_turn_round():
+    fade = Fade(20)
+    assert fade.whole
+    fade.turn(False)
+    down = [fade.weight() for _ in range(12)]
+    fade.turn(True)
+    up = [fade.weight() for _ in range(12)]
+    assert fade.whole
+    weights = np.array([1.0, *down, *up])
+    assert np.abs(np.diff(weights)).max() <= np.pi / 40
+    assert down == sorted(down, reverse=True) and up == sorted(up)
