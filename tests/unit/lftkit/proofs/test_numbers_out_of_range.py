@@ -7,7 +7,6 @@ the proof it is made of.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpmath import mp
+from support.forged_proofs import forged
 from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
@@ -23,7 +23,6 @@ from lftkit.proofs import BoundOptions, ProofError, check_mu, check_proof, mu, r
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, positive
-from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof, window_power
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, reciprocal, span, weighted_share
 from lftkit.proofs.trusted.proof import Strip
@@ -189,18 +188,18 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path] if isinstance(value, (int, float)) else []
 
 
+def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
+    def put(found: dict[str, Any]) -> None:
+        for path, value in change.items():
+            entry(found, path[:-1])[path[-1]] = value
+
+    return forged(content, put)
+
+
 def entry(content: Any, path: tuple[Any, ...]) -> Any:
     for key in path:
         content = content[key]
     return content
-
-
-def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
-    found = copy.deepcopy(content)
-    for path, value in change.items():
-        entry(found, path[:-1])[path[-1]] = value
-    found["sha256"] = digest(found)
-    return found
 
 
 @pytest.mark.parametrize("power", POWERS)
