@@ -176,24 +176,6 @@ def test_numbers_of_numpy_are_numbers_of_a_file() -> None:
     assert back.dt == 0.5 and back.elements == elements and (lk.s ** np.int64(2))(2.0) == 4.0  # type: ignore[operator]
 
 
-@pytest.mark.parametrize(
-    ("made", "message"),
-    [
-        (lambda: Port("u", 2.5), "size of port 'u' must be an integer, got 2.5"),
-        (lambda: Port("u", "2"), "size of port 'u' must be an integer, got '2'"),
-        (lambda: Port(3, 1), "name of a port must be text, got 3"),
-        (lambda: System([], [], [], [[1.0]], ["u"], ["y"]), r"a port must be a Port or \(name, size\), got 'u'"),
-        (lambda: System([], [], [], [[1.0]], [("u", 1)], [("y", 1)], dt="0.1"), "dt must be a finite real number"),
-        (lambda: RealParameter("k", "1", 0.0, 2.0), "'k': nominal must be a finite real number, got '1'"),
-        (lambda: ComplexParameter("c", 1j, 2.0), "'c': nominal must be a finite real number, got 1j"),
-        (lambda: DynamicElement("d", 1.5), "'d': outputs must be an integer, got 1.5"),
-    ],
-)
-def test_sizes_and_numbers_of_another_kind_are_named(made: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        made()
-
-
 def test_complex_coefficients_of_scipy_are_refused() -> None:
     one, none = np.array([[1.0]]), np.array([[0.0]])
     fraction: Any = signal.TransferFunction
@@ -227,6 +209,8 @@ def test_complex_coefficients_of_scipy_are_refused() -> None:
 def test_zeros_and_poles_of_scipy_stay_where_they_are(given: Any, dt: float) -> None:
     """By the coefficients of a fraction twelve poles at 0.98 came back at up to 1.08, an unstable system."""
     zeros, poles, gain = given
+    with pytest.raises(lk.InputError, match=r"^zeros must be at most as many as poles"):
+        lk.from_scipy(signal.ZerosPolesGain(np.zeros(len(poles) + 1), poles, gain))  # type: ignore[arg-type]
     zpk: Any = signal.ZerosPolesGain
     found = lk.from_scipy(zpk(zeros, poles, gain, **({"dt": dt} if dt else {})))
     at = np.exp(0.1j) if dt else 800.0j
@@ -234,12 +218,6 @@ def test_zeros_and_poles_of_scipy_stay_where_they_are(given: Any, dt: float) -> 
     assert found(at) == pytest.approx(value, rel=1e-10) and found.dt == dt
     expected = np.sort_complex(np.asarray(poles, dtype=complex))
     assert np.allclose(np.sort_complex(found.poles()), expected, rtol=1e-9)
-
-
-def test_more_zeros_than_poles_are_refused() -> None:
-    zpk: Any = signal.ZerosPolesGain
-    with pytest.raises(lk.InputError, match=r"^zeros must be at most as many as poles, got 2 and 1$"):
-        lk.from_scipy(zpk([-1.0, -2.0], [-3.0], 1.0))
 
 
 @pytest.mark.parametrize(
@@ -254,9 +232,10 @@ def test_more_zeros_than_poles_are_refused() -> None:
 def test_what_a_system_here_cannot_have_is_not_dropped(tmp_path: Path, field: str, value: Any, message: str) -> None:
     """Fields of the struct of a whole `ss` object that make it another system; without effect they are taken."""
     plain = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]}
-    io.savemat(tmp_path / "plant.mat", {"P": {**plain, field: value}})
-    with pytest.raises(lk.InputError, match=rf"plant\.mat: P must have {message}".replace("have an", "be an")):
-        lk.read_mat(tmp_path / "plant.mat")
+    for content, name in (({"P": {**plain, field: value}}, "P"), ({**plain, field: value}, "plant")):
+        io.savemat(tmp_path / "plant.mat", content)
+        with pytest.raises(lk.InputError, match=rf"{name} must have {message}".replace("have an", "be an")):
+            lk.read_mat(tmp_path / "plant.mat")
     none = {"E": [[1.0]], "InputDelay": [[0.0]], "OutputDelay": [], "TimeUnit": "seconds"}
     io.savemat(tmp_path / "plant.mat", {"P": {**plain, **none}})
     assert lk.read_mat(tmp_path / "plant.mat").poles() == [-1.0]

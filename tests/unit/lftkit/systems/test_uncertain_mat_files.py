@@ -119,12 +119,3 @@ def test_units_go_with_the_names_of_the_signals(tmp_path: Path) -> None:
     io.savemat(tmp_path / "p.mat", {"P": {**gain, "InputName": names, "InputUnit": units[:2]}})
     with pytest.raises(InputError, match="InputUnit must have 3 units, got 2"):
         read_mat(tmp_path / "p.mat")
-
-
-@pytest.mark.parametrize(("field", "value"), [("E", [[2.0]]), ("TimeUnit", "minutes"), ("InputDelay", 0.1)])
-def test_what_would_be_lost_is_refused_beside_bare_matrices(tmp_path: Path, field: str, value: Any) -> None:
-    """As in a struct: without it the matrices are another system."""
-    matrices = dict(zip("ABCD", np.ones((4, 1, 1))))
-    io.savemat(tmp_path / "p.mat", {**matrices, field: value})
-    with pytest.raises(InputError, match=r"p must (have|be)"):
-        read_mat(tmp_path / "p.mat")
