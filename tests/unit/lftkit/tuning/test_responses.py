@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
-from typing import Any
 
 import control
 import numpy as np
@@ -221,28 +219,6 @@ def descended(
 
 
 @pytest.mark.further
-def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
-    """From several starts: lower at every look, the hard gain at most 1, and no plane left that lowers it much."""
-    omega = np.geomspace(0.02, 50.0, 60)
-    gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
-    one = ResponseProblem(BLOCKS, samples(omega), gains)
-    ends = []
-    for seed in (2, 3):
-        x = controller(seed, 0.05)
-        seen: list[Any] = []
-        assert stable(x)
-        options = DescentOptions(60, 1e-4)
-        found = descend(ResponseSource(one, stable), x, options, lambda i, v, seen=seen: seen.append(v.merit[1]))
-        assert stable(found.x) and found.status in ("stalled", "iterations")
-        assert all(b <= a for a, b in itertools.pairwise(seen)) and found.point.value < seen[0]
-        assert found.point.values[1] <= 1.0 + 1e-9
-        ends.append(found.point.values[0])
-    assert max(ends) < 0.3 * 3.7  # of the least start
-    again = descended(one, x)
-    np.testing.assert_array_equal(again.x, found.x)
-
-
-@pytest.mark.further
 def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
     """Random directions of another seed than the descent's own find nothing 0.1 % lower; a start is not converged."""
     omega = np.geomspace(0.02, 50.0, 40)
@@ -311,13 +287,15 @@ def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) 
 
 @pytest.mark.further
 def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
-    """Without it the same descent ends with a slower pole."""
+    """Without it the same descent ends with a slower pole; what is hard is kept."""
     gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
     slowest = {}
     for decay in (None, 1.2):
         own = tuple(replace(b, least_decay=decay) for b in BLOCKS)
         one = ResponseProblem(own, samples(np.geomspace(0.02, 50.0, 150)), gains)
         found = descended(one, controller(1, 0.05))
+        assert stable(found.x) and found.point.values[1] <= 1.0 + 1e-9
+        assert found.point.values[0] < 0.5 * one.values(controller(1, 0.05))[0].max()
         poles = [np.linalg.eigvals(M[: b.order, : b.order]) for b, M in zip(own, gain_matrices(own, found.x))]
         slowest[decay] = max(p.real.max() for p in poles)
     assert slowest[None] > -1.1 and slowest[1.2] <= -1.2 + 1e-9

@@ -93,11 +93,6 @@ def test_interrupt_keeps_the_best_point(monkeypatch: pytest.MonkeyPatch) -> None
     assert np.isfinite(result.soft) and result.certificate is not None and result.certificate.stable
 
 
-def test_target_stops_early() -> None:
-    result = published("AC4", starts=2, target=1.5)
-    assert result.status == "target" and 0.9 < result.soft < 1.5
-
-
 def test_same_seed_same_bits_and_workers_change_nothing() -> None:
     structure = StableStateSpace([("y", 1)], [("u", 1)], 1)  # type: ignore[arg-type]
 
