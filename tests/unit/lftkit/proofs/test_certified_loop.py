@@ -10,10 +10,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy import linalg
+from scipy.linalg import expm
+from support.sampled_modes import DAMPING, mode_and_law, tick_matrices
 from support.slow_cases import slow
 from support.uncertain_examples import aligned_modes, transport_aircraft
 
-from lftkit import Port, RealParameter, SampledSystem, System
+from lftkit import Port, RealParameter, System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import (
     BisectionOptions,
@@ -34,7 +36,8 @@ from lftkit.proofs.trusted.stability import nominal_windows
 
 DT = 0.1
 NYQUIST = math.pi / DT
-ZETA = 0.05
+ZETA = 0.5 * DAMPING
+PLANT, LAW = mode_and_law(-0.3, DT)
 
 
 def oscillator(low: float = 0.8, high: float = 1.3) -> System:
@@ -48,17 +51,6 @@ def oscillator(low: float = 0.8, high: float = 1.3) -> System:
 def peak(k: float) -> float:
     """Peak of 1 / |k - w^2 + 2 j zeta w|."""
     return 1.0 / (2.0 * ZETA * math.sqrt(k - ZETA**2))
-
-
-def held_loop() -> tuple[System, SampledSystem]:
-    """The oscillator with a force command and a measured velocity, under a sampled velocity feedback with a lag."""
-    k = RealParameter("k", 1.0, 0.8, 1.3)
-    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
-    C, D = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
-    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
-    plant = System(A, B, C, D, inputs, outputs, channels=("k",), elements=(k,))
-    law = SampledSystem([[0.8]], [[0.2]], [[-0.3]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
-    return plant, law
 
 
 def proof_of(system: System, level: float) -> LoopProof:
@@ -98,8 +90,7 @@ def test_polynomials_enclose_what_they_stand_for() -> None:
 
 @pytest.mark.parametrize("half", [0.001, 0.02])
 def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> None:
-    plant, law = held_loop()
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    model = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"])
     V = np.eye(2, dtype=complex)
     z, e = model.responses(1.0, half, V)
     for t in np.linspace(-1.0, 1.0, 9):
@@ -107,36 +98,14 @@ def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> 
         assert inside(z, float(t), channels) and inside(e, float(t), errors)
 
 
-def test_the_model_has_the_sampled_response_of_the_nominal_loop() -> None:
-    """Error by disturbance: what is sampled is stepped in time with a sinusoidal force."""
-    plant, law = held_loop()
-    omega = 0.9
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
-    _, errors = model.at(omega)
-    n = 2
-    data = plant.at({})
-    # one tick of state, held command and the force's two states exp(j w t)
-    whole = np.zeros((n + 3, n + 3))
-    whole[:n, :n], whole[:n, n], whole[:n, n + 1] = data.A, data.B[:, 1], data.B[:, 0]
-    whole[n + 1, n + 2], whole[n + 2, n + 1] = -omega, omega
-    from scipy.linalg import expm
-
-    step = expm(whole * DT)
-    x, command, filtered, force = np.zeros(n), 0.0, 0.0, np.array([1.0, 0.0])
-    found = []
-    ticks = 6000
-    for k in range(ticks):
-        measured = data.C[0] @ x
-        following = -0.3 * filtered
-        filtered = 0.8 * filtered + 0.2 * measured
-        if k >= ticks - 2 * round(2.0 * math.pi / (omega * DT)):
-            found.append((k, data.C[1] @ x))
-        after = step @ np.concatenate([x, [command], force])
-        x, force, command = after[:n], after[n + 1 :], following
-    times = np.array([k for k, _ in found]) * DT
-    basis = np.stack([np.cos(omega * times), np.sin(omega * times)], axis=1)
-    a, b = np.linalg.lstsq(basis, np.array([value for _, value in found]), rcond=None)[0]
-    assert a - 1j * b == pytest.approx(complex(errors[0, 1]), rel=2e-4)
+@pytest.mark.parametrize("omega", [0.3, 0.9, 7.0, 40.0])
+def test_the_model_has_the_sampled_response_of_the_nominal_loop(omega: float) -> None:
+    """Error by disturbance: the steady state of the ticks under a force ``exp(j w t)``."""
+    _, errors = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"]).at(omega)
+    A, _ = tick_matrices(PLANT, LAW)
+    force = expm(DT * np.array([[0.0, 1.0, 0.0], [-1.0, -DAMPING, 1.0], [0.0, 0.0, 1j * omega]]))[:2, 2]
+    state = np.linalg.solve(np.exp(1j * omega * DT) * np.eye(4) - A, [*force, 0.0, 0.0])
+    assert complex(errors[0, 1]) == pytest.approx(state[0], rel=1e-9)
 
 
 def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None:
@@ -173,47 +142,28 @@ def test_an_unstable_member_is_never_covered(part: float) -> None:
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
-def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
-    """Of the nominal loop from tick to tick: plant, held command, law."""
-    from scipy.linalg import expm
-
-    data = plant.at({})
-    n, k = len(data.A), law.order
-    step = np.zeros((n + 1, n + 1))
-    step[:n, :n], step[:n, n] = data.A, data.B[:, 1]
-    step = expm(step * DT)
-    whole = np.zeros((n + k + 1, n + k + 1))
-    whole[:n, :n], whole[:n, n + k] = step[:n, :n], step[:n, n]
-    whole[n : n + k, :n], whole[n : n + k, n : n + k] = law.B @ data.C[:1], law.A
-    whole[n + k, :n], whole[n + k, n : n + k] = law.D @ data.C[:1], law.C
-    return np.asarray(np.linalg.eigvals(whole), dtype=complex)
-
-
 @pytest.mark.parametrize("gain", [-9.0, -4.9958, -4.9858, 0.05, 0.12, 20.0])
 def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
     """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large.
 
     Between the second and the third gain the largest eigenvalue passes 1.
     """
-    plant, law = held_loop()
-    law = SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
-    radius = float(np.abs(loop_eigenvalues(plant, law)).max())
+    plant, law = mode_and_law(gain, DT)
+    radius = float(np.abs(np.linalg.eigvals(tick_matrices(plant, law)[0])).max())
     assert abs(radius - 1.0) > 1e-5
     windows = nominal_windows(loop_model(plant, DT, law, commands=["u"], measurements=["v"]))
     assert (windows > 0) == (radius < 1.0)
 
 
 def test_unstable_controllers_and_open_plants_are_not_called_stable() -> None:
-    plant, law = held_loop()
-    growing = SampledSystem([[1.01]], law.B, law.C, law.D, law.inputs, law.outputs, dt=DT, name="law")
-    assert not nominal_windows(loop_model(plant, DT, growing, commands=["u"], measurements=["v"]))
+    growing = mode_and_law(-0.3, DT, pole=1.01)[1]
+    assert not nominal_windows(loop_model(PLANT, DT, growing, commands=["u"], measurements=["v"]))
     assert not nominal_windows(loop_model(oscillator(), DT))
 
 
 def test_half_a_circle_is_enough_for_real_systems_alone() -> None:
     """A mode without its conjugate: negative frequencies have not been looked at."""
-    plant, law = held_loop()
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    model = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"])
     assert nominal_windows(model)
     assert not nominal_windows(dataclasses.replace(model, B=model.B * np.array([[1.0], [1.0 + 1e-9]])))
     assert not nominal_windows(dataclasses.replace(model, K_C=model.K_C * 1j))
