@@ -204,13 +204,6 @@ LOOPS = [
 ]
 
 
-def poles_with(L: System, factor: complex) -> np.ndarray[Any, Any]:
-    """Poles of the loop with a complex factor of its gain."""
-    A, B, C, D = L.matrices
-    found: np.ndarray[Any, Any] = linalg.eigvals(A - factor * B @ C / (1.0 + factor * D.item()))
-    return found
-
-
 @pytest.mark.parametrize("expression", LOOPS)
 @pytest.mark.parametrize("skew", [-0.5, 0.0, 1.0])
 def test_every_factor_in_the_disk_is_borne_and_one_at_its_edge_is_not(expression: Any, skew: float) -> None:
@@ -221,8 +214,8 @@ def test_every_factor_in_the_disk_is_borne_and_one_at_its_edge_is_not(expression
     z = np.sqrt(rng.uniform(size=400)) * np.exp(2j * np.pi * rng.uniform(size=400))
     a = min(found.size, 1.9 / (1.0 + abs(skew))) * 0.999
     for factor in (2.0 + (1.0 - skew) * a * z) / (2.0 - (1.0 + skew) * a * z):
-        assert poles_with(L, factor).real.max() < 0.0
-    edge = poles_with(L, found.factor)
+        assert closed_poles(L, factor).real.max() < 0.0
+    edge = closed_poles(L, found.factor)
     assert np.abs(edge - 1j * found.omega).min() < 1e-6 * max(1.0, found.omega)
     back = 2.0 * (found.factor - 1.0) / ((1.0 - skew) + (1.0 + skew) * found.factor)
     assert abs(back) == pytest.approx(found.size, rel=1e-5), "the edge of the disk"
