@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from lftkit import DynamicElement, InputError, System, complex_gain, connect, dynamic, hinf_norm, real, s
+from lftkit import InputError, System, complex_gain, connect, dynamic, hinf_norm, real, s
 from lftkit.proofs import BoundOptions, check_proof
 from lftkit.proofs.performance import scaled_elements
 from lftkit.synthesis import MuDesign, hinfsyn, musyn
@@ -109,27 +109,18 @@ def test_real_and_complex_elements_are_scaled_to_their_ranges() -> None:
 def test_matrices_of_dynamics_need_not_be_square() -> None:
     """Two loops with a block of three outputs and two inputs."""
     rng = np.random.default_rng(0)
-    lag = System(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), [("u", 2)], [("y", 2)])
-    A, B, C, D = lag.matrices
     E, F = 0.1 * rng.standard_normal((2, 3)), rng.standard_normal((2, 2))
-    # channels w (3) into y; z (2) from u, padded to 3
-    whole = System(
-        A,
-        np.hstack([np.zeros((2, 3)), np.zeros((2, 2)), B]),
-        np.vstack([np.zeros((3, 2)), 0.5 * C, np.zeros((2, 2)), C]),
-        np.block(
-            [
-                [np.zeros((2, 5)), F],
-                [np.zeros((1, 7))],
-                [0.5 * E, 0.5 * np.eye(2), np.zeros((2, 2))],
-                [np.zeros((2, 5)), 0.1 * np.eye(2)],
-                [E, np.eye(2), D],
-            ]
-        ),
-        [("d", 2), ("u", 2)],
-        [("z", 2), ("effort", 2), ("y", 2)],
-        channels=("block",) * 3,
-        elements=(DynamicElement("block", 3, 2),),
+    eye, ports = np.eye(2), ([("u", 2)], [("y", 2)])
+    whole = connect(
+        {
+            "G": System(-eye, eye, eye, 0.0 * eye, *ports),
+            "rest": (E @ dynamic("block", 3, 2) @ F).system(*ports),
+            "error": System.static(0.5 * eye, *ports),
+            "effort": System.static(0.1 * eye, *ports),
+        },
+        [("u", "G.u"), ("u", "rest.u"), ("u", "effort.u"), (("G.y", "rest.y", "d"), "error.u")],
+        inputs=[("d", 2), ("u", 2)],
+        outputs={"z": "error.y", "effort": "effort.y", "y": ("G.y", "rest.y", "d")},
     )
     found = musyn(whole, "y", "u", iterations=2, omega=OMEGA)
     assert found.value <= found.bound < np.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, connect, real, s, state_space, static_gain, z
+from lftkit import Port, System, real, s, state_space, z
 from lftkit.systems.minimal import minimal_realisation
 
 POINT = {"k": 1.1, "m": 0.3}
@@ -52,32 +52,6 @@ def test_a_minimal_system_keeps_its_coordinates(make) -> None:
     result = minimal_realisation(system)
     np.testing.assert_array_equal(result.system.A, system.A)
     assert str(result) == "removed 0 states"
-
-
-def test_integrating_an_acceleration_twice_over_is_found() -> None:
-    """A body whose rate is integrated in two places: the trap of building spacecraft block by block."""
-    f, a, v = Port("f", 1, "N"), Port("a", 1, "m/s2"), Port("v", 1, "m/s")
-    mass = static_gain([[0.5]], [f], [a])
-    integrator = state_space([[0.0]], [[1.0]], [[1.0]], [[0.0]], [a], [v])
-    both = connect(
-        {"mass": mass, "one": integrator, "two": integrator},
-        [("f", "mass.f"), ("mass.a", "one.a"), ("mass.a", "two.a")],
-        inputs=[f],
-        outputs={"v": "one.v", "v2": "two.v"},
-    )
-    result = minimal_realisation(both)
-    assert result.removed_states == 1
-    assert abs(result.system.nominal()(2.0j)[0, 0] - 0.5 / 2.0j) < 1e-14
-
-
-def test_a_parameter_that_acts_on_nothing_goes_away() -> None:
-    k = RealParameter("k", 0.0, -1.0, 1.0)
-    empty = np.zeros((0, 0))
-    idle = System(
-        empty, empty, empty, [[0.0, 1.0], [0.0, 2.0]], (Port("u", 1),), (Port("y", 1),), channels=("k",), elements=(k,)
-    )
-    result = minimal_realisation(idle)
-    assert result.system.occurrences() == {} and result.removed_occurrences == {"k": 1}
 
 
 def controllers(rng):

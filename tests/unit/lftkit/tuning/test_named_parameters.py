@@ -59,10 +59,10 @@ def test_a_part_is_held_by_name_or_entry(fixed: dict[str | tuple[int, int], floa
     assert structure.gain_matrix(np.zeros(3))[2, 2] == -2.0
 
 
-@pytest.mark.parametrize(("low", "high"), [(-3.0, -0.5), slow(-3.0, 10.0), slow(-3.0, np.inf)])
-def test_optimum_at_a_bound_is_reached_and_said(low: float, high: float) -> None:
+@pytest.mark.parametrize("high", [-0.5, slow(10.0), slow(np.inf)])
+def test_optimum_at_a_bound_is_reached_and_said(high: float) -> None:
     """The gain 1 / (1 - k) falls as k does: the lowest k is best."""
-    structure = STATIC.with_bounds({"D[0,0]": (low, high)})
+    structure = STATIC.with_bounds({"D[0,0]": (-3.0, high)})
     options = TuningOptions(starts=0)
     result = tune([lag()], [HinfGain("w", "z")], structure, initial=[[-0.6]], options=options)
     assert result.status == "converged"
