@@ -64,10 +64,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "titop_plant/blocks": ("tests/unit/titop_plant/test_blocks.py",),
     "lftkit/tuning": ("tests/unit/lftkit/tuning",),
-    "lftkit/tuning/robust/worst_case.py": (
-        "tests/unit/lftkit/tuning/test_worst_case.py",
-        "tests/unit/lftkit/tuning/test_worst_case_climbs.py",
-    ),
+    "lftkit/tuning/robust/worst_case.py": ("tests/unit/lftkit/tuning/test_worst_case.py",),
     "los_estimator": ("tests/unit/los_testbed/run/test_runtime_controllers.py", "tests/unit/los_design"),
     "fsm_pma_controller": ("tests/unit/los_testbed/run/test_runtime_controllers.py", "tests/unit/los_design"),
     "los_design": ("tests/unit/los_design",),

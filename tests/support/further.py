@@ -56,7 +56,7 @@ FURTHER = {
     "unit/los_design/test_paper_figures.py": "pictures of the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_paper_problem.py": "the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_synthesis.py": "a design from end to end: unit/los_design",
-    "unit/los_testbed/cli/test_verify_goes_on.py": "results that are kept: unit/lftkit/support/test_kept_workers.py",
+    "unit/los_testbed/cli/test_verify_goes_on.py": "results that are kept: unit/lftkit/support/test_job.py",
     "unit/los_testbed/run/test_own_windows.py": "windows of a mission: unit/pointing_analysis/test_budget_windows.py",
     "unit/titop_plant/test_nastran_decks.py": "decks of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_nastran_deliveries.py": "runs of others: integration/test_nastran_to_run.py",

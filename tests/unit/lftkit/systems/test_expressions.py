@@ -104,14 +104,6 @@ def test_second_order_matrices_are_their_substitutions(seed: int, size: int) -> 
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * linalg.norm(expected) * 10)
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
-    for nominal, percent in ((10.0, (-20, 50)), (np.array(10.0), np.array([-20, 50])), (np.float32(10), [-20, 50])):
-        (k,) = lk.real("k", nominal, percent=percent).elements
-        assert (k.nominal, k.lower, k.upper) == (10.0, 8.0, 15.0)
-    system = (lk.real("k", 10.0, 8.0, 15.0) / (lk.s + 1)).system("u", "y")
-    assert system.at({"k": np.array(12.0)}).matrices[1].tobytes() == system.at({"k": 12}).matrices[1].tobytes()
-
-
 def test_two_masses_on_a_spring_have_one_stiffness() -> None:
     k, m1, m2 = real("k", 1.0, 0.5, 2.0), real("m1", 1.0, percent=20), real("m2", 1.0, percent=20)
     plant = matrix([[m1 * s**2 + k, -k], [-k, m2 * s**2 + k]]).inverse()[1, 0].system("force", "position")
