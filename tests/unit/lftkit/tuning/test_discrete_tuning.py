@@ -220,31 +220,6 @@ def test_slopes_by_the_parameters_of_a_discrete_controller_are_differences(numbe
         assert second == pytest.approx(first, rel=1e-9, abs=1e-12)
 
 
-def peak_with_pi(kp: float, ki: float, dt: float = 0.1) -> float:
-    """Norm from w to (x, u / 2) of `delayed_lag` under a PI, on a grid of the circle; infinite where unstable.
-
-    x = (w + K x / z) / (z - 0.9) with K = kp + ki (dt / 2) (z + 1) / (z - 1).
-    """
-    if np.abs(np.roots([1.0, -1.9, 0.9 - kp - 0.5 * ki * dt, kp - 0.5 * ki * dt])).max() >= 1.0:
-        return np.inf
-    z = np.exp(1j * np.linspace(1e-3, np.pi, 3000))
-    K = kp + 0.5 * ki * dt * (z + 1) / (z - 1)
-    return float((np.abs(1.0 / (z - 0.9 - K / z)) * np.sqrt(1.0 + 0.25 * np.abs(K) ** 2)).max())
-
-
-def test_no_pi_of_a_scan_is_better() -> None:
-    """Both gains scanned; the integral gain is held at -0.5 at most."""
-    plant = delayed_lag()
-    law = pid("y", "u", derivative_filter=1.0, terms="PI", dt=0.1).with_bounds({"Ki": (-np.inf, -0.5)})
-    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.2, -0.7]], options=OPTIONS)
-    best = min(peak_with_pi(kp, ki) for ki in (-0.8, -0.65, -0.55, -0.5) for kp in np.linspace(-0.5, 0.1, 61))
-    assert result.certificate is not None and result.certificate.stable
-    assert -0.5005 < result.x[1] <= -0.5 and result.at_bounds == ("Ki",)
-    assert result.soft == pytest.approx(peak_with_pi(*result.x), rel=1e-4)
-    assert result.soft < 1.0005 * best
-    assert result.controller.poles() == pytest.approx([1.0]) and law.values(result.x)["Ki"] == result.x[1]
-
-
 def drawn_loop(rng: np.random.Generator) -> tuple[System, System]:
     """A stable discrete plant of order 3 and a static controller that keeps it stable."""
     while True:
