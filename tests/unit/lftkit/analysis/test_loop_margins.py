@@ -209,7 +209,7 @@ LOOPS = [
 def test_every_factor_in_the_disk_is_borne_and_one_at_its_edge_is_not(expression: Any, skew: float) -> None:
     L = loop(expression)
     found = disk_margin(L, skew)
-    assert found.size > 0.0
+    assert found.size > 0.0 and found.gain_db[1] == pytest.approx(20.0 * np.log10(found.gain[1]))
     rng = np.random.default_rng(0)
     z = np.sqrt(rng.uniform(size=400)) * np.exp(2j * np.pi * rng.uniform(size=400))
     a = min(found.size, 1.9 / (1.0 + abs(skew))) * 0.999
