@@ -48,7 +48,6 @@ FURTHER = {
     "ros/test_run_services.py": "services of a run: ros/test_requests.py",
     "ros/test_second_publishers.py": "strangers: ros/test_senders.py",
     "ros/test_two_hosts.py": "the network: unit/los_testbed/nodes/test_middleware.py",
-    "unit/lftkit/proofs/test_axis_disks.py": "disks over the axis: unit/lftkit/proofs/test_disk_elements.py",
     "unit/lftkit/proofs/test_margin_proofs.py": "margins of a loop: unit/lftkit/proofs/test_certified_loop.py",
     "unit/lftkit/proofs/test_proof_premises.py": "forged files: unit/lftkit/proofs/test_checking.py",
     "unit/lftkit/tuning/test_sector_goals.py": "goals: unit/lftkit/tuning/test_goals.py",

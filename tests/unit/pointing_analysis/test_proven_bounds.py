@@ -97,10 +97,13 @@ def test_a_row_has_the_proven_bound_where_the_record_shows_none() -> None:
     short = decide(requirement, 25.0 * MAS * (1 + 0.1 * (1.0 * np.arange(100) % 2)), 100.0, 2.0)
     (row,) = rows_of([short], [checked(beside_of(recorded(), requirement))])
     assert row.bound_text == "39.99 mas, proven (99.7 %)"
-    assert row.as_dict()["proven_bound"] == pytest.approx(39.9841, abs=2e-4) and row.as_dict()["upper_bound"] is None
+    content = row.as_dict()
+    assert content["proven_bound"] == pytest.approx(39.9841, abs=2e-4) and content["upper_bound"] is None
+    assert "proven_without" not in content
     late = recorded(proof_bounds={**BOUNDS, "condition": "16 missed ticks"})
     (row,) = rows_of([short], [checked(beside_of(late, requirement))])
     assert row.bound_text == "39.99 mas, proven (99.7 %) without the 16 missed ticks"
+    assert row.as_dict()["proven_without"] == "16 missed ticks"
     other = SimpleNamespace(parameters={"loop": "fsm"})
     assert rows_of([short], [beside_of(other, requirement)])[0].bound_text == "no proof for this loop"
     foreign = SimpleNamespace(parameters={})

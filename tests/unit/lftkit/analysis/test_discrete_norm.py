@@ -47,18 +47,15 @@ def test_value_is_the_gain_at_the_frequency_that_is_named() -> None:
     assert norm.value == pytest.approx(float(gain), rel=1e-12)
 
 
-@pytest.mark.parametrize("order", [4, 12])
-def test_butterworth_filters(order: int) -> None:
-    for edge in (0.02, 0.5, 0.98):
-        check(butterworth(order, edge))
-
-
-@pytest.mark.parametrize("kind", ["near", "delay"])
-def test_random_systems(kind: str) -> None:
-    """Filters: above."""
+def test_filters_and_random_systems() -> None:
+    """Random filters are left to the slow test; a delay has no basis of eigenvectors."""
     rng = np.random.default_rng(20)
-    for _ in range(4):
-        check(KINDS[kind](rng))
+    for system in (*(butterworth(n, edge) for n in (4, 12) for edge in (0.02, 0.5, 0.98)), *drawn(rng, 4)):
+        check(system)
+
+
+def drawn(rng: np.random.Generator, count: int) -> list[tuple[np.ndarray, ...]]:
+    return [KINDS[kind](rng) for kind in ("near", "delay") for _ in range(count)]
 
 
 @pytest.mark.slow
@@ -146,18 +143,10 @@ def test_smallest_and_largest_gains() -> None:
     assert norm.value == pytest.approx(2e-200, rel=1e-9, abs=0.0) and norm.upper >= 2e-200
 
 
-@pytest.mark.parametrize(("order", "edge"), [(8, 0.01), (8, 0.97), (12, 0.9), (4, 0.001)])
-def test_h2_norm_of_filters(order: int, edge: float) -> None:
+def test_h2_norm_of_filters_and_random_systems() -> None:
     """A Lyapunov equation solved in double precision answered 0.67 instead of 0.94 (8, 0.97) and 0 (8, 0.01)."""
-    system = chebyshev(order, edge)
-    assert h2_norm(*system, dt=1.0) == pytest.approx(float(exact_h2(system)), rel=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["near", "delay"])
-def test_h2_norm_of_random_systems(kind: str) -> None:
-    rng = np.random.default_rng(21)
-    for _ in range(8):
-        system = KINDS[kind](rng)
+    filters = [chebyshev(order, edge) for order, edge in ((8, 0.01), (8, 0.97), (12, 0.9), (4, 0.001))]
+    for system in (*filters, *drawn(np.random.default_rng(21), 8)):
         assert h2_norm(*system, dt=1.0) == pytest.approx(float(exact_h2(system)), rel=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Norms that are known in closed form, certificates that agree, discrete time, limits, refusals."""
+"""Norms that are known in closed form, certificates that agree, limits, refusals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from support.resonant_systems import CERTIFICATES, EVERY, mixed, oscillator, res
 
 from lftkit.analysis import norms
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError, direct_response, refined_response
-from lftkit.analysis.norms import h2_norm, hinf_norm, hinf_norms, schur_lyapunov, spectral_abscissa
+from lftkit.analysis.hinf.peak_search import squared_gain
+from lftkit.analysis.norms import h2_norm, hinf_norm, schur_lyapunov, spectral_abscissa
 
 
 @pytest.mark.parametrize("certificate", CERTIFICATES)
@@ -53,16 +54,6 @@ def test_peak_of_a_matrix_with_feedthrough(certificate: str) -> None:
     assert against.value == pytest.approx(3.0, rel=1e-12) and against.omega == np.inf
 
 
-@pytest.mark.parametrize("dt", [1.0, 0.01])
-@pytest.mark.parametrize(("radius", "angle"), [(0.99, 0.3), (0.999, 2.5)])
-def test_discrete_resonance(dt: float, radius: float, angle: float) -> None:
-    for certificate, found in (("auto", "hamiltonian"), ("interval", "interval")):
-        norm = hinf_norm(*resonator(radius, angle), dt=dt, certificate=certificate)
-        assert norm.value == pytest.approx(1.0 / ((1 - radius**2) * np.sin(angle)), rel=1e-7)
-        assert norm.omega * dt == pytest.approx(np.arccos(np.cos(angle) * (1 + radius**2) / (2 * radius)), rel=1e-6)
-        assert norm.certificate == found
-
-
 def test_discrete_pole_on_or_outside_the_circle_is_unstable() -> None:
     for radius, angle in ((1.0, 0.7), (1.2, 0.7)):
         norm = hinf_norm(*resonator(radius, angle), dt=0.1)
@@ -96,15 +87,6 @@ def test_states_that_are_not_driven_or_not_observed() -> None:
     ).omega == pytest.approx(2.0)
 
 
-def test_terms_that_cancel_leave_a_bound_of_rounding() -> None:
-    """One mode is driven, the other observed: the response is zero."""
-    A, B, C, D = mixed(sum_of(oscillator(1.0, 0.1), oscillator(5.0, 0.1)))
-    norm = hinf_norm(A, B[:, :1], C[1:], D[1:, :1])
-    assert 0.0 <= norm.value <= norm.upper < 1e-10
-    exact = hinf_norm(*sum_of(oscillator(1.0, 0.1), oscillator(5.0, 0.1))[:1], np.eye(4)[:, 1:2], np.eye(4)[2:3], [[0]])
-    assert exact.value == 0.0 and exact.upper < 1e-10
-
-
 @pytest.mark.parametrize("w", [0.0, 2.0, 1e4])
 def test_undamped_modes_are_unstable(w: float) -> None:
     """Alone, beside damped ones, in mixed coordinates; a double integrator."""
@@ -116,25 +98,28 @@ def test_undamped_modes_are_unstable(w: float) -> None:
     assert hinf_norm([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]).certificate == "unstable"
 
 
-def test_least_stable_pole_is_named() -> None:
-    fast = ([[0.3, 7.0], [-7.0, 0.3]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
-    slow = ([[0.1, 2.0], [-2.0, 0.1]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
-    assert hinf_norm(*sum_of(slow, fast, oscillator(50.0, 0.1))).omega == pytest.approx(7.0)
+LAG = [[-0.5]], [[1.0]], [[1.0]], [[0.0]]
+PERIODS = -1.0, float("nan"), float("inf"), True, "1"
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("matrices", "options", "message"),
     [
-        ({"certificate": "grid"}, "certificate must be auto, interval or hamiltonian, got 'grid'"),
-        ({"rtol": 0.0}, r"rtol must be positive, got 0\.0"),
-        ({"rtol": -1e-3}, r"rtol must be positive, got -0\.001"),
-        ({"rtol": np.nan}, "rtol must be positive, got nan"),
-        ({"dt": 0.1, "certificate": "hamiltonian"}, "must be auto or interval in discrete time, got 'hamiltonian'"),
+        (LAG, {"certificate": "grid"}, "auto, interval or hamiltonian, got 'grid'"),
+        (LAG, {"rtol": -1e-3}, r"rtol must be positive, got -0\.001"),
+        (LAG, {"rtol": np.nan}, "rtol must be positive, got nan"),
+        (LAG, {"dt": 0.1, "certificate": "hamiltonian"}, "auto or interval in discr"),
+        (([[1.0, 0.0]], *LAG[1:]), {}, "matrix A must be 1 x 1 to fit states and ports, got 1 x 2"),
+        ((LAG[0], [[np.nan]], *LAG[2:]), {}, "matrix B must be finite"),
+        *((LAG, {"dt": dt}, "dt must be a sampling period, or None or 0") for dt in PERIODS),
     ],
 )
-def test_options_are_checked(options: dict, message: str) -> None:
+def test_what_has_no_norm_is_refused(matrices: tuple, options: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        hinf_norm([[-1.0]], [[1.0]], [[1.0]], [[0.0]], **options)
+        hinf_norm(*matrices, **options)
+    if not {"certificate", "rtol"} & options.keys():
+        with pytest.raises(ValueError, match=message):
+            h2_norm(*matrices, **options)
 
 
 def test_h2_of_known_systems() -> None:
@@ -143,7 +128,9 @@ def test_h2_of_known_systems() -> None:
     two = sum_of(oscillator(3.0, 0.02), oscillator(7.0, 0.5))
     assert h2_norm(*two) ** 2 == pytest.approx(3.0 / 0.08 + 7.0 / 2.0, rel=1e-10)
     assert h2_norm([[-0.5]], [[1.0]], [[3.0]], [[4.0]], dt=0.1) ** 2 == pytest.approx(9 / 0.75 + 16)
-    assert h2_norm([[-8.0]], [[1.0]], [[1.0]], [[0.0]]) == pytest.approx(0.25)
+    for dt in (None, 0.0):
+        assert h2_norm([[-8.0]], [[1.0]], [[1.0]], [[0.0]], dt=dt) == pytest.approx(0.25)
+        assert hinf_norm([[-8.0]], [[1.0]], [[1.0]], [[0.0]], dt=dt).value == pytest.approx(0.125)
     assert h2_norm([[0.0]], [[0.5]], [[0.5]], [[0.0]], dt=1.0) == pytest.approx(0.25)
     assert h2_norm([[-1.0]], [[1.0]], [[1.0]], [[1e-9]]) == np.inf
     assert h2_norm([[-1e-9]], [[1.0]], [[1.0]], [[0.0]]) ** 2 == pytest.approx(0.5e9)
@@ -262,24 +249,6 @@ def test_two_certificates_agree_on_a_flexible_structure(seed: int, modes: int) -
     assert gain == pytest.approx(a.value, rel=1e-12)
 
 
-def test_batch_and_abscissa() -> None:
-    systems = [flexible(s, modes=5) for s in range(3)]
-    assert [n.value for n in hinf_norms(systems)] == [hinf_norm(*s).value for s in systems]
-    assert spectral_abscissa([[-1, 5], [0, -3]]) == -1.0
-
-
-@pytest.mark.parametrize(
-    ("matrices", "message"),
-    [
-        (([[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0]]), "matrix A must be 1 x 1 to fit states and ports, got 1 x 2"),
-        (([[-1.0]], [[np.nan]], [[1.0]], [[0.0]]), "matrix B must be finite"),
-    ],
-)
-def test_bad_matrices_are_named(matrices: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        hinf_norm(*matrices)
-
-
 def test_units_do_not_cost_digits() -> None:
     """Modes from 0.01 to 1e5 rad/s in states of very different units: the response equals that of the plain modes."""
     rng = np.random.default_rng(3)
@@ -298,19 +267,6 @@ def test_units_do_not_cost_digits() -> None:
         assert np.abs(form.at(omega)[0] - exact).max() < 1e-8 * np.abs(exact).max()
     plain = hinf_norm(A, B, C, np.zeros((2, 3)))
     assert hinf_norm(*mixed, np.zeros((2, 3))).value == pytest.approx(plain.value, rel=1e-7)
-
-
-def test_period_zero_is_continuous_time_as_systems_have_it():
-    matrices = [[-2.0]], [[1.0]], [[1.0]], [[0.0]]
-    assert h2_norm(*matrices, dt=0.0) == h2_norm(*matrices) == pytest.approx(0.5)
-    assert hinf_norm(*matrices, dt=0.0).value == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("dt", [-1.0, float("nan"), float("inf"), True, "1"])
-@pytest.mark.parametrize("norm", [h2_norm, hinf_norm])
-def test_a_period_that_is_none_is_refused(norm, dt):
-    with pytest.raises(ValueError, match="dt must be a sampling period, or None or 0 for continuous time, got"):
-        norm([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=dt)
 
 
 def test_no_norm_is_below_the_gain_at_infinity() -> None:
@@ -339,3 +295,59 @@ def test_a_direct_solution_that_meets_a_pole_leaves_no_exception(monkeypatch: py
     monkeypatch.setattr(norms, "bracketed_norm", at_pole)
     norm = hinf_norm(*oscillator(1.0, 0.1), certificate="interval")
     assert norm.upper == np.inf and norm.certificate == "unstable"
+
+
+SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (4, 3), (2, 5)]
+
+
+def random_system(seed: int, shape: tuple[int, int], feedthrough: float = 0.5) -> tuple[np.ndarray, ...]:
+    """Up to twelve states, slowest decay 0.05 rad/s, spectral radius about one."""
+    rng = np.random.default_rng(seed)
+    n, (p, m) = int(rng.integers(1, 13)), shape
+    A = rng.normal(size=(n, n)) / np.sqrt(n)
+    A -= (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(n)
+    return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), feedthrough * rng.normal(size=(p, m))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("modal", [True, False])
+def test_derivatives_of_response_and_gain_agree_with_differences(shape: tuple[int, int], modal: bool) -> None:
+    A, B, C, D = random_system(3, shape)
+    form = FrequencyResponse.of(A, B, C, D)
+    if not modal:
+        T, Q = np.diag(form.poles), np.eye(len(A))
+        form = FrequencyResponse(form.poles, form.left @ Q, Q @ form.right, D, T)
+    assert form.modal == modal
+    h, w = 1e-4, 0.7
+    low, middle, high = (form.with_derivatives(x) for x in (w - h, w, w + h))
+    for k in (0, 1):
+        np.testing.assert_allclose(middle[k + 1], (high[k] - low[k]) / (2 * h), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(middle[0], form.at(w)[0], rtol=1e-12)
+    below, value, above = (squared_gain(*found) for found in (low, middle, high))
+    assert value[0] == pytest.approx(np.linalg.norm(middle[0], 2) ** 2, rel=1e-12)
+    for k in (0, 1):
+        assert value[k + 1] == pytest.approx((above[k] - below[k]) / (2 * h), rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("size", [1e-160, 1e-60, 1e60])
+def test_gains_whose_powers_are_no_numbers_are_not_lost(size: float) -> None:
+    """Of one input, where the gain is a root of a sum of squares, and of two; at both ends of the range."""
+    for B in (np.array([[1.0], [-2.0]]), np.array([[1.0, 0.5], [-2.0, 0.3]])):
+        A, C, D = np.array([[-0.1, 1.0], [-1.0, -0.1]]), np.array([[1.0, 0.2], [0.4, -0.7]]), np.zeros((2, B.shape[1]))
+        expected = hinf_norm(A, B, C, D)
+        found = hinf_norm(A, B * size, C, D)
+        assert found.value == pytest.approx(expected.value * size, rel=1e-7)
+        assert found.value <= found.upper <= found.value * (1.0 + 2e-7)
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_what_is_not_sound_is_left_to_the_other_ways(dt: float | None) -> None:
+    """Unstable, poles at the circle to rounding, no basis of eigenvectors, hidden gain."""
+    one, gap = np.eye(2), 0.0 if dt is None else 1.0
+    for a in (0.1, 0.0, *([] if dt is None else [-1e-15])):
+        norm = hinf_norm((a + gap) * one, one, one, 0.0 * one, dt=dt)
+        assert (norm.value, norm.certificate) == (np.inf, "unstable")
+    chain = np.array([[gap - 0.5, 1.0], [0.0, gap - 0.5]])
+    assert hinf_norm(chain, one[:, 1:], one[:1], np.zeros((1, 1)), dt=dt).value == pytest.approx(4.0, rel=1e-7)
+    hidden = hinf_norm((gap - 0.5) * one, one[:, :1], one[1:], np.zeros((1, 1)), dt=dt)
+    assert hidden.value == 0.0 and hidden.upper < 1e-12

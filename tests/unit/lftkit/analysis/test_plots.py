@@ -19,29 +19,12 @@ def mass() -> System:
     return System(A, B, C, D, (Port("force", 2, "N"),), (Port("x", 1, "m"),), channels=("k",), elements=(K,))
 
 
-def test_the_summary_names_everything(mass: System) -> None:
-    assert repr(mass) == (
-        "System 'system': order 2, continuous time\n  2 inputs: force (2)\n  1 output: x (1)\n  Delta 1 x 1: k (1)"
-    )
-    assert mass.summary().splitlines() == [
-        "system: order 2, continuous time",
-        "2 inputs:",
-        "  force  2  N",
-        "1 output:",
-        "  x  1  m",
-        "1 element, 1 occurrence in Delta:",
-        "  k  real, 2 in [1, 3] N/m  1",
-    ]
-    page = mass._repr_html_()
-    for part in ("order 2", "<td>force</td>", "<td>real, 2 in [1, 3] N/m</td>", "<summary>2 inputs</summary>"):
-        assert part in page
-
-
-def test_a_certain_system_and_names_that_are_markup() -> None:
+def test_a_summary_has_ports_units_and_elements_and_escapes_names(mass: System) -> None:
     system = state_space([[-1]], [[1]], [[1]], [[0]], [Port("a<b", 1)], [Port("y", 1)])
-    assert repr(system).splitlines()[1:] == ["  1 input: a<b (1)", "  1 output: y (1)"]
-    assert system.summary().endswith("certain")
-    assert "a&lt;b" in system._repr_html_()
+    assert system.summary().endswith("certain") and "a&lt;b" in system._repr_html_()
+    for text in (repr(mass), mass.summary(), mass._repr_html_()):
+        assert all(part in text for part in ("order 2", "force", "x", "k"))
+    assert "real, 2 in [1, 3] N/m" in mass.summary()
 
 
 def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass: System) -> None:
@@ -62,13 +45,6 @@ def test_the_default_grid_meets_the_resonances_of_the_members(mass: System) -> N
     figure = bode_band(mass, [{"k": 1.0}], output="x", input="force")
     corners = np.asarray(figure.axes[0].collections[0].get_paths()[0].vertices)
     assert corners[:, 1].max() == pytest.approx(1 / (0.02 * 1.0), rel=1e-3)  # peak of the soft member at 1 rad/s
-
-
-def test_the_same_seed_draws_the_same_members(mass: System) -> None:
-    once, again = (pole_map(mass, 5, seed=3).axes[0].collections[1].get_offsets() for _ in range(2))
-    np.testing.assert_array_equal(once, again)
-    assert len(once) == 10
-    assert not np.array_equal(once, pole_map(mass, 5, seed=4).axes[0].collections[1].get_offsets())
 
 
 def test_singular_values_are_those_of_the_response(mass: System) -> None:

@@ -1,17 +1,22 @@
-"""Proofs of sampled loops: enclosures against single frequencies, known worst cases, proofs that are altered."""
+"""Proofs of sampled loops: enclosures, known worst cases, what is bisected, proofs that are altered."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import linalg
+from scipy.linalg import expm
+from support.sampled_modes import DAMPING, mode_and_law, tick_matrices
 from support.slow_cases import slow
+from support.uncertain_examples import aligned_modes, transport_aircraft
 
-from lftkit import Port, RealParameter, SampledSystem, System
-from lftkit.arrays import ComplexArray
+from lftkit import Port, RealParameter, System
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import (
     BisectionOptions,
     LoopModel,
@@ -22,13 +27,17 @@ from lftkit.proofs.sampled_loop import (
     prove_level,
 )
 from lftkit.proofs.sampled_loop.bounds import member_gains
+from lftkit.proofs.sampled_loop.branching import Branching
+from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
+from lftkit.proofs.state_space.search import ray_factor, smallest_unstable_factor
 from lftkit.proofs.trusted.polynomials import Polynomial, exponential, inverse, reciprocal
 from lftkit.proofs.trusted.proof import ProofError, Strip
 from lftkit.proofs.trusted.stability import nominal_windows
 
 DT = 0.1
 NYQUIST = math.pi / DT
-ZETA = 0.05
+ZETA = 0.5 * DAMPING
+PLANT, LAW = mode_and_law(-0.3, DT)
 
 
 def oscillator(low: float = 0.8, high: float = 1.3) -> System:
@@ -42,17 +51,6 @@ def oscillator(low: float = 0.8, high: float = 1.3) -> System:
 def peak(k: float) -> float:
     """Peak of 1 / |k - w^2 + 2 j zeta w|."""
     return 1.0 / (2.0 * ZETA * math.sqrt(k - ZETA**2))
-
-
-def held_loop() -> tuple[System, SampledSystem]:
-    """The oscillator with a force command and a measured velocity, under a sampled velocity feedback with a lag."""
-    k = RealParameter("k", 1.0, 0.8, 1.3)
-    A, B = [[0.0, 1.0], [-1.0, -2.0 * ZETA]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
-    C, D = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], np.zeros((3, 3))
-    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
-    plant = System(A, B, C, D, inputs, outputs, channels=("k",), elements=(k,))
-    law = SampledSystem([[0.8]], [[0.2]], [[-0.3]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
-    return plant, law
 
 
 def proof_of(system: System, level: float) -> LoopProof:
@@ -92,8 +90,7 @@ def test_polynomials_enclose_what_they_stand_for() -> None:
 
 @pytest.mark.parametrize("half", [0.001, 0.02])
 def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> None:
-    plant, law = held_loop()
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    model = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"])
     V = np.eye(2, dtype=complex)
     z, e = model.responses(1.0, half, V)
     for t in np.linspace(-1.0, 1.0, 9):
@@ -101,36 +98,14 @@ def test_responses_of_a_window_enclose_those_of_its_frequencies(half: float) -> 
         assert inside(z, float(t), channels) and inside(e, float(t), errors)
 
 
-def test_the_model_has_the_sampled_response_of_the_nominal_loop() -> None:
-    """Error by disturbance: what is sampled is stepped in time with a sinusoidal force."""
-    plant, law = held_loop()
-    omega = 0.9
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
-    _, errors = model.at(omega)
-    n = 2
-    data = plant.at({})
-    # one tick of state, held command and the force's two states exp(j w t)
-    whole = np.zeros((n + 3, n + 3))
-    whole[:n, :n], whole[:n, n], whole[:n, n + 1] = data.A, data.B[:, 1], data.B[:, 0]
-    whole[n + 1, n + 2], whole[n + 2, n + 1] = -omega, omega
-    from scipy.linalg import expm
-
-    step = expm(whole * DT)
-    x, command, filtered, force = np.zeros(n), 0.0, 0.0, np.array([1.0, 0.0])
-    found = []
-    ticks = 6000
-    for k in range(ticks):
-        measured = data.C[0] @ x
-        following = -0.3 * filtered
-        filtered = 0.8 * filtered + 0.2 * measured
-        if k >= ticks - 2 * round(2.0 * math.pi / (omega * DT)):
-            found.append((k, data.C[1] @ x))
-        after = step @ np.concatenate([x, [command], force])
-        x, force, command = after[:n], after[n + 1 :], following
-    times = np.array([k for k, _ in found]) * DT
-    basis = np.stack([np.cos(omega * times), np.sin(omega * times)], axis=1)
-    a, b = np.linalg.lstsq(basis, np.array([value for _, value in found]), rcond=None)[0]
-    assert a - 1j * b == pytest.approx(complex(errors[0, 1]), rel=2e-4)
+@pytest.mark.parametrize("omega", [0.3, 0.9, 7.0, 40.0])
+def test_the_model_has_the_sampled_response_of_the_nominal_loop(omega: float) -> None:
+    """Error by disturbance: the steady state of the ticks under a force ``exp(j w t)``."""
+    _, errors = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"]).at(omega)
+    A, _ = tick_matrices(PLANT, LAW)
+    force = expm(DT * np.array([[0.0, 1.0, 0.0], [-1.0, -DAMPING, 1.0], [0.0, 0.0, 1j * omega]]))[:2, 2]
+    state = np.linalg.solve(np.exp(1j * omega * DT) * np.eye(4) - A, [*force, 0.0, 0.0])
+    assert complex(errors[0, 1]) == pytest.approx(state[0], rel=1e-9)
 
 
 def test_a_known_worst_case_is_bounded_from_both_sides(proof: LoopProof) -> None:
@@ -167,60 +142,28 @@ def test_an_unstable_member_is_never_covered(part: float) -> None:
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
-def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
-    """Of the nominal loop from tick to tick: plant, held command, law."""
-    from scipy.linalg import expm
-
-    data = plant.at({})
-    n, k = len(data.A), law.order
-    step = np.zeros((n + 1, n + 1))
-    step[:n, :n], step[:n, n] = data.A, data.B[:, 1]
-    step = expm(step * DT)
-    whole = np.zeros((n + k + 1, n + k + 1))
-    whole[:n, :n], whole[:n, n + k] = step[:n, :n], step[:n, n]
-    whole[n : n + k, :n], whole[n : n + k, n : n + k] = law.B @ data.C[:1], law.A
-    whole[n + k, :n], whole[n + k, n : n + k] = law.D @ data.C[:1], law.C
-    return np.asarray(np.linalg.eigvals(whole), dtype=complex)
-
-
-@pytest.mark.parametrize("gain", [-9.0, 0.05, 0.12, 20.0])
+@pytest.mark.parametrize("gain", [-9.0, -4.9958, -4.9858, 0.05, 0.12, 20.0])
 def test_the_nominal_loop_is_stable_as_its_eigenvalues_say(gain: float) -> None:
-    """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large."""
-    plant, law = held_loop()
-    law = SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
-    radius = float(np.abs(loop_eigenvalues(plant, law)).max())
+    """Velocity feedback: unstable where it takes more than the damping away, and where the lag is too large.
+
+    Between the second and the third gain the largest eigenvalue passes 1.
+    """
+    plant, law = mode_and_law(gain, DT)
+    radius = float(np.abs(np.linalg.eigvals(tick_matrices(plant, law)[0])).max())
     assert abs(radius - 1.0) > 1e-5
     windows = nominal_windows(loop_model(plant, DT, law, commands=["u"], measurements=["v"]))
     assert (windows > 0) == (radius < 1.0)
 
 
-@pytest.mark.further
-def test_the_limit_of_stability_is_found_from_both_sides() -> None:
-    """Between the two gains the largest eigenvalue passes 1."""
-    from scipy.optimize import brentq
-
-    plant, law = held_loop()
-
-    def changed(gain: float) -> SampledSystem:
-        return SampledSystem(law.A, law.B, [[gain]], law.D, law.inputs, law.outputs, dt=DT, name="law")
-
-    limit = brentq(lambda g: np.abs(loop_eigenvalues(plant, changed(g))).max() - 1.0, -1000.0, -1.0)
-    for factor in (0.999, 1.001):
-        model = loop_model(plant, DT, changed(factor * limit), commands=["u"], measurements=["v"])
-        assert (nominal_windows(model) > 0) == (factor < 1.0)
-
-
 def test_unstable_controllers_and_open_plants_are_not_called_stable() -> None:
-    plant, law = held_loop()
-    growing = SampledSystem([[1.01]], law.B, law.C, law.D, law.inputs, law.outputs, dt=DT, name="law")
-    assert not nominal_windows(loop_model(plant, DT, growing, commands=["u"], measurements=["v"]))
+    growing = mode_and_law(-0.3, DT, pole=1.01)[1]
+    assert not nominal_windows(loop_model(PLANT, DT, growing, commands=["u"], measurements=["v"]))
     assert not nominal_windows(loop_model(oscillator(), DT))
 
 
 def test_half_a_circle_is_enough_for_real_systems_alone() -> None:
     """A mode without its conjugate: negative frequencies have not been looked at."""
-    plant, law = held_loop()
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    model = loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"])
     assert nominal_windows(model)
     assert not nominal_windows(dataclasses.replace(model, B=model.B * np.array([[1.0], [1.0 + 1e-9]])))
     assert not nominal_windows(dataclasses.replace(model, K_C=model.K_C * 1j))
@@ -233,17 +176,6 @@ def test_near_frequency_zero_the_bound_is_as_sharp(factor: float, proven: bool) 
     truth = 1.0 / abs(0.8 - high**2 + 2j * ZETA * high)
     bounds = prove_level(loop_model(oscillator(), DT), box_of(oscillator()), (0.0, high), factor * truth)
     assert (not bounds.uncovered and bounds.lower < factor * truth) == proven
-
-
-@pytest.mark.further
-def test_all_members_of_a_sampled_loop_are_stable_by_a_bound_of_the_whole_band() -> None:
-    plant, law = held_loop()
-    model = loop_model(plant, DT, law, commands=["u"], measurements=["v"])
-    box, names = box_of(plant), ("k",)
-    whole, part = (prove_level(model, box, band, 30.0) for band in ((0.0, NYQUIST), (0.9, 1.0)))
-    assert not whole.uncovered and not part.uncovered
-    assert check_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), 30.0, tuple(whole.strips))).stable
-    assert not check_loop_proof(LoopProof(model, names, box, (0.9, 1.0), 30.0, tuple(part.strips))).stable
 
 
 def tightest(proof: LoopProof) -> Strip:
@@ -278,7 +210,6 @@ CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
     "another plant": lambda p: dataclasses.replace(p, model=louder(p.model)),
     "no strips": lambda p: dataclasses.replace(p, strips=()),
     "another limit": lambda p: dataclasses.replace(p, model=dataclasses.replace(p.model, scale=0.9)),
-    "beyond Nyquist": lambda p: dataclasses.replace(p, band=(0.0, 1.1 * NYQUIST)),
 }
 
 
@@ -286,3 +217,94 @@ CHANGES: dict[str, Callable[[LoopProof], LoopProof]] = {
 def test_a_changed_proof_is_refused(proof: LoopProof, name: str) -> None:
     with pytest.raises(ProofError):
         check_loop_proof(CHANGES[name](proof))
+
+
+SLOW, FAST = 1.0, 10.0
+
+
+def two_oscillators() -> System:
+    """Sum of the velocities of two oscillators a decade apart, each with an uncertain stiffness."""
+    A, B, C = np.zeros((4, 4)), np.zeros((4, 3)), np.zeros((3, 4))
+    parameters = []
+    for i, omega in enumerate((SLOW, FAST)):
+        position, velocity = 2 * i, 2 * i + 1
+        A[position, velocity], A[velocity, position], A[velocity, velocity] = 1.0, -(omega**2), -2.0 * ZETA * omega
+        B[velocity, i], B[velocity, 2] = -1.0, 1.0
+        C[i, position], C[2, velocity] = 1.0, 1.0
+        parameters.append(RealParameter(f"k{i}", omega**2, 0.8 * omega**2, 1.3 * omega**2))
+    ports = (Port("force", 1),), (Port("velocity", 1),)
+    return System(A, B, C, np.zeros((3, 3)), *ports, channels=("k0", "k1"), elements=tuple(parameters))
+
+
+@pytest.mark.parametrize(("omega", "axis"), [(0.95 * SLOW, 0), (0.95 * FAST, 1)])
+def test_the_stiffness_of_the_oscillator_that_resonates_is_bisected(omega: float, axis: int) -> None:
+    """Below the truth, 1 / (2 zeta omega), whatever the losses say."""
+    system = two_oscillators()
+    branching = Branching(loop_model(system, dt=0.01), 0.9 / (2.0 * ZETA * omega))
+    box = box_of(system)
+    losses = np.array([0.0, 1.0]) if axis == 0 else np.array([1.0, 0.0])
+    assert branching.axis(box, box, omega, losses) == axis
+    ends = box[axis]
+    small = list(box)
+    small[axis] = ends[0], ends[0] + 1e-5 * (ends[1] - ends[0])
+    assert branching.axis(tuple(small), box, omega, losses) == 1 - axis, "there is nothing left to bisect in it"
+
+
+@pytest.mark.parametrize("fixed", [(0,), (0, 1)])
+def test_fixed_parameters_are_proven_too(fixed: tuple[int, ...]) -> None:
+    """An interval without width: D would be infinite. The bound is that of the parameters that are left."""
+    system = aligned_modes(2, damping=0.1)
+    model, band = loop_model(system, dt=0.1), (0.3, 3.0)
+    box = tuple((0.0, 0.0) if k in fixed else ends for k, ends in enumerate(box_of(system)))
+    found = prove_level(model, box, band, 11.0)
+    assert not found.uncovered
+    proof = LoopProof(model, tuple(p.name for p in system.parameters), box, band, 11.0, tuple(found.strips))
+    assert check_loop_proof(proof).box == box
+
+
+PARAMETERS = 7
+
+
+def random_system(seed: int) -> System:
+    """Six states, seven parameters of which two occur twice, and a feedthrough; intervals of unequal sides."""
+    rng = np.random.default_rng(seed)
+    names = tuple(f"p{i}" for i in range(PARAMETERS))
+    channels = (*names, "p1", "p4")
+    A = rng.normal(size=(6, 6))
+    A -= (linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
+    B, C = 0.3 * rng.normal(size=(6, 9)), 0.3 * rng.normal(size=(9, 6))
+    parameters = tuple(RealParameter(n, 0.0, -rng.uniform(0.3, 1.0), rng.uniform(0.3, 1.0)) for n in names)
+    return System(
+        A, B, C, 0.1 * rng.normal(size=(9, 9)), (), (), channels=channels, elements=parameters
+    ).sorted_channels()
+
+
+def ends_of(system: System) -> FloatArray:
+    return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters])
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 8))])
+def test_no_corner_is_unstable_much_earlier_than_the_one_found(seed: int) -> None:
+    system, largest = random_system(seed), 20.0
+    search = CornerSearch(system, ends_of(system))
+
+    def ray(corner: FloatArray) -> float:
+        return ray_factor(system, search.offset(corner), largest)
+
+    found, corner = earliest_unstable_corner(search, largest, ray, samples=8, seed=0)
+    every = min(ray(np.array(c)) for c in itertools.product((-1.0, 1.0), repeat=PARAMETERS))
+    assert corner is not None and found == pytest.approx(ray(corner), rel=1e-6)
+    assert every <= found * (1.0 + 1e-6) and found <= 1.001 * every
+
+
+@pytest.mark.further
+def test_the_unstable_corner_of_the_aircraft() -> None:
+    """One of 16 384 corners is unstable from 5.4281 times the box."""
+    system = transport_aircraft().sorted_channels()
+    box = [(p.lower, p.upper) for p in system.parameters]
+    factor, point, frequency = smallest_unstable_factor(system, box, 10.0)
+    assert factor == pytest.approx(5.4281, abs=2e-4) and frequency == pytest.approx(0.623, abs=1e-3)
+    nominal = np.array([p.nominal for p in system.parameters])
+    signs = [-1, 1, -1, 1, 1, 1, 1, -1, 1, -1, -1, -1, 1, 1]
+    np.testing.assert_array_equal(np.sign(point - nominal), signs)
+    np.testing.assert_allclose(np.abs(point - nominal), factor * 0.1 * np.abs(nominal), rtol=1e-9)

@@ -1,17 +1,20 @@
-"""One check for proofs of every kind, which loads nothing of what finds them; the method follows from the size."""
+"""One check for proofs of every kind: what it loads, which files pass, and what is changed in cells is refused."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy import linalg
+from support.forged_proofs import forged
 from support.trusted_code import CHECKERS, file_of, imported_by
-from support.uncertain_examples import aligned_modes, chain_of_masses
+from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston_safonov
 
 from lftkit import proofs, real, s
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
@@ -19,7 +22,9 @@ from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import KINDS, proof_kind
 from lftkit.proofs.proof_files import read_content, write_content
 from lftkit.proofs.state_space import Proof
+from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, exact_product
 from lftkit.proofs.trusted.cells import digest
+from lftkit.proofs.trusted.proof import uncovered
 from lftkit.support.format_names import EARLIER_NAMES
 
 OLDER = Path(__file__).parents[3] / "fixtures" / "files_of_0_1" / "proofs"
@@ -134,16 +139,15 @@ def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path) -
         assert arrays or checked == check_proof(OLDER / name)
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]"])
-def test_what_is_no_proof_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "proof"
-    path.write_bytes(content)
-    with pytest.raises(ProofError):
-        check_proof(path)
+NO_PROOFS = (b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]")
 
 
-@pytest.mark.parametrize("what", [None, 3, Path("/nowhere/proof.json"), {}, {"format": "other"}])
-def test_other_objects_are_refused(what: object) -> None:
+@pytest.mark.parametrize("what", [*NO_PROOFS, None, 3, Path("/nowhere/proof.json"), {}, {"format": "other"}])
+def test_what_is_no_proof_is_refused(what: object, tmp_path: Path) -> None:
+    """Content of files, and other objects."""
+    if isinstance(what, bytes):
+        (tmp_path / "proof").write_bytes(what)
+        what = tmp_path / "proof"
     with pytest.raises(ProofError):
         check_proof(what)
 
@@ -180,14 +184,6 @@ def test_robust_performance_of_a_spring_by_hand() -> None:
     assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
 
 
-def test_robust_performance_where_poles_are_not_separate() -> None:
-    """``1 / (s + 1)^2 / (1 - p)``, p within 0.5, where cells are what is left. 1.5 is reached at a third."""
-    system = (1 / ((s + 1) ** 2 * (1 - real("p", 0.0, plus_minus=0.5)))).system("u", "y")
-    bounds = robust_performance(system, level=1.5, options=LONG)
-    assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-5)
-    assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5) and check_proof(bounds.proof).level == 1.5
-
-
 def test_robust_performance_needs_a_stable_nominal_member_in_the_box() -> None:
     p = real("p", 0.0, plus_minus=0.5)
     with pytest.raises(ValueError, match="nominal member must be stable, got an unstable one"):
@@ -211,3 +207,105 @@ def test_what_runs_is_what_is_counted() -> None:
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     allowed = {path.resolve() for path in imported_by(*CHECKERS)} | {file_of("lftkit.support.on_demand").resolve()}
     assert {f for m in loaded if (f := file_of(m).resolve()) not in allowed and f.name != "__init__.py"} == set()
+
+
+Content = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def proof() -> Content:
+    bounds = worst_case_gain(aligned_modes(2, damping=0.02), options=BoundOptions(wall_limit=3600.0))
+    assert bounds.proof is not None and bounds.proof.cells > 2 and check_proof(bounds.proof).margin >= 1.0
+    return bounds.proof.content
+
+
+def test_a_change_without_a_new_digest_is_refused(proof: Content) -> None:
+    content = {**proof, "cells": [{**proof["cells"][0], "performance": 1.0}, *proof["cells"][1:]]}
+    with pytest.raises(ProofError, match="SHA-256"):
+        check_proof(content)
+
+
+def damages(number: int, cell: Content) -> tuple[tuple[Callable[[Content], object], str], ...]:
+    low, high = cell["band"]
+    wide = [0.9 * low, None if high is None else 1.1 * high]
+    return (
+        (lambda c: c["cells"].pop(number), "hole"),
+        (lambda c: c["cells"][number].update(band=wide), "overlap"),
+        (lambda c: c.update(cells=[{**cell, "band": [0.0, None]}]), "inequality"),
+    )
+
+
+def test_no_cell_can_be_left_out_or_widened_or_replace_the_others(proof: Content) -> None:
+    for number, cell in enumerate(proof["cells"]):
+        for change, reason in damages(number, cell):
+            with pytest.raises(ProofError, match=reason):
+                check_proof(forged(proof, change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c["claim"].update(level=0.94 * c["claim"]["level"]),  # the gain reaches 50
+        lambda c: c["cells"][0].update(performance=-1.0),
+        lambda c: c["cells"][0]["P"][0][0].__setitem__(0, -1.0),
+        lambda c: c["cells"][1]["D"]["k0"][0][0].__setitem__(0, 0.0),
+        lambda c: c["cells"][1].update(D={**c["cells"][1]["D"], "k0": [[[1e6]], [[0.0]]]}),
+        lambda c: c["plant"]["A"][1].__setitem__(1, -0.03),  # less damping
+        lambda c: c["claim"]["box"].update(k0=[0.8, 2.7]),
+        lambda c: c["stable"]["point"].__setitem__(0, 9.0),
+        lambda c: c["stable"]["L"][0].__setitem__(0, float("inf")),
+        lambda c: c["cells"][0].pop("Q"),
+        lambda c: c["cells"][0]["Q"][0][0].__setitem__(0, float("nan")),
+        lambda c: c.update(claim={**c["claim"], "property": "stability", "level": None}, stable=None),
+        lambda c: c["claim"].update(property="stability"),
+        lambda c: c["claim"].update(level=None),
+        lambda c: c["cells"].clear(),
+    ],
+)
+def test_what_is_altered_is_refused_even_with_a_new_digest(proof: Content, change: Callable[[Content], None]) -> None:
+    with pytest.raises(ProofError):
+        check_proof(forged(proof, change))
+
+
+def test_a_proof_of_stability_does_not_hold_for_an_unstable_box() -> None:
+    proof = robust_stability(de_gaston_safonov(), options=BoundOptions(wall_limit=3600.0)).proof
+    assert proof is not None
+
+    def larger(content: Content) -> None:
+        box = content["claim"]["box"]
+        for owner in [box, *(dict(zip(box, c["intervals"])) for c in content["cells"])]:
+            for ends in owner.values():
+                ends[:] = [3.42 / 3.27 * end for end in ends]
+
+    with pytest.raises(ProofError, match="inequality"):
+        check_proof(forged(proof.content, larger))
+
+
+def test_the_rounding_bound_of_a_product_covers_the_exact_one() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        a, b = (rng.normal(size=(6, 6)) * np.exp(rng.normal(size=(6, 6)) * 8.0) for _ in range(2))
+        exact, rounded = exact_product(a, b), Ball(a) @ Ball(b)
+        assert np.all(np.abs(exact.mid - rounded.mid) <= rounded.rad + exact.rad)
+
+
+def test_a_matrix_that_is_not_certainly_definite_fails() -> None:
+    rng = np.random.default_rng(4)
+    for n in (2, 5, 12):
+        basis = linalg.qr(rng.normal(size=(n, n)))[0]
+        eigenvalues = np.linspace(1.0, 2.0, n)
+        for least, passes in ((1e-3, True), (1e-17, False), (-1e-12, False)):
+            matrix = basis @ np.diag([least, *eigenvalues[1:]]) @ basis.T
+            assert (definite_ratio(Ball(matrix)) >= 1.0) is passes
+        certain = basis @ np.diag(eigenvalues) @ basis.T
+        assert definite_ratio(Ball(certain, np.full((n, n), 1.1 / n))) == 0.0  # the bound of the error is too large
+
+
+def test_coverage_finds_a_hole_of_any_size() -> None:
+    box = [(0.0, 1.0), (0.0, np.inf)]
+    cells = [[(0.0, 1.0), (0.0, 1.0)], [(0.0, 0.5), (1.0, np.inf)], [(0.5, 1.0), (1.0, np.inf)]]
+    assert uncovered(box, cells) is None
+    assert uncovered([(0.3, 0.3), (0.0, np.inf)], cells) is None
+    cells[2] = [(np.nextafter(0.5, 1.0), 1.0), (1.0, np.inf)]
+    assert uncovered(box, cells) == [(0.5, np.nextafter(0.5, 1.0)), (1.0, np.inf)]
+    assert uncovered(box, []) == box

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from support.sampled_modes import mode_and_law, tick_matrices
 
-from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs import ProofError
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, check_loop_proof, loop_model, prove_level
@@ -22,23 +22,11 @@ from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof
 DT = 0.01
 NYQUIST = math.pi / DT
 BOX = ((-0.2, 0.3),)
-GAIN = -6.0
-
-
-def plant_and_law() -> tuple[System, SampledSystem]:
-    """A mode of 1 rad/s with uncertain stiffness, under a velocity feedback with a lag; its position is the error."""
-    k = RealParameter("k", 1.0, 0.8, 1.3)
-    A, B = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0, 0.0], [-1.0, 1.0, 1.0]]
-    C = [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]
-    inputs, outputs = (Port("force", 1), Port("u", 1)), (Port("v", 1), Port("x", 1))
-    plant = System(A, B, C, np.zeros((3, 3)), inputs, outputs, channels=("k",), elements=(k,))
-    law = SampledSystem([[0.8]], [[0.2]], [[GAIN]], [[0.0]], (Port("v", 1),), (Port("u", 1),), dt=DT, name="law")
-    return plant, law
+PLANT, LAW = mode_and_law(-6.0, DT)
 
 
 def model() -> LoopModel:
-    plant, law = plant_and_law()
-    return loop_model(plant, DT, law, commands=["u"], measurements=["v"])
+    return loop_model(PLANT, DT, LAW, commands=["u"], measurements=["v"])
 
 
 def margin(returned: int, limit: float = 1.0) -> LoopModel:
@@ -58,25 +46,9 @@ def noisy(sigma: float = 1.0) -> LoopModel:
     return dataclasses.replace(own, B=B, D=D, weights=np.array([[sigma, 1.0, 1.0]]))
 
 
-def tick_matrices(deviation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Plant state, held command, law from tick to tick; noise of the measurement; error."""
-    from scipy.linalg import expm
-
-    plant, law = plant_and_law()
-    data = plant.at({"k": 1.0 + deviation})
-    step = np.zeros((3, 3))
-    step[:2, :2], step[:2, 2] = data.A, data.B[:, 1]
-    step = expm(step * DT)
-    A, N = np.zeros((4, 4)), np.zeros((4, 1))
-    A[:2, :2], A[:2, 2] = step[:2, :2], step[:2, 2]
-    A[2, 3], A[3, 3], A[3, :2] = law.C[0, 0], law.A[0, 0], (law.B @ data.C[:1])[0]
-    N[3] = law.B[0]
-    return A, N, np.concatenate([data.C[1], [0.0, 0.0]])[None]
-
-
 def exact_sensitivity(omega: FloatArray) -> ComplexArray:
     """Of the nominal loop: the state space from a signal added to the command to the command, at the ticks."""
-    A, _, _ = tick_matrices(0.0)
+    A, _ = tick_matrices(PLANT, LAW)
     z = np.exp(1j * omega * DT)
     entry, law = np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0])
     entry[:2] = A[:2, 2]
@@ -154,8 +126,8 @@ def test_the_noise_of_every_member_is_below_the_bound(noise: NoiseProof, tmp_pat
 
     largest = 0.0
     for deviation in np.linspace(*BOX[0], 11):
-        A, N, C = tick_matrices(float(deviation))
-        largest = max(largest, math.sqrt(float((C @ solve_discrete_lyapunov(A, N @ N.T) @ C.T)[0, 0])))
+        A, N = tick_matrices(PLANT, LAW, float(deviation))
+        largest = max(largest, math.sqrt(float(solve_discrete_lyapunov(A, N @ N.T)[0, 0])))
     write_loop_proof(noise, tmp_path / "noise.npz")
     checked = check_noise_proof(read_noise_proof(tmp_path / "noise.npz"), window=0.02)
     assert largest < checked.absolute.rms < 1.3 * largest and math.isinf(checked.stable_below)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -134,20 +135,18 @@ def test_altered_certificates_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("M", "structure", "message"),
+    ("call", "message"),
     [
-        (np.eye(2), [real_block()], "shape"),
-        (np.eye(2), [], "shape"),
-        ([[np.nan]], [real_block()], "finite"),
-        (np.ones((2, 3)), [full_block(2, 3)], "shape"),
+        (lambda: mu(np.eye(2), [real_block()]), "shape"),
+        (lambda: mu(np.eye(2), []), "shape"),
+        (lambda: mu([[np.nan]], [real_block()]), "finite"),
+        (lambda: mu(np.ones((2, 3)), [full_block(2, 3)]), "shape"),
+        (lambda: UncertaintyBlock("imaginary", 1, 1), "must"),
+        (lambda: UncertaintyBlock("real", 0, 0), "must"),
+        (lambda: UncertaintyBlock("real", 1, 2), "must"),
+        (lambda: UncertaintyBlock("full", 0, 2), "must"),
     ],
 )
-def test_bad_input_is_a_line(M: Any, structure: list[UncertaintyBlock], message: str) -> None:
+def test_bad_matrices_and_blocks_are_refused(call: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        mu(M, structure)
-
-
-def test_bad_blocks() -> None:
-    for arguments in (("imaginary", 1, 1), ("real", 0, 0), ("real", 1, 2), ("full", 0, 2)):
-        with pytest.raises(ValueError, match="must"):
-            UncertaintyBlock(*arguments)
+        call()

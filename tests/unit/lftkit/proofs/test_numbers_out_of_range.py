@@ -7,14 +7,15 @@ the proof it is made of.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from mpmath import mp
+from support.forged_proofs import forged
 from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
@@ -23,7 +24,6 @@ from lftkit.proofs import BoundOptions, ProofError, check_mu, check_proof, mu, r
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, positive
-from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof, window_power
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, reciprocal, span, weighted_share
 from lftkit.proofs.trusted.proof import Strip
@@ -73,27 +73,25 @@ def test_rounding_is_counted_as_in_a_matrix_that_is_just_definite() -> None:
         assert not positive(matrix - (1e-10 * size + least) * np.eye(n), np.zeros((n, n)))
 
 
-@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, complex(0.0, math.nan)])
-def test_no_polynomial_has_a_number_that_is_not_finite(value: complex) -> None:
+INFINITE = (math.inf, -math.inf, math.nan, complex(0.0, math.nan))
+SINGULAR = (np.zeros((2, 2)), np.full((2, 2), 1e300), np.full((2, 2), 5e-324), np.diag([1e-320, 1.0]))
+LARGE = np.full((2, 2), 1e200)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(lambda value=value: constant(np.array([[1.0, value]])) for value in INFINITE),
+        *(lambda value=value: Polynomial(np.ones((1, 2)), np.array([1.0, abs(value)])) for value in INFINITE),
+        lambda: constant(LARGE) @ constant(LARGE),
+        *(lambda matrix=matrix: inverse(constant(matrix)) for matrix in SINGULAR),
+        lambda: reciprocal(constant(np.array([5e-324]))),
+    ],
+)
+def test_no_polynomial_is_made_of_or_of_arithmetic_with_numbers_out_of_range(make: Callable[[], object]) -> None:
+    """LAPACK inverts some of the matrices."""
     with np.errstate(all="ignore"), pytest.raises(ArithmeticError):
-        constant(np.array([[1.0, value]]))
-    with pytest.raises(ArithmeticError):
-        Polynomial(np.ones((1, 2)), np.array([1.0, abs(value)]))
-
-
-def test_a_product_that_overflows_is_no_polynomial() -> None:
-    large = constant(np.full((2, 2), 1e200))
-    with np.errstate(all="ignore"), pytest.raises(ArithmeticError):
-        large @ large
-
-
-def test_inverses_do_not_trust_lapack() -> None:
-    with np.errstate(all="ignore"):
-        for matrix in (np.zeros((2, 2)), np.full((2, 2), 1e300), np.full((2, 2), 5e-324), np.diag([1e-320, 1.0])):
-            with pytest.raises(ArithmeticError):
-                inverse(constant(matrix))
-        with pytest.raises(ArithmeticError):
-            reciprocal(constant(np.array([5e-324])))
+        make()
 
 
 def test_a_window_contains_its_ends_among_the_smallest_numbers() -> None:
@@ -189,18 +187,18 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path] if isinstance(value, (int, float)) else []
 
 
+def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
+    def put(found: dict[str, Any]) -> None:
+        for path, value in change.items():
+            entry(found, path[:-1])[path[-1]] = value
+
+    return forged(content, put)
+
+
 def entry(content: Any, path: tuple[Any, ...]) -> Any:
     for key in path:
         content = content[key]
     return content
-
-
-def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
-    found = copy.deepcopy(content)
-    for path, value in change.items():
-        entry(found, path[:-1])[path[-1]] = value
-    found["sha256"] = digest(found)
-    return found
 
 
 @pytest.mark.parametrize("power", POWERS)

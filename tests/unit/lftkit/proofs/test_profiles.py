@@ -1,40 +1,30 @@
-"""Bounds over frequency agree with the bounds over the whole axis and with members; disk margins with a grid."""
+"""Bounds over frequency and disk margins: against members, grids, closed forms and brackets."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import linalg
-from support.uncertain_examples import aligned_modes, de_gaston_safonov
+from support.uncertain_examples import aligned_modes
 
-from lftkit import RealParameter, System, dynamic, feedback, real, s, z
+from lftkit import RealParameter, System, append, dynamic, feedback, real, s, z
 from lftkit.analysis.disk_margin import disk_gains, disk_phase
+from lftkit.analysis.margins import sensitivity
+from lftkit.analysis.norms import band_gain
 from lftkit.proofs import (
     check_proof,
     disk_margins,
     gain_profile,
-    robust_stability,
     stability_profile,
     worst_case_disk_margin,
     worst_case_gain,
 )
-
-
-@pytest.mark.further
-def test_the_profile_of_a_margin_has_its_peak_at_the_margin() -> None:
-    """km = 3.41740 of de Gaston and Safonov."""
-    system = de_gaston_safonov()
-    crossing = robust_stability(system).frequency
-    omega = crossing * np.array([0.5, 0.9, 0.97, 1.0, 1.03, 1.5])
-    profile = stability_profile(system, omega, starts=4)
-    assert np.all(profile.lower <= profile.upper * (1.0 + 1e-12))
-    assert profile.upper.max() == profile.upper[3] == pytest.approx(1.0 / 3.41740, rel=2e-3)
-    assert profile.lower.max() == pytest.approx(1.0 / 3.41740, rel=1e-4)
-    best = int(np.argmax(profile.lower))
-    poles = linalg.eigvals(system.at(profile.points[best], beyond_range=True).A)
-    assert np.abs(poles - 1j * omega[best]).min() < 1e-7, "the member has a pole there"
+from lftkit.proofs.state_space.disk_search import DiskSearch
+from lftkit.proofs.state_space.search import member_gain
+from lftkit.systems.sampled.bilinear import to_discrete
 
 
 def test_the_profile_of_a_gain_is_reached_and_bounded() -> None:
@@ -165,3 +155,132 @@ def test_disk_margins_are_the_same_in_all_units_of_the_channels() -> None:
         L = System(-np.eye(2), T, np.linalg.inv(T), np.linalg.inv(T) @ D @ T, [("u", 2)], [("y", 2)])
         found.append([one.size for one in disk_margins(L).each])
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+A_SPIN = 10.0
+
+
+def satellite() -> System:
+    """Spinning satellite (Seiler, Packard and Gahinet 2020; Zhou, Doyle and Glover 1996)."""
+    G = [[1.0, A_SPIN], [-A_SPIN, 1.0]]
+    return System([[0.0, A_SPIN], [-A_SPIN, 0.0]], np.eye(2), G, np.zeros((2, 2)), [("u", 2)], [("y", 2)])
+
+
+def random(seed: int, channels: int = 2, states: int = 3) -> System:
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((states, states))
+    A -= (linalg.eigvals(A).real.max() + 0.5) * np.eye(states)
+    B, C = 0.4 * rng.standard_normal((states, channels)), 0.6 * rng.standard_normal((channels, states))
+    return System(A, B, C, np.zeros((channels, channels)), [("u", channels)], [("y", channels)])
+
+
+def of_two(L: System, skew: float) -> float:
+    """Margin of two loops: mu of a 2 x 2 matrix for a diagonal is the largest spectral radius over one phase."""
+    phases = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    S = System(*sensitivity(L), L.inputs, L.inputs)
+    largest = 0.0
+    for M in S.response([0.0, *np.geomspace(1e-3, 1e3, 600)]):
+        shifted = M + 0.5 * (skew - 1.0) * np.eye(2)
+        turned = shifted[None] * np.stack([np.ones_like(phases), phases], axis=1)[:, None, :]
+        largest = max(largest, float(np.abs(np.linalg.eigvals(turned)).max()))
+    return 1.0 / largest
+
+
+def poles_with(L: System, factors: Any) -> Any:
+    A, B, C, D = L.matrices
+    assert not D.any()
+    return linalg.eigvals(A - B @ np.diag(factors) @ C)
+
+
+@pytest.mark.parametrize(("seed", "skew"), [(0, -0.5), (1, 0.0), (2, 1.0)])
+def test_two_loops_have_the_margin_of_the_largest_spectral_radius(seed: int, skew: float) -> None:
+    L = random(seed)
+    found = disk_margins(L, skew)
+    expected = of_two(L, skew)
+    assert found.together.lower <= expected
+    assert found.together.upper == pytest.approx(expected, rel=2e-2)
+    assert found.together.lower >= 0.97 * found.together.upper
+    assert check_proof(found.together.gain_bounds.proof).stable
+    assert found.together.upper <= min(one.size for one in found.each)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_factor_of_the_disks_is_borne(seed: int) -> None:
+    L = random(seed, channels=3, states=4)
+    found = disk_margins(L)
+    rng = np.random.default_rng(seed)
+    a = 0.999 * min(found.together.lower, 1.9)
+    for _ in range(200):
+        d = a * np.exp(2j * np.pi * rng.uniform(size=3))
+        assert poles_with(L, (2.0 + d) / (2.0 - d)).real.max() < 0.0
+    low, high = found.together.gain_margins
+    for factors in np.meshgrid([low * 1.001, 1.0, min(high, 1e3) * 0.999], [low * 1.001, 1.0], [1.0]):
+        for one in np.reshape(factors, -1):
+            assert poles_with(L, [one, 1.0, low * 1.001]).real.max() < 0.0
+
+
+def test_the_satellite_bears_each_loop_alone_and_not_both() -> None:
+    """Loop by loop every gain is borne; with both a tenth is enough, as of S - T, whose entries are 1/2 and 10."""
+    found = disk_margins(satellite())
+    assert [one.size for one in found.each] == pytest.approx([2.0, 2.0])
+    assert [one.gain for one in found.each] == [(pytest.approx(0.0, abs=1e-6), pytest.approx(math.inf))] * 2 or all(
+        one.gain[1] > 1e6 for one in found.each
+    )
+    assert 0.0985 < found.together.lower <= found.together.upper < 0.1
+    assert found.together.upper == pytest.approx(of_two(satellite(), 0.0), rel=1e-3)
+
+
+def test_a_sampled_image_has_the_same_margins() -> None:
+    L = random(1)
+    image = System(*to_discrete(*L.matrices, 0.1), L.inputs, L.outputs, dt=0.1)
+    first, second = disk_margins(L), disk_margins(image)
+    assert [one.size for one in second.each] == pytest.approx([one.size for one in first.each], rel=1e-6)
+    assert second.together.upper == pytest.approx(first.together.upper, rel=1e-2)
+
+
+def test_an_unstable_loop_has_none_and_what_is_no_loop_is_refused() -> None:
+    L = append((100 / (s + 1) ** 3).system("u1", "y1"), (1 / (s + 1)).system("u2", "y2"))
+    found = disk_margins(L)
+    assert found.together.lower == found.together.upper == 0.0
+    assert found.together.gain_bounds.status == "unstable"
+    with pytest.raises(ValueError, match="must have as many inputs as outputs"):
+        disk_margins(System([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0, 0.0]], [("u", 2)], [("y", 1)]))
+
+
+CLOSE = 1e-3
+"""Share of the largest gain that a search may miss."""
+
+
+def modes_and_lags(rng: np.random.Generator) -> System:
+    """Modes with damping ratios from 1e-4 on, from 0.1 to 1000 rad/s, and some lags beside them."""
+    count, lags = int(rng.integers(1, 9)), int(rng.integers(0, 3))
+    w, zeta = np.sort(10.0 ** rng.uniform(-1.0, 3.0, count)), 10.0 ** rng.uniform(-4.0, -0.2, count)
+    n = 2 * count + lags
+    A = np.zeros((n, n))
+    A[:count, count : 2 * count] = np.eye(count)
+    A[count : 2 * count, :count] = -np.diag(w**2)
+    A[count : 2 * count, count : 2 * count] = -np.diag(2.0 * zeta * w)
+    A[2 * count :, 2 * count :] = -np.diag(10.0 ** rng.uniform(-2.0, 3.0, lags))
+    D = rng.integers(0, 2) * rng.normal(size=(2, 2))
+    return System(A, rng.normal(size=(n, 2)), rng.normal(size=(2, n)), D, [("u", 2)], [("y", 2)])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_peak_in_a_band_is_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    system = modes_and_lags(rng)
+    low = 10.0 ** rng.uniform(-2.0, 2.0) if seed % 3 else 0.0
+    high = low + 10.0 ** rng.uniform(-1.0, 3.0) if seed % 5 else np.inf
+    expected = band_gain(*system.matrices, (low, high)).upper
+    for found in (member_gain(system, np.zeros(0), (low, high)), DiskSearch(system, [], (low, high), 0).largest_gain()):
+        assert low <= found.frequency <= high
+        assert expected * (1.0 - CLOSE) <= found.gain <= expected * (1.0 + 1e-9)
+
+
+def test_a_slow_resonance_far_below_the_fastest_pole_is_found() -> None:
+    """The grid begins at the slowest pole, however fast the others are."""
+    A = np.array([[0.0, 1.0, 0.0], [-1e-4, -2e-5, 0.0], [0.0, 0.0, -1e4]])
+    system = System(A, [[0.0], [1.0], [1.0]], [[1.0, 0.0, 1.0]], [[0.0]], [("u", 1)], [("y", 1)])
+    for band in ((1e-3, np.inf), (0.0, 1e6)):
+        found = member_gain(system, np.zeros(0), band)
+        assert found.frequency == pytest.approx(0.01, rel=1e-3) and found.gain == pytest.approx(5e6, rel=1e-3)

@@ -22,7 +22,8 @@ from lftkit.proofs.trusted.arithmetic import UNIT
 from lftkit.proofs.trusted.proof import Strip
 
 DT, DIGITS = 0.01, 40
-Matrix = list[list[Any]]
+Matrix = Any
+"""An array of intervals."""
 DEEPEST = 12
 BOX = ((-0.2, 0.3), (-0.3, 0.3))
 BAND = (0.3, 40.0)
@@ -50,31 +51,17 @@ def proof() -> LoopProof:
     return LoopProof(own, ("k", "a"), BOX, BAND, 2.0, tuple(found.strips))
 
 
-def exact(value: complex) -> Any:
-    """A double as an interval of no width."""
-    number = complex(value)
-    return iv.mpc(iv.mpf(number.real), iv.mpf(number.imag))
-
-
 def matrix(values: Any) -> Matrix:
-    return [[exact(entry) for entry in row] for row in np.atleast_2d(values)]
-
-
-def times(a: Matrix, b: Matrix) -> Matrix:
-    zero = iv.mpc(0)
-    return [[sum((x * b[k][j] for k, x in enumerate(row)), zero) for j in range(len(b[0]))] for row in a]
-
-
-def plus(a: Matrix, b: Matrix, factor: Any = 1) -> Matrix:
-    return [[x + factor * y for x, y in zip(row, other)] for row, other in zip(a, b)]
-
-
-def scaled(a: Matrix, factor: Any) -> Matrix:
-    return [[factor * x for x in row] for row in a]
+    """Doubles as intervals of no width."""
+    given = np.atleast_2d(np.asarray(values, complex))
+    found = np.empty(given.shape, object)
+    for place, number in np.ndenumerate(given):
+        found[place] = iv.mpc(iv.mpf(number.real), iv.mpf(number.imag))
+    return found
 
 
 def adjoint(a: Matrix) -> Matrix:
-    return [[iv.mpc(row[j].real, -row[j].imag) for row in a] for j in range(len(a[0]))]
+    return np.frompyfunc(lambda x: iv.mpc(x.real, -x.imag), 1, 1)(a.T)
 
 
 def exponential(re: Any, im: Any) -> Any:
@@ -87,26 +74,19 @@ def responses(own: LoopModel, omega: Any) -> tuple[Matrix, Matrix]:
     q, y, _, d, _ = own.sizes
     dt, j = iv.mpf(own.dt), iv.mpc(0, 1)
     z = exponential(iv.mpf(0), omega * dt)
-    poles = [exact(p) for p in own.poles]
-    phi = [1 / (j * omega - p) for p in poles]
-    flow = [exponential(p.real * dt, p.imag * dt) for p in poles]
-    gain = [(f - 1) / p for f, p in zip(flow, poles)]
-
-    def through(C: Any, factors: list[Any], B: Any, D: Any) -> Matrix:
-        left = [[exact(c) * f for c, f in zip(row, factors)] for row in np.atleast_2d(C)]
-        return plus(times(left, matrix(B)), matrix(D))
-
-    own_part = through(own.C, phi, own.B[:, : q + d], own.D[:, : q + d])
-    held = [g / (z - f) for g, f in zip(gain, flow)]
-    seen = through(own.C[q:], held, own.B[:, q + d :], own.D[q:, q + d :])
-    hold = (1 - 1 / z) / (j * omega * dt)
-    felt = scaled(through(own.C[:q], phi, own.B[:, q + d :], own.D[:q, q + d :]), hold)
-    law = [1 / (z - exact(p)) for p in own.K_poles]
+    poles = matrix(own.poles)[0]
+    phi = 1 / (poles * -1 + j * omega)
+    flow = np.frompyfunc(lambda p: exponential(p.real * dt, p.imag * dt), 1, 1)(poles)
+    held = (flow - 1) / poles / (flow * -1 + z)
+    B, C, D = matrix(own.B), matrix(own.C), matrix(own.D)
+    own_part = (C * phi) @ B[:, : q + d] + D[:, : q + d]
+    seen = (C[q:] * held) @ B[:, q + d :] + D[q:, q + d :]
+    felt = ((C[:q] * phi) @ B[:, q + d :] + D[:q, q + d :]) * ((1 - 1 / z) / (j * omega * dt))
     frame = sum((z ** (-n) for n in range(int(own.frame[0]))), iv.mpc(0)) / int(own.frame[0])
-    K = scaled(through(own.K_C, law, own.K_B, own.K_D), frame / z)
-    loop = 1 / (1 - K[0][0] * seen[0][0])
-    u = scaled(times(K, own_part[q : q + y]), loop)
-    return plus(own_part[:q], times(felt, u)), plus(own_part[q + y :], times(seen[y:], u))
+    law = (matrix(own.K_C) / (matrix(own.K_poles) * -1 + z)) @ matrix(own.K_B) + matrix(own.K_D)
+    K = law * (frame / z)
+    u = K @ own_part[q : q + y] * (1 / (1 - K[0, 0] * seen[0, 0]))
+    return own_part[:q] + felt @ u, own_part[q + y :] + seen[y:] @ u
 
 
 def form(own: LoopModel, strip: Strip, number: int, omega: Any, level: float) -> Matrix:
@@ -118,26 +98,25 @@ def form(own: LoopModel, strip: Strip, number: int, omega: Any, level: float) ->
     share = (omega - first) / (last - first)
 
     def between(values: Any) -> Matrix:
-        return plus(scaled(matrix(values[number]), 1 - share), scaled(matrix(values[number + 1]), share))
+        return matrix(values[number]) * (1 - share) + matrix(values[number + 1]) * share
 
     half = matrix(np.zeros((q + d, q + d)))
     for k, group in enumerate(own.groups):
-        zk, wk = [z[c] for c in group], [w[c] for c in group]
+        zk, wk = z[list(group)], w[list(group)]
         low, high = (iv.mpf(value) for value in strip.box[k])
         ca, sa, cb, sb = (iv.mpf(1), low, iv.mpf(1), high)
         if own.angle[k]:
             ca, sa, cb, sb = iv.cos(low / 2), iv.sin(low / 2), iv.cos(high / 2), iv.sin(high / 2)
-        before, after = plus(scaled(wk, ca), zk, -sa), plus(scaled(zk, sb), wk, -cb)
-        half = plus(half, times(adjoint(before), times(between(strip.D[k]), after)))
-        half = plus(half, times(adjoint(zk), times(scaled(between(strip.G[k]), iv.mpc(0, 1)), wk)))
-    factor = between(strip.factor[:, None, None])[0][0]
+        half = half + adjoint(wk * ca - zk * sa) @ between(strip.D[k]) @ (zk * sb - wk * cb)
+        half = half + adjoint(zk) @ (between(strip.G[k]) * iv.mpc(0, 1)) @ wk
+    factor = between(strip.factor[:, None, None])[0, 0]
     x = iv.mpc(0, 1) * omega * iv.mpf(own.window)
     weight = x * (x + iv.sqrt(iv.mpf(12))) / (x**2 + 6 * x + 12)
     size = (weight.real**2 + weight.imag**2) / (iv.mpf(own.scale) * iv.mpf(level)) ** 2
-    whole = plus(plus(half, adjoint(half)), times(adjoint(e), e), factor * size)
+    whole = half + adjoint(half) + adjoint(e) @ e * (factor * size)
     for k, (a, zero, pole) in enumerate(own.weights):
         amplitude = (omega**2 + iv.mpf(pole) ** 2) / ((omega**2 + iv.mpf(zero) ** 2) * iv.mpf(a) ** 2)
-        whole[q + k][q + k] = whole[q + k][q + k] - factor * amplitude
+        whole[q + k, q + k] = whole[q + k, q + k] - factor * amplitude
     return whole
 
 
@@ -145,9 +124,7 @@ def negative(own: LoopModel, strip: Strip, number: int, ends: tuple[float, float
     """Whether the form is negative definite at all frequencies from one double to another one."""
     low, high = ends
     V = matrix(coordinates(own, strip, number, 0.5 * (low + high), level))
-    found = times(adjoint(V), times(form(own, strip, number, iv.mpf([low, high]), level), V))
-    for i, row in enumerate(found):
-        row[i] = row[i] + 1
+    found = adjoint(V) @ form(own, strip, number, iv.mpf([low, high]), level) @ V + matrix(np.eye(len(V)))
     return all(sum((abs(entry) for entry in row), iv.mpf(0)).b < 1 for row in found)
 
 

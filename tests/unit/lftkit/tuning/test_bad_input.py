@@ -41,6 +41,7 @@ from lftkit.tuning.goals import resolved
 NEED = [HinfGain("w", "z")]
 LAW = gain([("y", 1)], [("u", 1)])
 PID, SAMPLED_PID = (pid("y", "u", derivative_filter=0.5, dt=dt) for dt in (0.0, 0.2))
+BOTH = Decentralised((gain([("y", 1)], [("a", 1)]), pid("y", "b", derivative_filter=0.1)))
 PORTS: Any = [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)]
 LAG = System([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], *PORTS, "lag")
 SAMPLED = discretise(LAG, 0.1)
@@ -124,6 +125,11 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "^parameter must be one of Kp, Ki, Kd, got 'Kx'$": lambda: PID.with_fixed({"Kx": 1.0}),
     r"^Kd must be fixed once, got 1 and 0\.5$": lambda: PID.with_fixed({"Kd": 1.0, (2, 1): -1.0}),
     "^value of Kd must be finite, got nan$": lambda: PID.with_fixed({"Kd": np.nan}),
+    r"^parameter must be one of a.D\[0,0\], b.Kp, b.Ki, b.Kd, got 'a.Kp'$": lambda: BOTH.with_fixed({"a.Kp": 1.0}),
+    r"^entry \(2, 0\) of the gain matrix is in no part": lambda: BOTH.with_fixed({(2, 0): 1.0}),
+    "^parameters of u cannot be fixed or bounded, got a StableStateSpace": lambda: Decentralised(
+        (StableStateSpace([("y", 1)], [("u", 1)], 1),)
+    ).with_fixed({"u.x[0]": 1.0}),
     r"start of D\[0,0\] must be within its bounds \(-3, 0\), got 7": lambda: tuned(
         structure=LAW.with_bounds({"D[0,0]": (-3.0, 0.0)}), initial=[[7.0]]
     ),

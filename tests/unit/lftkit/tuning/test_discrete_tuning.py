@@ -188,39 +188,6 @@ def test_the_optimal_regulator_of_samples_is_found() -> None:
     assert pytest.approx(K, rel=1e-2) == result.controller.D
 
 
-def test_poles_are_held_where_they_are_asked_to_be() -> None:
-    """The fastest lag with a decay of at most exp(-8 T) a sample: the hard requirement is active."""
-    plant = first_order(0.9, 0.1)
-    needs = [HinfGain("u.added", "u.returned"), ClosedLoopPoles(min_decay=8.0)]
-    model = resolved([plant], [Sensitivity("u")])[0]
-    result = tune_discrete(model, needs, STATIC, initial=[[-0.1]], options=OPTIONS)
-    pole = np.exp(-8.0 * plant.dt)
-    assert result.feasible and 0.9 + result.controller.D.item() == pytest.approx(pole, rel=1e-3)
-
-
-def test_a_short_period_has_the_values_of_continuous_time() -> None:
-    """The same law on 1 / (s + 1): variance, step, poles and a band come to those of the continuous loop."""
-    goals = [
-        H2Gain("w", "z"),
-        StepTracking("w", "z", time_constant=0.3),
-        ClosedLoopPoles(min_decay=1.5, min_damping=0.5),
-        HinfGain("w", "z", band=(1.0, 30.0), name="band"),
-    ]
-    K = System.static([[-1.0]], [("y", 1)], [("u", 1)])
-    B, C = np.array([[2.0, 1.0]]), np.array([[1.0], [1.0]])  # a gain of 1 at rest
-    slow = tuned_plant([[-1.0]], B, C)
-    models, needs = resolved([slow], goals)
-    continuous = certify(models, K, needs).values[:, 0]
-    differences = []
-    for dt in (2e-3, 1e-3):
-        a = np.exp(-dt)
-        fast = tuned_plant([[a]], (1 - a) * B, C, dt=dt)
-        models, needs = resolved([fast], goals)
-        differences.append(certify(models, replace(K, dt=dt), needs).values[:, 0] - continuous)
-    assert np.abs(differences[1]).max() < 2e-2
-    assert np.abs(differences[1]).max() < 0.6 * np.abs(differences[0]).max()
-
-
 def test_a_discrete_pid_is_the_continuous_one_by_the_trapezoidal_rule() -> None:
     dt, x = 0.1, [2.0, 0.5, 0.1]
     slow = controller(pid("y", "u", derivative_filter=0.03), x)
@@ -251,44 +218,6 @@ def test_slopes_by_the_parameters_of_a_discrete_controller_are_differences(numbe
     image, K = controller(structure, x), structure.sampled(x)
     for first, second in zip(image_of(K).matrices, image.matrices):
         assert second == pytest.approx(first, rel=1e-9, abs=1e-12)
-
-
-def peak_with_pi(kp: float, ki: float, dt: float = 0.1) -> float:
-    """Norm from w to (x, u / 2) of `delayed_lag` under a PI, on a grid of the circle; infinite where unstable.
-
-    x = (w + K x / z) / (z - 0.9) with K = kp + ki (dt / 2) (z + 1) / (z - 1).
-    """
-    if np.abs(np.roots([1.0, -1.9, 0.9 - kp - 0.5 * ki * dt, kp - 0.5 * ki * dt])).max() >= 1.0:
-        return np.inf
-    z = np.exp(1j * np.linspace(1e-3, np.pi, 3000))
-    K = kp + 0.5 * ki * dt * (z + 1) / (z - 1)
-    return float((np.abs(1.0 / (z - 0.9 - K / z)) * np.sqrt(1.0 + 0.25 * np.abs(K) ** 2)).max())
-
-
-def test_no_pi_of_a_scan_is_better() -> None:
-    """Both gains scanned; the integral gain is held at -0.5 at most."""
-    plant = delayed_lag()
-    law = pid("y", "u", derivative_filter=1.0, terms="PI", dt=0.1).with_bounds({"Ki": (-np.inf, -0.5)})
-    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.2, -0.7]], options=OPTIONS)
-    best = min(peak_with_pi(kp, ki) for ki in (-0.8, -0.65, -0.55, -0.5) for kp in np.linspace(-0.5, 0.1, 61))
-    assert result.certificate is not None and result.certificate.stable
-    assert -0.5005 < result.x[1] <= -0.5 and result.at_bounds == ("Ki",)
-    assert result.soft == pytest.approx(peak_with_pi(*result.x), rel=1e-4)
-    assert result.soft < 1.0005 * best
-    assert result.controller.poles() == pytest.approx([1.0]) and law.values(result.x)["Ki"] == result.x[1]
-
-
-@pytest.mark.further
-def test_fixed_entries_of_a_discrete_controller_stay() -> None:
-    """A filter of one sample, u+ = k y: the same loop as a gain on a plant that is one sample later."""
-    plant = first_order(0.9, 0.1)
-    law = state_space([("y", 1)], [("u", 1)], 1).with_fixed({"A[0,0]": 0.0, "B[0,0]": 1.0, "D[0,0]": 0.0})
-    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.1]], options=OPTIONS)
-    later = tuned_plant([[0.9, 1.0], [0.0, 0.0]], np.eye(2), [[1, 0], [1, 0]], dt=0.1)
-    other = tune_discrete([later], [HinfGain("w", "z")], STATIC, initial=[[-0.1]], options=OPTIONS)
-    assert result.controller.A.item() == 0.0 and result.controller.B.item() == 1.0 and result.controller.D.item() == 0.0
-    assert result.soft == pytest.approx(other.soft, rel=1e-4)
-    assert result.x.item() == pytest.approx(other.controller.D.item(), rel=1e-2)
 
 
 def drawn_loop(rng: np.random.Generator) -> tuple[System, System]:

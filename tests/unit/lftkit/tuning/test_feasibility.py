@@ -1,20 +1,19 @@
-"""Feasibility comes first: least violations, hard requirements alone, and structures without a free parameter."""
+"""Feasibility comes first: least violations, hard requirements alone, nothing free, values that count as met."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.tuned_plants import STATIC, first_order, lag, tuned_plant
 
-from lftkit.systems.system import System
-from lftkit.tuning import tune_discrete, tune_robust
-from lftkit.tuning.options import TuningOptions
-from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
-from lftkit.tuning.structures.structures import AffineStructure, gain, pid
-from lftkit.tuning.tuner import tune
+from lftkit import System
+from lftkit.tuning import HinfGain, TuningOptions, TuningResult, gain, tune, tune_discrete, tune_robust
+from lftkit.tuning.requirements import ClosedLoopPoles
+from lftkit.tuning.structures.structures import AffineStructure, pid
 
 GIVEN = TuningOptions(starts=0)
 GAIN = HinfGain("w", "z")
@@ -138,10 +137,36 @@ def test_a_discrete_structure_without_free_parameters(k: float, status: str) -> 
     assert result.soft == (pytest.approx(1.0) if k < 0 else np.inf)
 
 
-def test_a_discrete_pid_without_free_parameters() -> None:
-    """``1 / (z + 0.1 (T / 2) (z + 1) / (z - 1))`` with T = 0.1 s."""
-    law = pid("y", "u", derivative_filter=0.1, dt=0.1).with_fixed({"Kp": -0.5, "Ki": -0.1, "Kd": 0.0})
-    found = tune_discrete([first_order(0.5, 0.1)], [GAIN], law)
-    z = np.exp(1j * np.linspace(1e-3, np.pi, 100_000))
-    assert str(found.status) == "converged"
-    assert found.soft == pytest.approx(np.abs(1.0 / (z + 0.005 * (z + 1.0) / (z - 1.0))).max(), rel=1e-6)
+EFFORT = TuningOptions(starts=0)
+
+
+def tuned(*more: HinfGain, met: float, options: TuningOptions = EFFORT) -> TuningResult:
+    """A lag with u = k y: its gain 1 / (1 - k) comes down to zero as k falls for ever; the command's is k / (k - 1)."""
+    C, D = [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]]
+    plant = System([[-1]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)], "lag")
+    structure = gain([("y", 1)], [("u", 1)])
+    options = replace(options, met=met)
+    return tune([plant], [HinfGain("w", "z"), *more], structure, initial=[[-0.5]], options=options)
+
+
+@pytest.mark.parametrize("met", [0.3, 1e-3])
+def test_an_infimum_of_zero_is_converged_where_less_counts_as_met(met: float) -> None:
+    found = tuned(met=met)
+    assert found.status == "converged" and found.stationarity == 0.0 and "counts as met" in found.advice
+    assert found.certificate is not None and found.certificate.upper.max() <= met
+    assert float(found.controller.D[0, 0]) <= 1.0 - 1.0 / met
+
+
+def test_a_minimum_above_it_is_converged_by_its_first_order_condition() -> None:
+    """The effort held at 0.8 leaves 0.2 as the smallest gain."""
+    limit = HinfGain("w", "effort", bound=0.8, hard=True)
+    found = tuned(limit, met=0.1)
+    assert found.status == "converged" and found.soft == pytest.approx(0.2, rel=2e-3)
+    assert "random directions" in found.advice and 0.0 < found.stationarity < 1e-3
+
+
+def test_hard_requirements_count_with_their_own_limit() -> None:
+    """A hard value of 0.99 is above what counts as met, and kept."""
+    limit = HinfGain("w", "effort", bound=0.96, hard=True)
+    found = tuned(limit, met=0.05)
+    assert found.status == "converged" and found.soft <= 0.05 < 0.98 < found.hard <= 1.0

@@ -1,25 +1,37 @@
-"""Exact gradients of every kind of requirement against central differences, and the feedback before the tuning."""
+"""Exact gradients and values against central differences and norms; starts of full order; small matrices."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.slow_cases import slow
 
+from lftkit.analysis.batched_linalg import (
+    determinants,
+    largest_gains,
+    leading_pairs,
+    smooth_gains,
+    smooth_slopes,
+    solve,
+)
 from lftkit.analysis.frequency_response import direct_response
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
+from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.gains.prefeedback import prefeedback
 from lftkit.tuning.pieces import Piece
 from lftkit.tuning.problem import Problem
+from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
-from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
-from lftkit.tuning.structures.structures import Structure, controller, gain, pid, state_space
+from lftkit.tuning.structures.structures import Structure, controller, gain, state_space
 
 Y, U = (Port("y", 3),), (Port("u", 2),)
 
@@ -112,21 +124,6 @@ def largest(pieces: tuple[Piece, ...]) -> list[Piece]:
     return list(best.values())
 
 
-def test_decentralised_and_pid_pull_gradients_back() -> None:
-    parts = (pid("e", "a", derivative_filter=0.1), state_space([("f", 2)], [("b", 1)], 2))
-    structure = Decentralised(parts)
-    rng = np.random.default_rng(0)
-    x = structure.start(rng)
-    G = rng.normal(size=structure.gain_matrix(x).shape)
-    expected = [
-        np.sum(G * (structure.gain_matrix(x + d) - structure.gain_matrix(x - d))) / 2e-6
-        for d in 1e-6 * np.eye(structure.size)
-    ]
-    assert structure.pullback(x, G) == pytest.approx(expected, abs=1e-7)
-    K = structure.gain_matrix(x)
-    assert not K[4, 5:].any() and not K[:2, 2:4].any(), "each part sees its own measurements only"
-
-
 def oscillator(damping: float = 0.0) -> System:
     """Undamped mass on a spring: force and disturbance at the mass, position and rate measured."""
     A, B = [[0, 1], [-4, -damping]], [[0, 0], [1, 1]]
@@ -173,3 +170,97 @@ def test_prefeedback_moves_undamped_poles_and_leaves_the_closed_loop() -> None:
     loop = close_loop(plant, controller(K, x), ["w"], ["z"])
     expected = [direct_response(*loop.matrices, w) for w in omega]
     assert np.abs(T - np.array(expected)).max() < 1e-9
+
+
+COMMANDS, MEASURED = ("u", 2), ("y", 3)
+
+
+def stable_plant(seed: int, through: float = 0.0) -> System:
+    """Stable plant of five states; `through` scales the direct path from the command to the measurement."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((5, 5))
+    A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(5)
+    D = 0.1 * rng.standard_normal((5, 4))
+    D[2:, 2:] *= through
+    return System(
+        A,
+        rng.standard_normal((5, 4)),
+        rng.standard_normal((5, 5)),
+        D,
+        [("w", 2), COMMANDS],
+        [("z", 2), MEASURED],
+        f"plant {seed}",
+    )
+
+
+def complex_stack(*shape: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+@pytest.mark.parametrize("through", [0.0, 1.0])
+def test_value_is_the_largest_norm_and_the_gradient_its_derivative(through: float) -> None:
+    needs = [HinfGain("w", "z", weight_out=transfer([1, 2], [1, 5], 2)), HinfGain("w", "y", bound=2.0)]
+    structure = state_space([MEASURED], [COMMANDS], 1)
+    problem = Problem([stable_plant(0, through), stable_plant(1, through)], needs, structure)
+    x = 0.05 * np.random.default_rng(2).standard_normal(structure.size)
+    x[0] = -1.0
+    assert ExactValue.suits(problem) and problem.abscissa(x) < 0.0
+    value, gradient = ExactValue(problem)(x)
+    assert not np.isfinite(ExactValue(problem)(x * [-1.0, *np.ones(len(x) - 1)])[0]), "unstable"
+    assert np.exp(value) == pytest.approx(problem.evaluate(x, gradients=False).values.max(), rel=1e-6)
+    f = ExactValue(problem)
+    differences = [(f(x + h)[0] - f(x - h)[0]) / 2e-6 for h in 1e-6 * np.eye(len(x))]
+    assert gradient == pytest.approx(np.array(differences), abs=1e-6 * float(np.linalg.norm(gradient)) + 1e-8)
+
+
+@pytest.mark.parametrize("form", ["full", "modal", "tridiagonal"])
+def test_full_order_controllers_stabilise_and_one_is_nearly_optimal(form: str) -> None:
+    """With as many states as the plant nothing is reduced: the H-infinity one is near the optimum of AC4, 0.557291."""
+    model = PLANTS["AC4"]()
+    problem = Problem(
+        [model], [HinfGain("w", "z")], state_space([model.outputs[1]], [model.inputs[1]], model.order, form=form)
+    )
+    found = reduced_starts(problem)
+    assert found and all(problem.abscissa(x) < 0.0 for x in found)
+    values = [problem.evaluate(x, gradients=False).values.max() for x in found]
+    assert 0.557291 * (1 - 1e-6) <= min(values) <= 1.3 * 0.557291
+
+
+def test_the_lqg_start_has_the_least_h2_norm() -> None:
+    model = stable_plant(0)
+    D = model.D.copy()
+    D[:2, :2] = 0.0
+    model = replace(model, D=D)
+    structure = state_space([MEASURED], [COMMANDS], model.order, feedthrough=False)
+    problem = Problem([model], [H2Gain("w", "z")], structure)
+    lqg = reduced_starts(problem)[0]
+    best = problem.evaluate(lqg, gradients=False).values.max()
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        other = lqg * (1.0 + 0.1 * rng.standard_normal(len(lqg)))
+        assert problem.evaluate(other, gradients=False).values.max() >= best * (1.0 - 1e-5)
+
+
+def test_solutions_determinants_and_vectors_of_two_by_two_matrices() -> None:
+    M, X, T = complex_stack(9, 2, 2), complex_stack(9, 2, 5), complex_stack(9, 2, 4)
+    T[0, 1] = 0.0
+    T[1] = 0.0
+    T[2] = np.eye(2, 4)
+    assert solve(M, X) == pytest.approx(np.linalg.solve(M, X), rel=1e-10)
+    assert determinants(M) == pytest.approx(np.linalg.det(M), rel=1e-12)
+    for wide in (T, T.conj().swapaxes(1, 2)):
+        s, left, right = leading_pairs(wide)
+        assert s == pytest.approx(np.linalg.svd(wide, compute_uv=False), rel=1e-12, abs=1e-7)
+        assert wide @ right == pytest.approx(left * s[:, None, :], abs=1e-7)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (6, 4)])
+@pytest.mark.parametrize("power", [2.0, 40.0, 600.0])
+def test_smooth_gains_bound_the_largest_and_have_the_stated_slopes(shape: tuple[int, int], power: float) -> None:
+    T, step = complex_stack(4, *shape), complex_stack(4, *shape)[::-1]
+    gains = smooth_gains(T, power)
+    assert np.all(gains >= largest_gains(T) * (1 - 1e-12))
+    assert np.all(gains <= largest_gains(T) * min(shape) ** (1.0 / power) * (1 + 1e-12))
+    slope = (smooth_gains(T + 1e-6 * step, power) - smooth_gains(T - 1e-6 * step, power)) / 2e-6
+    assert np.real(np.sum(smooth_slopes(T, power).conj() * step, axis=(1, 2))) == pytest.approx(slope, rel=1e-6)

@@ -81,13 +81,6 @@ def test_each_loop_has_its_own_level(start: float) -> None:
 
 
 @pytest.mark.further
-def test_equal_levels_are_one() -> None:
-    found = tuned(errors_and_efforts((0.5, 0.5)))
-    assert [set(level.requirements) for level in found.levels] == [{"z0", "z1"}]
-    assert found.levels[0].value == pytest.approx(0.5, rel=2e-3)
-
-
-@pytest.mark.further
 def test_what_competes_with_a_held_requirement_stays() -> None:
     """One loop: its error is least where its effort is largest. The third requirement falls with the effort."""
     needs = [

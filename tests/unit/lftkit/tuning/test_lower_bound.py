@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from oracles.full_order_bound import full_order_bound
 from scipy.linalg import solve_continuous_are as care
-from scipy.linalg import solve_discrete_are
-from scipy.signal import cont2discrete, tf2ss
+from scipy.signal import tf2ss
 
-from lftkit import System, s
+from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.synthesis import augw
 from lftkit.synthesis.out_of_reach import gain_out_of_reach
 from lftkit.tuning import (
     H2Gain,
@@ -24,7 +22,6 @@ from lftkit.tuning import (
     lower_bound,
     state_space,
     tune,
-    tune_discrete,
 )
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.loop import extended_plant
@@ -122,13 +119,6 @@ def test_a_hard_limit_below_the_bound_is_infeasible_and_said_so() -> None:
     assert result.feasible
 
 
-def test_a_zero_of_the_plant_to_the_right_bounds_a_goal_without_weight_of_commands() -> None:
-    """W S with W = (0.5 s + 1) / (s + 0.001) is 1.5 / 1.001 at the zero 1 of the plant, whatever the controller."""
-    plant = augw(((1 - s) / (s + 2) ** 2).system("u", "y"), error=((0.5 * s + 1) / (s + 1e-3)).system("e", "z"))
-    problem = Problem([plant], [HinfGain("w", "z1", bound=3.0)], state_space([("y", 1)], [("u", 1)], 2))
-    assert 3.0 * full_order_bounds(problem)[0, 0] == pytest.approx(1.5 / 1.001, rel=1e-9)
-
-
 def test_no_bound_where_it_would_not_be_one() -> None:
     """A command without weight, a measurement without noise, a band of frequencies, a delay."""
     free = System([[-1]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
@@ -168,24 +158,3 @@ def test_a_plant_without_noise_has_the_bound_of_full_order_synthesis() -> None:
     result = tune([plant], [HinfGain("w", "z")], law, options=TuningOptions(starts=8))
     assert result.status is TuningStatus.CONVERGED and reach < 0.996 * result.lower_bound
     assert result.lower_bound <= result.soft <= 1.001 * result.lower_bound and len(result.starts) < 8
-
-
-def test_a_strictly_proper_discrete_controller_is_the_predictor_of_two_riccati_equations() -> None:
-    """The H2 optimum; a random start ends 6 % above it."""
-    T, pole = 0.01, 1e-3
-    g, w = (cont2discrete(tf2ss(*tf), T)[:4] for tf in (([1], [10, 1]), ([1], [1, pole])))
-    A = np.block([[g[0], np.zeros((1, 1))], [-w[1] @ g[2], w[0]]])
-    B = np.array([[0.0, g[1][0, 0]], [w[1][0, 0], 0.0]])
-    C = np.array([[0.0, w[2][0, 0]], [0.0, 0.0], [-g[2][0, 0], 0.0]])
-    D = np.array([[0.0, 0.0], [0.0, 0.5], [1.0, 0.0]])
-    plant = System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], dt=T)
-    structure = state_space([("y", 1)], [("u", 1)], 2, feedthrough=False)
-    few = TuningOptions(starts=1, iterations=20)
-    result = tune_discrete([plant], [H2Gain("w", "z")], structure, options=few)
-    B1, B2, C1, C2, D12, D21 = B[:, :1], B[:, 1:], C[:2], C[2:], D[:2, 1:], D[2:, :1]
-    X = solve_discrete_are(A, B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
-    Y = solve_discrete_are(A.T, C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
-    R = D12.T @ D12 + B2.T @ X @ B2
-    F = -np.linalg.solve(R, B2.T @ X @ A + D12.T @ C1)
-    cost = np.trace(B1.T @ X @ B1) + np.trace(R @ F @ Y @ F.T)
-    assert result.soft == pytest.approx(np.sqrt(cost / T), rel=1e-3)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
-from typing import Any
 
 import control
 import numpy as np
@@ -23,8 +21,7 @@ from lftkit.tuning.responses import (
     gain_matrices,
     parameters_of,
 )
-from lftkit.tuning.responses.blocks import active_commands, entry_sizes, with_least_decay
-from lftkit.tuning.responses.problem import CHUNK, close
+from lftkit.tuning.responses.blocks import entry_sizes, with_least_decay
 
 STATES, MEASURED, ERRORS, DISTURBED, COMMANDS = 6, 4, 2, 3, 3
 RNG = np.random.default_rng(4)
@@ -174,30 +171,6 @@ def test_noise_is_the_h2_norm() -> None:
     assert found[0] == pytest.approx(np.sqrt(np.trace(closed.C @ W @ closed.C.T)), rel=2e-3)
 
 
-def test_the_metric_weighs_the_changes_of_all_errors_near_the_largest_value() -> None:
-    """Differences of the closed loops' errors, over all gains of errors; others and small values do not count."""
-    x, rng, sharpness, h = controller(3), np.random.default_rng(6), 6.0, 1e-6
-    one = replace(problem(np.geomspace(0.05, 20.0, CHUNK + 50)), noises=())
-    values = one.values(x)
-    top, d = float(values.max()), rng.standard_normal(len(x))
-    expected, total = 0.0, 0.0
-    for g, gain in enumerate(GAINS):
-        if gain.outputs is not None:
-            continue
-        rows = active_commands(BLOCKS, gain.active)
-        parts = []
-        for sign in (1.0, -1.0):
-            response, positions = one.controllers(x + sign * h * d, np.arange(len(one.samples)))
-            parts.append(close(one.samples, response.matrix(gain.active, positions), rows).part(gain))
-        squares = np.sum(np.abs((parts[0] - parts[1]) / (2 * h)) ** 2, axis=(1, 2))
-        near = values[g] > 0.5 * top
-        weight = np.exp(sharpness * (values[g, near] / top - 1.0))
-        expected += float(np.sum(weight * (one.scales[g, near] / values[g, near]) ** 2 * squares[near]))
-        total += float(weight.sum())
-    assert total > 1.0
-    assert d @ one.metric(x, values, sharpness) @ d == pytest.approx(expected / total, rel=1e-6)
-
-
 def stable(x: np.ndarray) -> bool:
     """Poles of the loop without the delay."""
     matrices = gain_matrices(BLOCKS, x)
@@ -218,28 +191,6 @@ def descended(
     one: ResponseProblem, x: np.ndarray, iterations: int = 60, tolerance: float = 1e-4, confirm: bool = False
 ) -> Descent[ResponseLook]:
     return descend(ResponseSource(one, stable), x, DescentOptions(iterations, tolerance, confirm=confirm))
-
-
-@pytest.mark.further
-def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
-    """From several starts: lower at every look, the hard gain at most 1, and no plane left that lowers it much."""
-    omega = np.geomspace(0.02, 50.0, 60)
-    gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
-    one = ResponseProblem(BLOCKS, samples(omega), gains)
-    ends = []
-    for seed in (2, 3):
-        x = controller(seed, 0.05)
-        seen: list[Any] = []
-        assert stable(x)
-        options = DescentOptions(60, 1e-4)
-        found = descend(ResponseSource(one, stable), x, options, lambda i, v, seen=seen: seen.append(v.merit[1]))
-        assert stable(found.x) and found.status in ("stalled", "iterations")
-        assert all(b <= a for a, b in itertools.pairwise(seen)) and found.point.value < seen[0]
-        assert found.point.values[1] <= 1.0 + 1e-9
-        ends.append(found.point.values[0])
-    assert max(ends) < 0.3 * 3.7  # of the least start
-    again = descended(one, x)
-    np.testing.assert_array_equal(again.x, found.x)
 
 
 @pytest.mark.further
@@ -311,13 +262,15 @@ def test_poles_that_grow_are_moved_to_the_least_decay(poles: list[list[float]]) 
 
 @pytest.mark.further
 def test_a_descent_keeps_the_least_decay_of_the_controllers() -> None:
-    """Without it the same descent ends with a slower pole."""
+    """Without it the same descent ends with a slower pole; what is hard is kept."""
     gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
     slowest = {}
     for decay in (None, 1.2):
         own = tuple(replace(b, least_decay=decay) for b in BLOCKS)
         one = ResponseProblem(own, samples(np.geomspace(0.02, 50.0, 150)), gains)
         found = descended(one, controller(1, 0.05))
+        assert stable(found.x) and found.point.values[1] <= 1.0 + 1e-9
+        assert found.point.values[0] < 0.5 * one.values(controller(1, 0.05))[0].max()
         poles = [np.linalg.eigvals(M[: b.order, : b.order]) for b, M in zip(own, gain_matrices(own, found.x))]
         slowest[decay] = max(p.real.max() for p in poles)
     assert slowest[None] > -1.1 and slowest[1.2] <= -1.2 + 1e-9
