@@ -19,9 +19,12 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE, of_designs
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import telescope_digest
+from support.command_line import call_command
 
 from lftkit import SampledSystem
+from lftkit.errors import InputError
 from lftkit.support.workers import Workers
+from los_design.redesign import ROUNDS_FILE
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
 from titop_plant.structures.modal_file import write_modal_data
@@ -168,6 +171,22 @@ def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
     with pytest.raises(ValueError, match="--uncertain must be in the table"):
         check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE, ["isolator.stiffness=10%"])
+
+
+@pytest.mark.parametrize("made", ["", ROUNDS_FILE, "k_fsm.json"])
+def test_a_refused_design_leaves_no_new_folder_but_what_was_made(
+    tmp_path: Path, soft: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], made: str
+) -> None:
+    def refuse(telescope: Telescope, folder: Path, *_: object, **__: object) -> None:
+        assert (folder / TELESCOPE_FILE).exists()
+        if made:
+            (folder / made).write_text("{}")
+        raise InputError("the controller must stabilise the telescope, got one that does not")
+
+    monkeypatch.setattr("los_design.redesign.design_all", refuse)
+    code, _, err = call_command(capsys, "design", "all", "--parameters", soft, "--output", tmp_path / "new")
+    assert code == 2 and "must stabilise" in err
+    assert (tmp_path / "new").exists() == bool(made)
 
 
 @pytest.fixture
