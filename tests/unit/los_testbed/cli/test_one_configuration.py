@@ -166,7 +166,11 @@ def test_camera_rates_that_divide_the_loop_rate(rate):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("[1, 2", "must be YAML"), *((t, "must hold names") for t in ("- a\n- b\n", "just words", ""))]
+    ("text", "words"),
+    [
+        ("[1, 2", "must be YAML"),
+        *((t, "must be a YAML file") for t in ("- a\n- b\n", "just words", "")),
+    ],
 )
 def test_a_file_that_is_no_configuration(tmp_path, text, words):
     (tmp_path / "bad.yaml").write_text(text)
