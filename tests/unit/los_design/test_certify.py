@@ -213,17 +213,10 @@ def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_pat
     loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
     values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
+    until = time.monotonic() + 600.0
     with Workers() as workers:
-        found = certify_figure(
-            loop,
-            "fast",
-            ProofLevel(),
-            known,
-            tmp_path,
-            partial(workers.each, prove_part),
-            time.monotonic() + 600.0,
-            lambda done, total: None,
-        )
+        each = partial(workers.each, prove_part)
+        found = certify_figure(loop, "fast", ProofLevel(), known, tmp_path, each, until, lambda done, total: None)
     assert found.status == "violated" and found.lower > 1.47 and math.isinf(found.upper)
     assert not list(tmp_path.glob("*.npz"))
 
@@ -233,11 +226,8 @@ def test_no_part_is_proven_below_a_gain_that_is_reached(part: ProofPart, tmp_pat
     rng = np.random.default_rng(0)
     members = np.array(part.box)[:, 0] + rng.uniform(size=(40, 7)) * np.ptp(np.array(part.box), axis=1)
     reached = max(float(member_gains(part.model, omega, members).max()) for omega in np.linspace(200.5, 201.5, 7))
-    low = dataclasses.replace(
-        part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz", until=time.monotonic() + 0.5
-    )
-    found = prove_part(low)
-    assert found.uncovered
+    low = dataclasses.replace(part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz")
+    assert prove_part(dataclasses.replace(low, until=time.monotonic() + 0.5)).uncovered
 
 
 @pytest.fixture(scope="module", params=["fsm", "fsm+pma"])

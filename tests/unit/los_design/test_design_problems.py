@@ -90,9 +90,8 @@ def test_a_random_start_is_stable_and_has_a_small_gain(telescope) -> None:
     start = random_law(0)
     assert np.linalg.eigvals(start.A).real.max() < 0.0
     structure = actuator_structure(plant)
-    problem = Problem(
-        [plant({})], implemented_requirements(telescope, "fsm+pma"), structure, loop_delay=IMPLEMENTED.delay
-    )
+    asked = implemented_requirements(telescope, "fsm+pma")
+    problem = Problem([plant({})], asked, structure, loop_delay=IMPLEMENTED.delay)
     assert problem.abscissa(structure.parameters_of(start)) < 0.0
 
 
@@ -107,9 +106,8 @@ def test_stored_designs_have_the_provenance_of_this_telescope(variant: str, tele
 def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(telescope) -> None:
     k_fsm, k_pma = load_designs("implemented")
     plant = control_loop_plant(telescope).at({})
-    one, two = (
-        sampled_loop_metrics(plant, k_fsm, k_pma, telescope, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
-    )
+    given = plant, k_fsm, k_pma, telescope
+    one, two = (sampled_loop_metrics(*given, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma"))
     assert one.radius < 1.0 and two.radius < 1.0
     assert max(one.ape, one.rpe, one.mirror) < 1.0
     assert max(two.ape, two.rpe_fine, two.force) < 1.0
@@ -241,10 +239,8 @@ def open_loop_of(telescope) -> OpenLoop:
 def noisy(telescope, factor: float):
     """With all sensor noise larger by a factor."""
     base = np.array([0.0012] * 3 + [0.0023] * 3)
-    sensors = {"accelerometer_noise": (factor * base).tolist()}
-    return telescope.changed(
-        {"sensors": {**sensors, "camera_noise": 1e-8 * factor, "strain_gauge_noise": 1e-8 * factor}}
-    )
+    sensors = dict.fromkeys(("camera_noise", "strain_gauge_noise"), 1e-8 * factor)
+    return telescope.changed({"sensors": {**sensors, "accelerometer_noise": (factor * base).tolist()}})
 
 
 @pytest.mark.further

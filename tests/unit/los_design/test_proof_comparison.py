@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
+from support.command_line import call_command
 
 from lftkit import Port, SampledSystem, real, s
 from lftkit.proofs import worst_case_gain
@@ -108,9 +108,8 @@ def test_forged_model_is_named(name: str, shipped: ImplementedLoop) -> None:
 def test_smaller_box_or_band_is_named(shipped: ImplementedLoop) -> None:
     proof = proof_of(shipped)
     low, high = proof.box[0]
-    assert compare_proof(replace(proof, box=((0.99 * low, high), *proof.box[1:])), shipped, FIGURE).mismatches == (
-        "box of the parameters",
-    )
+    smaller = replace(proof, box=((0.99 * low, high), *proof.box[1:]))
+    assert compare_proof(smaller, shipped, FIGURE).mismatches == ("box of the parameters",)
     wider = replace(proof, box=((1.1 * low, high), *proof.box[1:]))
     assert compare_proof(wider, shipped, FIGURE).same, "it says more"
     band = replace(proof, band=(0.1, proof.band[1]))
@@ -132,13 +131,12 @@ def test_command_refuses_the_proof_of_another_pair(
     k_pma.to_file(tmp_path / "k_pma.json")
     write_loop_proof(proof_of(shipped), tmp_path / "proof.npz")
     (tmp_path / "proof.json").write_text("{}")
-    for file, code in (("proof.npz", 1), ("proof.json", 2)):
-        with pytest.raises(SystemExit) as ended:
-            main(["design", "check-proof", str(tmp_path / file), "--designs", str(tmp_path)])
-        assert ended.value.code == code
-    refused, mistake = capsys.readouterr().err.strip().splitlines()
-    assert refused.startswith(f"refused: it is not for those of {tmp_path}, mismatch: ")
-    assert "--designs must be given with an .npz" in mistake
+    for file, code, told in (
+        ("proof.npz", 1, f"refused: it is not for those of {tmp_path}, mismatch: "),
+        ("proof.json", 2, "--designs must be given with an .npz"),
+    ):
+        found, _, err = call_command(capsys, "design", "check-proof", tmp_path / file, "--designs", tmp_path)
+        assert found == code and told in err and err.count("\n") == 1
 
 
 def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
@@ -152,11 +150,8 @@ def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
 def changes(system: SampledSystem) -> dict[str, SampledSystem]:
     """The system with each field changed, each entry of ``design_basis`` changed and left out."""
     found = {name: dataclasses.replace(system, **{name: 1.001 * getattr(system, name)}) for name in "ABCD"}
-    found |= {"dt": dataclasses.replace(system, dt=2.0 * system.dt)}
-    found |= {
-        "name": dataclasses.replace(system, name="other"),
-        "provenance": dataclasses.replace(system, provenance={}),
-    }
+    others: dict[str, Any] = {"dt": 2.0 * system.dt, "name": "other", "provenance": {}}
+    found |= {name: dataclasses.replace(system, **{name: other}) for name, other in others.items()}
     for side in ("inputs", "outputs"):
         ports = getattr(system, side)
         found[side] = dataclasses.replace(system, **{side: (Port("other", ports[0].size, ports[0].unit), *ports[1:])})
@@ -164,9 +159,8 @@ def changes(system: SampledSystem) -> dict[str, SampledSystem]:
     for name, value in basis.items():
         other: Any = "other" if isinstance(value, str) else 1.001 * value
         found[f"basis {name}"] = dataclasses.replace(system, design_basis={**basis, name: other})
-        found[f"no {name}"] = dataclasses.replace(
-            system, design_basis={key: entry for key, entry in basis.items() if key != name}
-        )
+        without = {key: entry for key, entry in basis.items() if key != name}
+        found[f"no {name}"] = dataclasses.replace(system, design_basis=without)
     return found
 
 
@@ -196,10 +190,9 @@ def test_each_field_changes_the_digest_or_not_the_law(number: int) -> None:
 
 def test_matrices_of_other_shapes_have_other_digests() -> None:
     """The same bytes as A and B of other sizes."""
-    one = SampledSystem(np.zeros((1, 1)), [[1.0, 2.0]], [[3.0]], [[4.0, 5.0]], (Port("u", 2),), (Port("y", 1),), 1.0)
-    two = SampledSystem(
-        np.zeros((1, 1)), [[1.0]], [[2.0], [3.0]], [[4.0], [5.0]], (Port("u", 1),), (Port("y", 2),), 1.0
-    )
+    A = np.zeros((1, 1))
+    one = SampledSystem(A, [[1.0, 2.0]], [[3.0]], [[4.0, 5.0]], (Port("u", 2),), (Port("y", 1),), 1.0)
+    two = SampledSystem(A, [[1.0]], [[2.0], [3.0]], [[4.0], [5.0]], (Port("u", 1),), (Port("y", 2),), 1.0)
     assert digest(one) != digest(two)
 
 
@@ -217,11 +210,9 @@ def test_a_proof_for_one_sensitivity_is_none_for_another() -> None:
     assert own.covers(own, "fsm") and not own.covers(Subject.of(other, k_pma, "telescope"), "fsm")
 
 
-def test_each_field_of_a_model_changes_the_name_of_its_parts() -> None:
+def test_each_field_of_a_model_changes_the_name_of_its_parts(shipped: ImplementedLoop) -> None:
     """Period, hold and channels too: parts of a proof that are kept are found by this name."""
-    telescope = load_telescope()
-    loop = ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
-    model, box = telescope_model(loop, figures_of(telescope, "fsm")["slow"]), box_of(loop)
+    model, box = proof_of(shipped).model, box_of(shipped)
     own = model_digest(model, box)
     assert len(own) == 64 and model.dt == DT
     assert model_digest(model, (*box[:-1], (0.0, 1.0))) != own
@@ -237,13 +228,8 @@ OVERWRITTEN = "x\r\x1b[1A\x1b[2Kof the shipped controllers and telescope: the lo
 
 def ended(capsys: pytest.CaptureFixture[str], file: Path) -> tuple[int, str, list[str]]:
     """Exit code, output and lines of errors of the check of a file."""
-    code = 0
-    try:
-        main(["design", "check-proof", str(file)])
-    except SystemExit as stopped:
-        code = int(stopped.code or 0)
-    told = capsys.readouterr()
-    return code, told.out, told.err.splitlines()
+    code, out, err = call_command(capsys, "design", "check-proof", file)
+    return code, out, err.splitlines()
 
 
 def test_names_of_a_system_are_no_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,9 +60,8 @@ def measured(telescope, pair, values) -> dict[str, float]:
         loop = ImplementedLoop(OpenLoop(system, telescope), *pair, name)
         for metric in loop_metrics(telescope, name).values():
             share = limits(telescope, stage)[metric.name]
-            omega = np.array(
-                [w for w in grid(telescope.weights.band_edge) if metric.band[0] <= w < metric.band[1]][::4]
-            )
+            every = grid(telescope.weights.band_edge)
+            omega = np.array([w for w in every if metric.band[0] <= w < metric.band[1]][::4])
             peaks = [loop.gains(closed, metric, loop.point(values)[None])[0] for closed in loop.at_each(omega)]
             found[named(metric.name, stage)] = float(np.max(peaks)) * metric.limit / share
     return found
@@ -101,9 +100,8 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, telescope
         found, other = synthesis.design_observer(telescope, options), k_fsm
     else:
         found, other = synthesis.design_actuators(telescope, k_fsm, options), k_pma
-    check_file(
-        found, kind, options, telescope, tmp_path, f"los-testbed design {kind} --nominal --loop-delay 0.0015 --seed 0"
-    )
+    command = f"los-testbed design {kind} --nominal --loop-delay 0.0015 --seed 0"
+    check_file(found, kind, options, telescope, tmp_path, command)
     stage = ALONE if kind == "k-fsm" else BOTH
     assert set(found.provenance["tuned_values"]) == {*limits(telescope, stage), "all noise -> APE", "noise -> RPE"}
     assert not np.array_equal(found.A, other.A)
@@ -136,15 +134,12 @@ def test_the_kalman_start_of_higher_order_is_the_same_observer(telescope) -> Non
 
 
 def test_the_kalman_start_of_lower_order_is_truncated(telescope) -> None:
-    size = np.abs(frequency_response(kalman_of(4, telescope), OMEGA)).max()
-    errors = []
+    whole, errors = frequency_response(kalman_of(4, telescope), OMEGA), []
     for order in (0, 1, 2, 3):
         found = kalman_of(order, telescope)
         assert found.order == order
-        errors.append(
-            np.abs(frequency_response(found, OMEGA) - frequency_response(kalman_of(4, telescope), OMEGA)).max()
-        )
-    assert errors[0] == pytest.approx(size) and errors[2] <= errors[0]
+        errors.append(np.abs(frequency_response(found, OMEGA) - whole).max())
+    assert errors[0] == pytest.approx(np.abs(whole).max()) and errors[2] <= errors[0]
 
 
 @pytest.mark.parametrize("order", range(9))
@@ -177,11 +172,9 @@ def test_a_design_begins_with_the_one_of_lower_order(telescope, monkeypatch) -> 
     k_fsm = synthesis.design_observer(telescope, low)
     k_pma = synthesis.design_actuators(telescope, k_fsm, low)
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=0))
-    more = [
-        synthesis.design_observer(telescope, high, start=k_fsm),
-        synthesis.design_actuators(telescope, k_fsm, high, start=k_pma),
-    ]
-    for below, above in zip((k_fsm, k_pma), more):
+    observer = synthesis.design_observer(telescope, high, start=k_fsm)
+    actuators = synthesis.design_actuators(telescope, k_fsm, high, start=k_pma)
+    for below, above in ((k_fsm, observer), (k_pma, actuators)):
         assert continuous(above).order == 2 and "starts" not in above.provenance
         assert above.provenance["start"] == digest(below) and "start" not in below.provenance
         assert above.provenance["tuned_values"] == pytest.approx(below.provenance["tuned_values"], rel=1e-5)

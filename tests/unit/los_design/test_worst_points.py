@@ -81,9 +81,8 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pai
     n = plant.A.shape[0]
     one = step_matrix(plant, no_tones())
     z = np.exp(1j * w * 1e-3)
-    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ np.linalg.solve(
-        z * np.eye(n) - one[:n, :n], one[:n, n : n + 2]
-    )
+    state = np.linalg.solve(z * np.eye(n) - one[:n, :n], one[:n, n : n + 2])
+    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ state
     k = pair[0]
     K = -10.0 * (k.D + k.C @ np.linalg.solve(z * np.eye(k.order) - k.A, k.B)) / z
     K[:, 18:20] *= np.mean(z ** -np.arange(20.0))
@@ -130,18 +129,12 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
 
-@pytest.fixture
-def search(system, telescope, pair) -> Search:
-    return Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma"), SearchOptions(members=4))
-
-
 def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> None:
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
     search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
-    assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
-        1.0
-    )
+    for vector in (found.disturbance, found.direction):
+        assert np.linalg.norm(vector) == pytest.approx(1.0)
     plant = system.at(found.parameters)
     exact = sampled_loop(plant, ControlLaws(*pair, "fsm", 0.1), frame_ticks=FRAME_TICKS)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
@@ -157,9 +150,8 @@ def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> N
     )
     worst = worst_of({"slow": [slow], "fast": [fast], "APE": []})
     assert worst["RPE"] is max(slow, fast, key=lambda p: p.gamma) and "APE" not in worst
-    store_worst_points(
-        tmp_path / "worst_points.json", [replace(p, requirement=n) for n, p in worst.items()], {"k": "v"}
-    )
+    points = [replace(p, requirement=n) for n, p in worst.items()]
+    store_worst_points(tmp_path / "worst_points.json", points, {"k": "v"})
     again = load_worst_points(tmp_path)["fsm"]
     assert set(again) == {"slow", "fast", "RPE"}
     assert again["slow"].parameters == slow.parameters and again["slow"].gamma == slow.gamma
@@ -194,10 +186,8 @@ STAGE = "fsm+pma"
 
 
 @pytest.fixture(scope="module")
-def loop() -> ImplementedLoop:
-    telescope = load_telescope()
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
-    return ImplementedLoop(open_loop, *load_designs("implemented"), STAGE)
+def loop(system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), STAGE)
 
 
 def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: ImplementedLoop) -> None:

@@ -33,35 +33,30 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     PLATFORM,
 )
-from titop_plant.telescope.control_plant import control_loop_plant, control_plant, disturbances_of
+from titop_plant.telescope.control_plant import control_plant, disturbances_of
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 
 @pytest.mark.parametrize("omega", [0.3, 85.0, 580.7, 1400.0])
-def test_held_commands_reach_every_output_as_through_each_mode(omega: float) -> None:
+def test_held_commands_reach_every_output_as_through_each_mode(omega: float, open_loop: OpenLoop) -> None:
     """Modes in balanced coordinates, condition 1e3: in metres and microradians it is 1e5 to 1e9."""
-    telescope = load_telescope()
-    system = control_loop_plant(telescope)
-    q = len(system.channels)
-    open_loop = OpenLoop(system, telescope)
+    system, q = open_loop.system, len(open_loop.system.channels)
     held = open_loop.at(np.array([omega]))[0][open_loop.channels :, -COMMANDS:]
     B, C, D = system.B[:, q : q + COMMANDS], system.C[q:], system.D[q:, q : q + COMMANDS]
     modes = FrequencyResponse.of(system.A, B, C, D)
     assert modes.modal
     flow = np.exp(modes.poles * DT)
-    exact = (
-        modes.left * (np.expm1(modes.poles * DT) / modes.poles / (np.exp(1j * omega * DT) - flow))
-    ) @ modes.right + D
+    gains = np.expm1(modes.poles * DT) / modes.poles / (np.exp(1j * omega * DT) - flow)
+    exact = (modes.left * gains) @ modes.right + D
     largest = np.abs(exact).max(axis=0)  # of each command: angles and forces have other units
     assert np.all(np.abs(held - exact).max(axis=0) < 3e-11 * largest)
 
 
 @pytest.fixture(scope="module")
-def open_loop() -> OpenLoop:
-    telescope = load_telescope()
-    return OpenLoop(control_loop_plant(telescope), telescope)
+def open_loop(system, telescope) -> OpenLoop:
+    return OpenLoop(system, telescope)
 
 
 def points(count: int) -> np.ndarray:
@@ -148,10 +143,7 @@ def continuous() -> OpenLoop:
 @pytest.fixture(scope="module")
 def matrices() -> tuple[FloatArray, FloatArray]:
     """Gain matrices of the Kalman observer and of a random K_PMA with which the loop is stable."""
-    return (
-        gain_matrix_of(kalman_observer(load_telescope()).at({})),
-        gain_matrix_of(random_law(2, 1.0)),
-    )
+    return gain_matrix_of(kalman_observer(load_telescope()).at({})), gain_matrix_of(random_law(2, 1.0))
 
 
 def by_algebra(stage: str, values: dict[str, float], matrices: tuple[FloatArray, FloatArray]) -> dict[str, FloatArray]:
@@ -192,9 +184,7 @@ def members(continuous: OpenLoop) -> list[dict[str, float]]:
 @pytest.mark.parametrize("stage", MIRROR_STAGES)
 def test_gains_are_those_of_the_loop_closed_by_its_equations(stage: str, continuous: OpenLoop, matrices) -> None:
     loop = ContinuousLoop(continuous, *matrices, stage, fine=True)
-    assert list(loop.metrics()) == (
-        ["APE", "RPE", "mirror", "RPE, fine"] if stage == "fsm" else ["APE", "RPE", "force"]
-    )
+    assert list(loop.metrics()) == ["APE", "RPE", *(["mirror", "RPE, fine"] if stage == "fsm" else ["force"])]
     for values in members(continuous):
         expected = by_algebra(stage, values, matrices)
         for name, metric in loop.metrics().items():
@@ -211,13 +201,11 @@ def test_slopes_are_those_of_differences(name: str, continuous: OpenLoop, matric
         return float(loop.gain(w, metric, at)[0])
 
     _, gradient, slope = loop.gain(omega, metric, point)
-    expected = [
-        (value(omega, point + h * e) - value(omega, point - h * e)) / (2 * h) for e in np.eye(len(continuous.names))
-    ]
+    steps = h * np.eye(len(continuous.names))
+    expected = [(value(omega, point + step) - value(omega, point - step)) / (2 * h) for step in steps]
     np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
-    assert slope == pytest.approx(
-        (value(omega * np.exp(h), point) - value(omega * np.exp(-h), point)) / (2 * h), rel=1e-4
-    )
+    after, before = (value(omega * np.exp(sign * h), point) for sign in (1.0, -1.0))
+    assert slope == pytest.approx((after - before) / (2 * h), rel=1e-4)
 
 
 def task_of(continuous: OpenLoop, stage: tuple[int, ...]) -> PaperTask:
@@ -246,14 +234,11 @@ def test_poles_are_those_of_the_connected_systems(stage: str, continuous: OpenLo
     loop = ContinuousLoop(continuous, *matrices, stage)
     values = members(continuous)[1]
     plant = control_plant(load_telescope()).at(values)
-    law = transform(
-        kalman_observer(load_telescope()),
-        outputs={"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])},
-    )
+    command = {"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])}
+    law = transform(kalman_observer(load_telescope()), outputs=command)
     systems = {"plant": plant, "mirror": law, "forces": random_law(2, 1.0)}
-    wires = [(f"plant.{p.name}", f"mirror.{p.name}") for p in law.inputs] + [
-        ("mirror.fsm_command", "plant.fsm_command")
-    ]
+    wires = [(f"plant.{p.name}", f"mirror.{p.name}") for p in law.inputs]
+    wires.append(("mirror.fsm_command", "plant.fsm_command"))
     if stage == "fsm+pma":
         wires += [("plant.accel_Ip", "forces.accel_Ip"), ("forces.pma_force", "plant.pma_force")]
     else:

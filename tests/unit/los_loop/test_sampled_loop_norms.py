@@ -197,18 +197,14 @@ def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("frame_ticks", [1, 20])
 def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, telescope) -> None:
     """Sensors with different noise on every kind of channel, so that none is taken for another."""
-    table: dict[str, Any] = {
-        "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
-        "camera_noise": 2e-3,
-        "strain_gauge_noise": 5e-2,
-    }
+    each = [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3]
+    table = {"accelerometer_noise": each, "camera_noise": 2e-3, "strain_gauge_noise": 5e-2}
     changed = telescope.changed({"sensors": table})
-    sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [2e-3] * 2, [5e-2] * 2]
+    sigma = np.r_[np.tile(each, 3), [2e-3] * 2, [5e-2] * 2]
     if sensors == "platform":
         sigma[6:] = 0.0
-    found = sampled_loop_metrics(
-        small_plant(), *small_controllers(), changed, loop="fsm+pma", frame_ticks=frame_ticks, sensors=sensors
-    )
+    given: dict[str, Any] = {"loop": "fsm+pma", "frame_ticks": frame_ticks, "sensors": sensors}
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), changed, **given)
     expected = covariance(closed(frame_ticks), sigma)
     assert [found.noise_ape, found.noise_rpe] == pytest.approx(expected, rel=1e-6)
 
@@ -218,9 +214,8 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, telescope) -> N
     k_fsm, k_pma = small_controllers()
     D = k_fsm.D.copy()
     D[:, 18:20] *= 8.0
-    found = sampled_loop_metrics(
-        small_plant(), replace(k_fsm, D=D), k_pma, telescope, loop="fsm", frame_ticks=frame_ticks
-    )
+    pair = replace(k_fsm, D=D), k_pma
+    found = sampled_loop_metrics(small_plant(), *pair, telescope, loop="fsm", frame_ticks=frame_ticks)
     assert not found.stable and found.radius > 1.0
     values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
     assert values == (np.inf,) * 7

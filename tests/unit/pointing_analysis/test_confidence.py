@@ -34,18 +34,15 @@ def test_autocorrelation_time_is_the_windowed_sum(n: int, pole: float) -> None:
     assert confidence.effective_number(x) == pytest.approx(max(1.0, n / (2.0 * reference_time(x))), rel=1e-9)
 
 
-def test_autocorrelation_time_of_hardly_any_samples() -> None:
+def test_autocorrelation_time_of_odd_samples() -> None:
     assert [confidence.autocorrelation_time(np.arange(k, dtype=float)) for k in (0, 1, 3)] == [0.5] * 3
     assert confidence.effective_number([1.0, 5.0, 2.0]) == 3.0
     assert confidence.autocorrelation_time(np.full(10, 7.0)) == 5.0
     noise = 1e-3 * np.random.default_rng(0).standard_normal(500)
     assert confidence.effective_number(1.0 + noise) > 300  # small, and no rounding noise
-
-
-def test_an_infinite_sample_leaves_the_weight_of_one() -> None:
-    x = np.append(np.random.default_rng(0).standard_normal(50), np.inf)
+    infinite = np.append(np.random.default_rng(0).standard_normal(50), np.inf)  # it leaves the weight of one
     with np.errstate(invalid="ignore"):
-        assert confidence.autocorrelation_time(x) == 25.5 and confidence.effective_number(x) == 1.0
+        assert confidence.autocorrelation_time(infinite) == 25.5 and confidence.effective_number(infinite) == 1.0
 
 
 @pytest.mark.parametrize("p", [0.0, 1.0, -0.1, 1.1, float("nan")])

@@ -201,7 +201,6 @@ def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pyte
     assert "100" in lost and "not met" in lost
 
 
-# -- quantities -------------------------------------------------------------------------------------------------------
 def table(path: Path, text: str, rows: int = 400, step: float = 0.001, scale: float = 1.0) -> Path:
     """A text file of times and two columns below a first line."""
     noise = scale * np.random.default_rng(1).standard_normal((rows, 2))

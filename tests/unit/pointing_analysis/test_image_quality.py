@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import special
 
-from lftkit.errors import InputError
 from pointing_analysis.image import quadrature
 from pointing_analysis.image.motion_blur import centred, exposures, worst_transfer
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, with_optics
@@ -19,7 +18,7 @@ from pointing_analysis.image.quality import encircled_energy, encircled_radius, 
 from pointing_analysis.image.star_image import blurred, star_image, widths
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.read.series import Series, series
-from pointing_analysis.requirements.requirement import entries, from_entries, parse
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.rows import BRIEF, RequirementRow, overall, requirement_table
 from pointing_analysis.requirements.verdict import Verdict, decide, index_samples, judge
 from pointing_analysis.units import RAD_PER_MAS
@@ -233,49 +232,6 @@ def judged(text: str, *runs: Series) -> Verdict:
     return judge(parse(text), runs, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("prob(MTF(20 ms, Nyquist) > 0.90) >= 0.997 at 95 % confidence", "MTF(20 ms, Nyquist)"),
-        ("prob( mtf ( 20 ms , 0.5 nyquist ) >= .9 ) >= 99.7 % at 95 % confidence", "MTF(20 ms, 0.5 Nyquist)"),
-        ("prob(MTF(1 s, 8 cycles/arcsec) > 1e-3) >= 0.5 at 95 % confidence, mixed", "MTF(1 s, 8 cycles/arcsec)"),
-        ("prob(Strehl(20 ms) > 0.8) >= 0.997 at 95 % confidence", "Strehl(20 ms)"),
-        ("prob(EE80(20 ms) < 140 mas) >= 0.997 at 95 % confidence, ensemble", "EE80(20 ms)"),
-        ("prob(ee50(20 ms) < 0.3 urad) >= 0.997 at 95 % confidence", "EE50(20 ms)"),
-        ("prob(ELLIPTICITY(20 ms) < 0.02) >= 0.997 at 95 % confidence", "ellipticity(20 ms)"),
-    ],
-)
-def test_text_form(text: str, shown: str) -> None:
-    r = parse(text)
-    assert r.quantity == shown and r.of_image and r.lower == (">" in text.split(")")[1])
-    assert parse(str(r)) == r and parse(r.exact_text, r.name) == r
-    assert from_entries(entries([r]), "list") == (r,)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("prob(MTF(20 ms, Nyquist) < 0.9) ", r"MTF must have a lower limit \(>\), got '<'"),
-        ("prob(EE80(20 ms) > 90 mas) ", r"EE80 must have an upper limit \(<\), got '>'"),
-        ("prob(|RPE(20 ms)| > 90 mas) ", r"RPE must have an upper limit \(<\), got '>'"),
-        ("prob(MTF(20 ms, Nyquist) > 0.9 mas) ", "MTF must have a limit without a unit, got mas"),
-        ("prob(EE80(20 ms) < 90) ", "EE80 must have a limit in one of mas, .*, got none"),
-        ("prob(MTF(20 ms) > 0.9) ", "MTF must have a spatial frequency, as in"),
-        ("prob(MTF(20 ms, 8 cycles/pixel) > 0.9) ", "unit of a spatial frequency must be one of mas, .*, got 'pixel'"),
-        ("prob(MTF(Nyquist) > 0.9) ", r"MTF\(...\) must have 1 time, got 0"),
-        ("prob(Strehl(20 ms, 1 s) > 0.9) ", r"Strehl\(...\) must have 1 time, got 2"),
-        ("prob(|Strehl(20 ms)| > 0.9) ", "Strehl must be given without"),
-        ("prob(MTF(20 ms, Nyquist) > 1.0) ", r"limit of MTF must be below 1, got 1\.0"),
-        ("prob(MTF(20 ms, Nyquist) > 0) ", "limit must be positive, got 0"),
-        ("prob(EE85(20 ms) < 40 mas) ", "index must be one of APE.*got 'EE85'"),
-    ],
-)
-def test_text_that_cannot_be_understood(text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message) as raised:
-        parse(text + TAIL)
-    assert "\n" not in str(raised.value)
-
-
 def test_samples_are_those_of_the_exposures() -> None:
     """Each index of every exposure, those with a missing sample counted."""
     los = np.cumsum(noise(2001, 2.0), axis=0)
@@ -316,13 +272,8 @@ def test_a_lower_limit_is_judged_as_an_upper_one_of_the_negative() -> None:
         for missing in (0.0, 5.0, math.inf):
             low = decide(below, values, effective, 10.0, missing)
             high = decide(above, 1.0 - values, effective, 10.0, missing)
-            assert (low.status, low.exceeding, low.within_limit, low.note) == (
-                high.status,
-                high.exceeding,
-                high.within_limit,
-                high.note,
-            )
-            assert low.seconds_needed == high.seconds_needed
+            for name in ("status", "exceeding", "within_limit", "note", "seconds_needed"):
+                assert getattr(low, name) == getattr(high, name), name
             assert low.quantile.value == pytest.approx(1.0 - high.quantile.value)
             assert low.quantile.lower == pytest.approx(1.0 - high.quantile.upper)
             assert low.quantile.upper == pytest.approx(1.0 - high.quantile.lower)
@@ -346,12 +297,8 @@ def test_verdicts_in_the_table() -> None:
     short = judged(f"prob(Strehl(20 ms) > 0.9) {TAIL}", run_of(noise(5001)))
     assert short.statement.startswith("within limit; not yet demonstrated at 95 % confidence: needs 2")
     assert math.isinf(short.quantile.lower)
-    assert (
-        RequirementRow.of(short).bound_text == "not demonstrated: record too short"
-        and RequirementRow.of(short).as_dict()["lower_bound"] is None
-    )
-    worse = judged("prob(Strehl(20 ms) > 0.993) >= 0.5 at 99.9999 % confidence", run_of(noise(401, 4.0)))
-    assert "below limit" in worse.statement or worse.status == "not compliant"
+    row = RequirementRow.of(short)
+    assert row.bound_text == "not demonstrated: record too short" and row.as_dict()["lower_bound"] is None
 
 
 @pytest.mark.further

@@ -106,33 +106,18 @@ def test_reproducibility() -> None:
 
 
 @pytest.mark.parametrize(
-    ("window", "dt", "whole"),
+    ("dt", "whole", "others"),
     [
-        (0.02, DT, True),
-        (0.002, DT, True),
-        (0.001, DT, False),
-        (0.0, DT, False),
-        (-0.02, DT, False),
-        (0.0200009, DT, True),
-        (0.0199991, DT, True),
-        (0.0200011, DT, False),
-        (0.0199989, DT, False),
-        (0.02, 1 / 512, False),
-        (0.02, 0.0, False),
-        (0.02, -DT, False),
-        (-0.02, -DT, False),
-        (float("inf"), DT, False),
-        (float("nan"), DT, False),
-        (2.0, 1.0, True),
-        (1.5, 0.5, True),
-        (0.25, 0.125, True),
+        (DT, [0.02, 0.002, 0.0200009, 0.0199991], [0.001, 0.0, -0.02, 0.0200011, 0.0199989, np.inf, np.nan]),
+        *[(1 / 512, [], [0.02]), (0.0, [], [0.02]), (-DT, [], [0.02, -0.02])],
+        *[(1.0, [2.0], []), (0.5, [1.5], []), (0.125, [0.25], [])],
     ],
 )
-def test_a_window_is_a_whole_number_of_samples(window: float, dt: float, whole: bool) -> None:
-    assert metrics.is_whole(window, dt) is whole
-    if whole:
-        assert metrics.window_samples(window, dt) == round(window / dt)
-    else:
+def test_a_window_is_a_whole_number_of_samples(dt: float, whole: list[float], others: list[float]) -> None:
+    for window in whole:
+        assert metrics.is_whole(window, dt) is True and metrics.window_samples(window, dt) == round(window / dt)
+    for window in others:
+        assert metrics.is_whole(window, dt) is False
         with pytest.raises(ValueError, match="window must be a whole number"):
             metrics.window_samples(window, dt)
 
@@ -249,16 +234,11 @@ def test_the_rational_weight_of_the_synthesis_is_no_upper_bound() -> None:
     assert omega[ratio.argmax()] / (2 * np.pi) == pytest.approx(42, abs=1)
 
 
-def test_mean_and_rpe_weights_are_complementary() -> None:
-    omega = np.geomspace(1e-6, 1e5, 400)
+def test_mean_and_rpe_weights_are_complementary_and_keep_their_digits_at_low_frequency() -> None:
+    omega, low = np.geomspace(1e-6, 1e5, 400), np.geomspace(1e-9, 0.2, 50)
     total = np.sinc(omega * WINDOW / (2 * np.pi)) ** 2 + weights.rpe_exact(omega, WINDOW) ** 2
     assert np.allclose(total, 1, atol=1e-12)
-
-
-def test_no_digits_are_lost_at_low_frequency() -> None:
-    omega = np.geomspace(1e-9, 0.2, 50)
-    y = omega * WINDOW
-    assert np.allclose(weights.rpe_exact(omega, WINDOW), y / np.sqrt(12), rtol=1e-6)
+    assert np.allclose(weights.rpe_exact(low, WINDOW), low * WINDOW / np.sqrt(12), rtol=1e-6)
 
 
 def test_discrete_weight_tends_to_the_continuous_one() -> None:

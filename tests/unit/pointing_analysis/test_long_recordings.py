@@ -117,9 +117,8 @@ def damaged(folder: Path) -> Path:
     los = 1e-8 * rng.standard_normal((n, 2))
     los[1234] = np.nan
     signals = {"truth/los": los[keep], "los_estimate": los, "fsm/strain_gauge": los, "fsm/command": los}
-    return write_bag(
-        folder / "bag", signals, stamps={"truth/los": stamps[keep]}, start=10**9, parameters={"loop": "fsm"}
-    )
+    given = {"truth/los": stamps[keep]}
+    return write_bag(folder / "bag", signals, stamps=given, start=10**9, parameters={"loop": "fsm"})
 
 
 @pytest.mark.further
@@ -137,12 +136,8 @@ def test_figures_and_report_do_not_depend_on_the_length_of_the_parts(
     after = summarise(split, transient=1.0)
     assert {**after.as_dict(), "requirements": 0} == {**before.as_dict(), "requirements": 0}
     for one, other in zip(before.verdicts, after.verdicts):
-        assert (one.status, one.exceeding, one.samples, one.missing) == (
-            other.status,
-            other.exceeding,
-            other.samples,
-            other.missing,
-        )
+        for name in ("status", "exceeding", "samples", "missing"):
+            assert getattr(one, name) == getattr(other, name), name
         assert other.effective == pytest.approx(one.effective, rel=1e-9)
     assert len(render([split], transient=1.0)) == pytest.approx(len(page), rel=1e-3)
 
@@ -151,9 +146,8 @@ ROOT = Path(__file__).parents[3]
 
 
 def last_line(*command: str, timeout: float = 280.0) -> str:
-    done = subprocess.run(
-        [sys.executable, *command], capture_output=True, text=True, timeout=timeout, cwd=ROOT, check=False
-    )
+    command = (sys.executable, *command)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()[-1]
 

@@ -71,7 +71,6 @@ def plain(text: str) -> str:
     return re.sub(r"\s", "", text)
 
 
-# -- PDF ---------------------------------------------------------------------------------------------------------
 @pytest.mark.further
 def test_verdict_and_tables_are_text(made: content.ReportContent, tmp_path: Path) -> None:
     """The verdict with each requirement on the first page; the cells of all tables somewhere; the size asked for."""
@@ -144,7 +143,6 @@ def test_a_pdf_that_fails_leaves_the_old_one(made: content.ReportContent, tmp_pa
     assert [file.name for file in tmp_path.iterdir()] == ["r.pdf"] and (tmp_path / "r.pdf").read_text() == "old"
 
 
-# -- figures and tables ------------------------------------------------------------------------------------------
 @pytest.mark.further
 def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, bag: Path, tmp_path: Path) -> None:
     paths = write_parts(made, tmp_path / "parts")

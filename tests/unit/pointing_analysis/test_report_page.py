@@ -185,22 +185,18 @@ def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
     assert order == sorted(order)
     found = re.findall(r'<strong class="name">([^<]*)</strong> <span class="status (\w+)">([^<]*)<', text)
     assert [name for name, *_ in found] == [*STAGES]
+    classes = {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}
     for bag, (_, css, shown) in zip(stages, found):
         status = overall(summarise(Run.open(bag)).verdicts)
-        assert (css, shown) == (
-            {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}.get(status, "open"),
-            status,
-        )
+        assert shown == status and css == classes.get(status, "open")
     assert "not compliant" in text
 
 
 def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
     """A tone of a source, a wheel, a multiple of its speed, else the scenario that acts; else there is no name."""
     acting = [{"name": "imbalance", "kind": "scenario", "what": ""}, {"name": "cooler", "lines_rad_s": [210.0, 260.0]}]
-    path = make(
-        tmp_path / "bag", "fsm", 5.0, wheel_speeds_rad_s=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
-    )
-    seen = view(Run.open(path), "fsm")
+    given = {"wheel_speeds_rad_s": [70.0, -88.0], "acting": acting, "tones_rad_s": [88.0, 210.0, 301.0]}
+    seen = view(Run.open(make(tmp_path / "bag", "fsm", 5.0, **given)), "fsm")
     names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
     assert names == {70: "wheel 1", 88: "wheel 2", 210: "cooler", 301: "imbalance"}
     nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
@@ -272,7 +268,6 @@ def test_bad_input(stages, tmp_path) -> None:
     assert not list(tmp_path.glob("*.html"))
 
 
-# -- in a real browser -------------------------------------------------------------------------------------------
 needs_browser = pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 
 

@@ -62,23 +62,11 @@ def test_a_row() -> None:
     assert (row.run, row.name, row.text, row.css) == ("run", "long", str(RULE), "ok")
     assert (row.exceeding_text, row.effective_text) == ("12.5 %", "50 of 2000")
     assert (row.margin_text, row.relative_margin) == ("+10 mas (25 %)", pytest.approx(0.25))
-    assert row.as_dict() == {
-        "name": "long",
-        "text": str(RULE),
-        "quantity": "|RPE(250 ms)|, 75 %, mixed",
-        "status": "compliant",
-        "statement": "compliant",
-        "quantile": 30.0,
-        "limit": 40.0,
-        "upper_bound": 36.0,
-        "confidence": 0.9,
-        "unit": "mas",
-        "exceeding": 0.125,
-        "effective_samples": 50.0,
-        "seconds_needed": 8.0,
-        "missing": 0.0,
-        "note": "",
-    }
+    texts = {"name": "long", "text": str(RULE), "quantity": "|RPE(250 ms)|, 75 %, mixed", "unit": "mas", "note": ""}
+    texts |= dict.fromkeys(("status", "statement"), "compliant")
+    levels = {"quantile": 30.0, "limit": 40.0, "upper_bound": 36.0, "confidence": 0.9, "exceeding": 0.125}
+    counts = {"effective_samples": 50.0, "seconds_needed": 8.0, "missing": 0.0}
+    assert row.as_dict() == {**texts, **levels, **counts}
     temporal = verdict(requirement=replace(RULE, interpretation="temporal"))
     assert RequirementRow.of(temporal).quantity == "|RPE(250 ms)|, 75 %"
 
@@ -174,8 +162,8 @@ def test_another_window_probability_or_index_has_none(text: str) -> None:
 def test_what_is_no_bound_is_none() -> None:
     for fast in (3.0, [None, 0.997], [-1e-7, 0.997], [1e-7, 1.5], [1e-7]):
         assert proven_bound(recorded(proof_bounds={"window_s": 0.02, "fast": fast}), parse(RPE, "RPE")) is None, fast
-    for bounds in (None, []):
-        assert proven_bound(recorded(proof_bounds=bounds), parse(RPE, "RPE")) is None
+    for nothing in (None, "", list[float]()):
+        assert proven_bound(recorded(proof_bounds=nothing), parse(RPE, "RPE")) is None
 
 
 def checked(beside: Beside) -> Beside:

@@ -308,24 +308,19 @@ def test_what_is_written_is_read_and_only_for_topics_that_are_there(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("name", "values"),
     [
-        {"rate_hz": 0.0},
-        {"rate_hz": "fast"},
-        {"rate_hz": float("inf")},
-        {"noise": ["loud"]},
-        {"noise": 3.0},
-        {"noise": [float("nan")]},
-        {"held": 1},
-        {"topic": 5},
-        {"unit": None},
+        ("rate_hz", [0.0, "fast", math.inf]),
+        ("noise", [["loud"], 3.0, [math.nan]]),
+        *[("held", [1]), ("topic", [5]), ("unit", [None])],
     ],
 )
-def test_a_description_that_cannot_be_read_is_none(tmp_path: Path, change: dict[str, Any]) -> None:
-    entry = {**GUIDE.to_mapping(), **change}
-    with pytest.raises(ValueError, match=r"a sensor must have|rate_hz and noise of a sensor must be finite"):
-        RecordedSensor.from_mapping(entry)
-    assert sensors_of(recording(tmp_path / "bag", [GUIDE.to_mapping(), entry], np.zeros((30, 2)))) == ()
+def test_a_description_that_cannot_be_read_is_none(tmp_path: Path, name: str, values: list[Any]) -> None:
+    for k, value in enumerate(values):
+        entry = {**GUIDE.to_mapping(), name: value}
+        with pytest.raises(ValueError, match=r"a sensor must have|rate_hz and noise of a sensor must be finite"):
+            RecordedSensor.from_mapping(entry)
+        assert sensors_of(recording(tmp_path / str(k), [GUIDE.to_mapping(), entry], np.zeros((30, 2)))) == ()
 
 
 def test_samples_have_the_unit_of_their_description(tmp_path: Path) -> None:

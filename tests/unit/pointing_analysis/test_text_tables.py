@@ -38,11 +38,6 @@ def counted(factor: float, digits: int = 0, start: float = 0.0) -> list[str]:
     return [f"{start + factor * t:.{digits}f}" for t in T]
 
 
-def lines(text: str, **changes: str) -> str:
-    """A text with other ends of lines."""
-    return text.replace("\n", changes["end"])
-
-
 COMMA = table().replace(",", ";").replace(".", ",")
 TIMES = {
     "ms": table(counted(1e3), "time_ms,x_mas,y_mas"),
@@ -89,7 +84,7 @@ UNITS = {
 AROUND = {
     "decimal comma": COMMA,
     "quoted decimal comma": "\n".join(",".join(f'"{c}"' for c in row.split(";")) for row in COMMA.splitlines()),
-    "old ends of lines": lines(table(), end="\r"),
+    "old ends of lines": table().replace("\n", "\r"),
     "end of file of DOS": table() + "\x1a",
     "semicolon comments": "; made by X\n; at 12:00\n" + table(),
     "exclamation marks": "! made by X\n" + table(),
@@ -168,42 +163,31 @@ def hdf5(path: Path, unit: str, factor: float) -> None:
             group["time"].attrs["units"] = unit
 
 
-ARRAYS: dict[str, tuple[Callable[[Path], None], dict[str, str]]] = {
-    "durations of Parquet": (lambda path: parquet(path, (1e9 * T).round().astype("timedelta64[ns]")), {}),
-    "durations of NumPy": (
-        lambda path: np.savez(path.open("wb"), t=(1e3 * T).round().astype("timedelta64[ms]"), los=XY, unit="mas"),
-        {},
-    ),
-    "one matrix with the time first": (lambda path: io.savemat(path, {"data": np.c_[T, XY], "data_unit": "mas"}), {}),
-    "its name given": (lambda path: io.savemat(path, {"d": np.c_[T, XY], "other": XY, "unit": "mas"}), {"los": "d"}),
-    "a unit for each column": (lambda path: np.savez(path.open("wb"), t=T, los=XY, los_units=["mas", "mas"]), {}),
-    "a cell of units": (
-        lambda path: io.savemat(path, {"s": {"t": T, "los": XY, "units": np.array(["mas", "mas"], object)}}),
-        {},
-    ),
-    "group of HDF5": (lambda path: hdf5(path, "seconds since 2026-01-01", 1.0), {"los": "second.x,second.y"}),
-    "days of netCDF": (
-        lambda path: hdf5(path, "days since 2026-01-01 00:00:00", 1 / 86_400),
-        {"los": "second.x,second.y"},
-    ),
+MS, NS = ((1 / unit * T).round().astype(f"timedelta64[{name}]") for name, unit in (("ms", 1e-3), ("ns", 1e-9)))
+CELL = np.array(["mas", "mas"], object)
+ARRAYS: dict[str, Callable[[Path], None]] = {
+    "durations of Parquet": lambda path: parquet(path, NS),
+    "durations of NumPy": lambda path: np.savez(path.open("wb"), t=MS, los=XY, unit="mas"),
+    "one matrix with the time first": lambda path: io.savemat(path, {"data": np.c_[T, XY], "data_unit": "mas"}),
+    "its name given": lambda path: io.savemat(path, {"d": np.c_[T, XY], "other": XY, "unit": "mas"}),
+    "a unit for each column": lambda path: np.savez(path.open("wb"), t=T, los=XY, los_units=["mas", "mas"]),
+    "a cell of units": lambda path: io.savemat(path, {"s": {"t": T, "los": XY, "units": CELL}}),
+    "group of HDF5": lambda path: hdf5(path, "seconds since 2026-01-01", 1.0),
+    "days of netCDF": lambda path: hdf5(path, "days since 2026-01-01 00:00:00", 1 / 86_400),
 }
+CHOSEN = {"its name given": "d"} | dict.fromkeys(("group of HDF5", "days of netCDF"), "second.x,second.y")
 
 
 @pytest.mark.parametrize("name", ARRAYS)
 def test_arrays_have_the_same_samples(tmp_path: Path, name: str) -> None:
     """Of two groups the times are those beside the line of sight."""
-    write, options = ARRAYS[name]
-    write(tmp_path / "a")
-    assert same(tmp_path / "a", **options)
+    ARRAYS[name](tmp_path / "a")
+    assert same(tmp_path / "a", los=CHOSEN.get(name))
 
 
 def test_what_is_skipped_is_noted(tmp_path: Path) -> None:
-    for name, note in (
-        ("titles", "4 lines in front of the header skipped"),
-        ("header repeated", "repeated in row 202"),
-        ("separator named", ""),
-        ("mark of the order of bytes", ""),
-    ):
+    notes = {"titles": "4 lines in front of the header skipped", "header repeated": "repeated in row 202"}
+    for name, note in (*notes.items(), ("separator named", ""), ("mark of the order of bytes", "")):
         (tmp_path / "a.csv").write_text(AROUND[name])
         problems = open_los(tmp_path / "a.csv").problems
         assert any(note in problem for problem in problems) if note else not problems
