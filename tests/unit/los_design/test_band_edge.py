@@ -31,9 +31,14 @@ EDGE, STAGE = 40.0, "fsm+pma"
 
 
 @pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> Telescope:
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("edge") / "mission.toml"
     file.write_text(f"[weights]\nband_edge = {EDGE}\n")
+    return file
+
+
+@pytest.fixture(scope="module")
+def own(file: Path) -> Telescope:
     assert differences(file) == [f"weights.band_edge = {EDGE:g}, reference 85"]
     return load_telescope(file)
 
@@ -89,15 +94,12 @@ def test_search_worst_tone_and_members_look_in_its_bands(
     assert other["slow_tone_mas"] == pytest.approx(first["fast_tone_mas"]) and other["fast_tone_mas"] < 18.0
 
 
-def test_a_run_and_its_budget_of_tones_have_it(own: Telescope, tmp_path: Path) -> None:
+def test_a_run_and_its_budget_of_tones_have_it(file: Path, tmp_path: Path) -> None:
     from los_testbed.config.run_config import RunConfig
     from los_testbed.run.loop.simulate import run_in_process
 
     from pointing_analysis.read.run import Run
 
-    file = tmp_path / "mission.toml"
-    file.write_text(f"[weights]\nband_edge = {EDGE}\n")
-    run_in_process(
-        RunConfig(mode="inprocess", duration=0.2, loop="isolator", start="rest", parameters=str(file)), tmp_path / "bag"
-    )
+    config = RunConfig(mode="inprocess", duration=0.2, loop="isolator", start="rest", parameters=str(file))
+    run_in_process(config, tmp_path / "bag")
     assert Run.open(tmp_path / "bag").parameters["rpe_budget_mas"]["band_edge_rad_s"] == EDGE

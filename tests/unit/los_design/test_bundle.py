@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
 from los_testbed.cli.designs.check_proof import _sentences
+from support.command_line import call_command
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
@@ -47,7 +47,6 @@ from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 STAGE, FIGURE = "fsm+pma", "slow"
@@ -55,10 +54,8 @@ Mutation = Callable[[dict[str, bytes]], None]
 
 
 @pytest.fixture(scope="module")
-def loop() -> ImplementedLoop:
-    telescope = load_telescope()
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
-    return ImplementedLoop(open_loop, *load_designs("implemented"), STAGE)
+def loop(system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), STAGE)
 
 
 @pytest.fixture(scope="module")
@@ -132,42 +129,27 @@ def test_a_proof_of_noise_goes_with_it_and_needs_all_its_parts(
         noise_of_loop(narrow, loop)
 
 
-def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
-    (tmp_path / "mine.csv").write_text("any content\n")
-    own = loop.telescope.changed({"body": {"modal_data": str(tmp_path / "mine.csv")}})
-    with open_bundle(written) as bundle:
-        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
-        write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
-    name = own.digest
-    (tmp_path / "mine.csv").unlink()
-    with open_bundle(tmp_path / BUNDLE) as bundle:
-        assert bundle.telescope.digest == name
-        assert Path(bundle.telescope.body.modal_data).read_text() == "any content\n"
-
-
-@pytest.mark.parametrize("name", ["appendage", "solar_array"])
-def test_modal_data_of_mounted_bodies_go_with_it(
-    name: str, written: Path, loop: ImplementedLoop, tmp_path: Path
-) -> None:
-    """Two tables with a file and one without; sources of disturbance, which no proof depends on, stay behind."""
-    tables: list[dict[str, Any]] = [{"name": "rigid"}]
-    for number in range(2):
-        (tmp_path / f"mine_{number}.csv").write_text(f"content {number}\n")
-        tables.append({"name": f"body {number}", "modal_data": str(tmp_path / f"mine_{number}.csv")})
+@pytest.mark.parametrize("name", ["body", "appendage", "solar_array"])
+def test_modal_data_go_with_it(name: str, written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
+    """Of mounted bodies two tables have a file and one none; sources of disturbance, of no proof, stay behind."""
+    files = [tmp_path / f"mine_{number}.csv" for number in range(1 if name == "body" else 2)]
+    for file in files:
+        file.write_text(f"content of {file.stem}\n")
+    tables = [{"name": "rigid"}, *({"name": file.stem, "modal_data": str(file)} for file in files)]
     source = {"name": "mine", "text": "two\nlines", "folder": str(tmp_path)}
-    own = loop.telescope.changed({name: tables, "disturbance": [source]})
-    with open_bundle(written) as bundle:
-        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
-        write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
+    table = {"modal_data": str(files[0])} if name == "body" else tables
+    own = loop.telescope.changed({name: table, "disturbance": [source]})
+    write_bundle(tmp_path / BUNDLE, own, loop.pair, {(STAGE, FIGURE): written.with_name("proof.npz")})
     digest = own.digest
-    for number in range(2):
-        (tmp_path / f"mine_{number}.csv").unlink()
+    for file in files:
+        file.unlink()
     with open_bundle(tmp_path / BUNDLE) as bundle:
         assert bundle.telescope.digest == digest
         assert str(tmp_path) not in (bundle.folder / TELESCOPE).read_text()
-        first, *others = bundle.telescope.to_mapping()[name]
-        found = [Path(table["modal_data"]).read_text() for table in others]
-        assert found == ["content 0\n", "content 1\n"] and "modal_data" not in first
+        kept = bundle.telescope.to_mapping()[name]
+        rows = [kept] if name == "body" else kept
+        found = [Path(row["modal_data"]).read_text() for row in rows if "modal_data" in row]
+        assert found == [f"content of {file.stem}\n" for file in files]
 
 
 def members_of(bundle: ProofBundle) -> dict[str, bytes]:
@@ -298,9 +280,8 @@ def file_of_the_machine(members: dict[str, bytes]) -> None:
 
 
 def file_of_the_machine_for_an_antenna(members: dict[str, bytes]) -> None:
-    content = json.loads(members[TELESCOPE])
-    content["appendage"] = [{"name": "antenna", "modal_data": "/etc/passwd"}]
-    members[TELESCOPE] = json.dumps(content).encode()
+    antenna = {"appendage": [{"name": "antenna", "modal_data": "/etc/passwd"}]}
+    members[TELESCOPE] = json.dumps({**json.loads(members[TELESCOPE]), **antenna}).encode()
 
 
 def lines_of_the_check(members: dict[str, bytes]) -> None:
@@ -418,11 +399,9 @@ def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: 
     (tmp_path / "text.zip").write_text("no bundle")
     cases = ((written, 1, "the strips must cover the box"), (tmp_path / "text.zip", 2, "must be a bundle"))
     for file, code, expected in cases:
-        with pytest.raises(SystemExit) as ended:
-            main(["design", "check-proof", str(file)])
-        (line,) = capsys.readouterr().err.strip().splitlines()
-        assert ended.value.code == code and expected in line
-        assert line.startswith("refused: " if code == 1 else f"los-testbed: {file}: ")
+        found, _, err = call_command(capsys, "design", "check-proof", file)
+        assert found == code and expected in err and err.count("\n") == 1
+        assert err.startswith("refused: " if code == 1 else f"los-testbed: {file}: ")
 
 
 def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
@@ -437,9 +416,7 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
     assert statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, written.parent) is None
     assert statement_of(Subject.of(replace(k_fsm, C=1.001 * k_fsm.C), k_pma, telescope_name), "fsm", None) is None
     assert statement_of(Subject.of(k_fsm, k_pma, "another"), STAGE, None) is None
-    with open_bundle(written) as bundle:
-        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
-        write_bundle(tmp_path / BUNDLE, loop.telescope, (k_fsm, other), proofs)
+    write_bundle(tmp_path / BUNDLE, loop.telescope, (k_fsm, other), {(STAGE, FIGURE): written.with_name("proof.npz")})
     found = statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, tmp_path)
     assert found is not None
     assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.bundle[:12]}, not checked here)")

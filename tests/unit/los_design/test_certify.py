@@ -1,4 +1,4 @@
-"""Guaranteed bounds of the telescope's loop: the model that is proven, parts, violated levels."""
+"""Guaranteed bounds of the telescope's loop: the model that is proven, parts, violated levels, the camera's frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from scipy.integrate import trapezoid
 from support.slow_cases import slow
 
 from lftkit import SampledSystem
-from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.sampled_loop import LoopModel, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import ProofError
@@ -31,10 +32,12 @@ from los_design.verification.certify import (
     prove_part,
     task_of,
 )
+from los_design.verification.frames import IMAGES, LIMITS, SEEN, frames_share
 from los_design.verification.loop_models import (
     NYQUIST,
     box_of,
     figures_of,
+    frames_of,
     margins_of,
     noise_model,
     telescope_model,
@@ -43,6 +46,7 @@ from los_design.verification.noise_certificate import ABOVE, seen_gain
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
+from titop_plant.interface import DT, FRAME_TICKS
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 205.0)
@@ -209,17 +213,10 @@ def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_pat
     loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
     values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
+    until = time.monotonic() + 600.0
     with Workers() as workers:
-        found = certify_figure(
-            loop,
-            "fast",
-            ProofLevel(),
-            known,
-            tmp_path,
-            partial(workers.each, prove_part),
-            time.monotonic() + 600.0,
-            lambda done, total: None,
-        )
+        each = partial(workers.each, prove_part)
+        found = certify_figure(loop, "fast", ProofLevel(), known, tmp_path, each, until, lambda done, total: None)
     assert found.status == "violated" and found.lower > 1.47 and math.isinf(found.upper)
     assert not list(tmp_path.glob("*.npz"))
 
@@ -229,8 +226,63 @@ def test_no_part_is_proven_below_a_gain_that_is_reached(part: ProofPart, tmp_pat
     rng = np.random.default_rng(0)
     members = np.array(part.box)[:, 0] + rng.uniform(size=(40, 7)) * np.ptp(np.array(part.box), axis=1)
     reached = max(float(member_gains(part.model, omega, members).max()) for omega in np.linspace(200.5, 201.5, 7))
-    low = dataclasses.replace(
-        part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz", until=time.monotonic() + 0.5
-    )
-    found = prove_part(low)
-    assert found.uncovered
+    low = dataclasses.replace(part, band=(200.0, 202.0), level=0.98 * reached, file=tmp_path / "000.npz")
+    assert prove_part(dataclasses.replace(low, until=time.monotonic() + 0.5)).uncovered
+
+
+@pytest.fixture(scope="module", params=["fsm", "fsm+pma"])
+def either(request: pytest.FixtureRequest, system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), request.param)
+
+
+def member(model: LoopModel, omega: float, deviations: FloatArray) -> ComplexArray:
+    """Response of a member: Delta closed."""
+    q = model.sizes[0]
+    z, e = model.at(omega)
+    delta = np.zeros(q)
+    for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
+        delta[list(group)] = np.tan(0.5 * deviations[k]) if angle else deviations[k]
+    return e[:, q:] + (e[:, :q] * delta) @ np.linalg.solve(np.eye(q) - z[:, :q] * delta, z[:, q:])
+
+
+def members(either: ImplementedLoop, count: int) -> FloatArray:
+    low, high = np.array(box_of(either)).T
+    rng = np.random.default_rng(5)
+    inside = rng.uniform(size=(count, len(low)))
+    return low + np.where(rng.uniform(size=inside.shape) < 0.6, np.round(inside), inside) * (high - low)
+
+
+def test_the_closed_gain_is_the_sensitivity_of_the_opened_one(either: ImplementedLoop) -> None:
+    """``S = (I - L)^-1`` at members, though the one has the camera's loop closed and the other one open."""
+    metrics = frames_of(either.telescope, either.stage)
+    closed, opened = (telescope_model(either, metrics[name]) for name in (SEEN, IMAGES))
+    for deviations in members(either, 4):
+        for omega in (0.05, 3.0, 8.0, 60.0, 157.0):
+            S, L = member(closed, omega, deviations), member(opened, omega, deviations)
+            np.testing.assert_allclose(S @ (np.eye(2) - L), np.eye(2), atol=1e-7 * np.linalg.norm(S))
+
+
+def test_found_members_keep_both_limits_and_their_periodic_loop_is_stable(either: ImplementedLoop) -> None:
+    found = dict.fromkeys(LIMITS, 0.0)
+    drawn = members(either, 3)
+    for name, metric in frames_of(either.telescope, either.stage).items():
+        model = telescope_model(either, metric)
+        for omega in np.geomspace(max(metric.band[0], 5.0), metric.band[1], 40):
+            found[name] = max(found[name], *(float(np.linalg.norm(member(model, omega, one), 2)) for one in drawn))
+    assert 1.5 < found[SEEN] < LIMITS[SEEN] and 5e-5 < found[IMAGES] < LIMITS[IMAGES]
+    share = frames_share(LIMITS)
+    assert share is not None and share < 0.1 and frames_share({SEEN: 3.0}) is None
+    for values in either.system.sample_values(np.random.default_rng(3), 2):
+        assert either.sampled_at(values)[1].spectral_radius() < 1.0
+
+
+def test_images_of_a_held_sample_are_those_of_the_argument() -> None:
+    """A signal of one frequency, sampled and held: its images have the fundamental's factor at their own frequency."""
+    N, frames, bin_ = FRAME_TICKS, 40, 7
+    ticks = np.arange(N * frames)
+    omega = 2.0 * np.pi * bin_ / (N * frames * DT)
+    held = np.exp(1j * omega * DT * (ticks // N * N))
+    for image in range(N):
+        w = omega + 2.0 * np.pi * image / (N * DT)
+        found = np.mean(held * np.exp(-1j * w * DT * ticks))
+        assert found == pytest.approx(np.mean(np.exp(-1j * w * DT * np.arange(N))), abs=1e-12)

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from los_testbed.cli.app import main
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
+from support.command_line import call_command
 
 from lftkit import SampledSystem, System
 from los_design.search.worst_points import load_worst_points
@@ -116,12 +116,11 @@ def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> Non
 
 
 @pytest.mark.further
-def test_a_peak_that_is_below_another_one_on_the_grid_is_found() -> None:
+def test_a_peak_that_is_below_another_one_on_the_grid_is_found(system, telescope) -> None:
     """The worst slow tone: a mode with a damping ratio of 1 % between two frequencies of the grid, beside a value of
     0.457 at 6 rad/s that is larger than those on the grid beside it."""
-    telescope, stored = load_telescope(), load_worst_points()["fsm+pma"]["slow"]
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
-    loop = ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma")
+    stored = load_worst_points()["fsm+pma"]["slow"]
+    loop = ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), "fsm+pma")
     (found,) = stage_check.check_stages([loop], [stored.parameters], changes=False)
     assert found.worst["slow"].gamma == pytest.approx(stored.gamma, rel=1e-5)
     assert found.worst["slow"].omega == pytest.approx(stored.omega, rel=1e-3)
@@ -190,17 +189,8 @@ def drifting_pair() -> tuple[SampledSystem, SampledSystem]:
     B = np.zeros((2, 22))
     B[:, 18:20] = 1e-3 * g * np.eye(2)
     A = (1.0 + 1e-3 * p) * np.eye(2)
-    k_fsm = SampledSystem(
-        A,
-        B,
-        np.eye(2),
-        np.zeros((2, 22)),
-        K_FSM_INPUTS,
-        K_FSM_OUTPUTS,
-        DT,
-        "drifting",
-        design_basis={"los_sensitivity": 0.1},
-    )
+    ports, basis = (K_FSM_INPUTS, K_FSM_OUTPUTS), {"los_sensitivity": 0.1}
+    k_fsm = SampledSystem(A, B, np.eye(2), np.zeros((2, 22)), *ports, DT, "drifting", design_basis=basis)
     return k_fsm, quiet_pair()[1]
 
 
@@ -306,12 +296,8 @@ def test_published_gammas() -> None:
 
 def check(stable: int, count: int, value: float) -> SimpleNamespace:
     """What the command needs of a check."""
-    return SimpleNamespace(
-        stable=stable,
-        count=count,
-        all_stable=stable == count,
-        to_mapping=lambda: {"samples": count, "value": str(value)},
-    )
+    shown = {"samples": count, "value": str(value)}
+    return SimpleNamespace(stable=stable, count=count, all_stable=stable == count, to_mapping=lambda: shown)
 
 
 @pytest.mark.parametrize(
@@ -319,16 +305,8 @@ def check(stable: int, count: int, value: float) -> SimpleNamespace:
     [
         ([(5, 5), (1, 1), (2, 2)], 0, ""),
         ([(4, 5), (1, 1), (2, 2)], 7, "verification failed: robust design: unstable at 1 of 5 points\n"),
-        (
-            [(5, 5), (0, 1), (2, 2)],
-            7,
-            "verification failed: nominal design, nominal model: unstable at 1 of 1 points\n",
-        ),
-        (
-            [(5, 5), (1, 1), (1, 2)],
-            7,
-            "verification failed: nominal design, uncertain model: unstable at 1 of 2 points\n",
-        ),
+        ([(5, 5), (0, 1), (2, 2)], 7, "verification failed: nominal design, nominal model: unstable at 1 of 1"),
+        ([(5, 5), (1, 1), (1, 2)], 7, "verification failed: nominal design, uncertain model: unstable at 1 of 2"),
     ],
 )
 def test_the_command_exits_with_7_and_says_what_is_unstable(
@@ -337,19 +315,9 @@ def test_the_command_exits_with_7_and_says_what_is_unstable(
     answers = iter(check(*r, 0.5 if r[0] == r[1] else np.inf) for r in results)
     monkeypatch.setattr(verification, "check_implemented", lambda *_, **__: next(answers))
     monkeypatch.setattr(verification, "broken_requirements", lambda _: [])
-    if code:
-        with pytest.raises(SystemExit) as stop:
-            main(["design", "verify", "--samples", "0", "--json"])
-        assert stop.value.code == code
-    else:
-        assert main(["design", "verify", "--samples", "0", "--json"]) == 0
-    output = capsys.readouterr()
-    assert message in output.err and ("failed" in output.err) == bool(code)
-
-    def refuse(name: str) -> None:
-        raise AssertionError(f"{name} is no JSON")
-
-    shown = json.loads(output.out, parse_constant=refuse)
+    found, out, err = call_command(capsys, "design", "verify", "--samples", "0", "--json")
+    assert found == code and message in err and ("failed" in err) == bool(code)
+    shown = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert len(shown["failures"]) == bool(code)
     assert shown["implemented"]["samples"] == 5
 
@@ -358,9 +326,8 @@ OMEGA = np.array([0.3, 7.4, 40.0, 190.0, 580.0, 2500.0])
 
 
 @pytest.fixture(scope="module")
-def loops() -> list[ImplementedLoop]:
-    telescope = load_telescope()
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
+def loops(system, telescope) -> list[ImplementedLoop]:
+    open_loop = OpenLoop(system, telescope)
     return [ImplementedLoop(open_loop, *load_designs("implemented"), stage) for stage in MIRROR_STAGES]
 
 

@@ -11,15 +11,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import refused
 
 from lftkit import SampledSystem
+from lftkit.support.threads import one_thread
+from lftkit.support.workers import Workers
+from lftkit.tuning.responses import parameters_of
+from los_design.search.parameter_sensitivity import changed_entry, effects_of_box, effects_of_entries
 from los_design.search.worst_case_search import Search, SearchOptions
-from los_design.search.worst_points import (
-    WorstPoint,
-    load_worst_points,
-    store_worst_points,
-    worst_of,
-)
+from los_design.search.worst_points import WorstPoint, load_worst_points, store_worst_points, worst_of
+from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, pair_problem
+from los_design.synthesis.store import continuous, load_designs
+from los_design.verification import stage_check
+from los_design.verification.loop_models import figures_of
+from los_design.verification.stage_check import check_stage
+from los_design.verification.verification import verification_points
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
@@ -29,6 +35,8 @@ from los_loop.spec import DISTURBANCE
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.plant_step import step_matrix
+from titop_plant.telescope.control_plant import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import weight_amplitudes
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -73,9 +81,8 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pai
     n = plant.A.shape[0]
     one = step_matrix(plant, no_tones())
     z = np.exp(1j * w * 1e-3)
-    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ np.linalg.solve(
-        z * np.eye(n) - one[:n, :n], one[:n, n : n + 2]
-    )
+    state = np.linalg.solve(z * np.eye(n) - one[:n, :n], one[:n, n : n + 2])
+    held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ state
     k = pair[0]
     K = -10.0 * (k.D + k.C @ np.linalg.solve(z * np.eye(k.order) - k.A, k.B)) / z
     K[:, 18:20] *= np.mean(z ** -np.arange(20.0))
@@ -122,18 +129,12 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
 
-@pytest.fixture
-def search(system, telescope, pair) -> Search:
-    return Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma"), SearchOptions(members=4))
-
-
 def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> None:
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
     search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
-    assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
-        1.0
-    )
+    for vector in (found.disturbance, found.direction):
+        assert np.linalg.norm(vector) == pytest.approx(1.0)
     plant = system.at(found.parameters)
     exact = sampled_loop(plant, ControlLaws(*pair, "fsm", 0.1), frame_ticks=FRAME_TICKS)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
@@ -149,9 +150,8 @@ def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> N
     )
     worst = worst_of({"slow": [slow], "fast": [fast], "APE": []})
     assert worst["RPE"] is max(slow, fast, key=lambda p: p.gamma) and "APE" not in worst
-    store_worst_points(
-        tmp_path / "worst_points.json", [replace(p, requirement=n) for n, p in worst.items()], {"k": "v"}
-    )
+    points = [replace(p, requirement=n) for n, p in worst.items()]
+    store_worst_points(tmp_path / "worst_points.json", points, {"k": "v"})
     again = load_worst_points(tmp_path)["fsm"]
     assert set(again) == {"slow", "fast", "RPE"}
     assert again["slow"].parameters == slow.parameters and again["slow"].gamma == slow.gamma
@@ -180,3 +180,87 @@ def test_the_search_finds_the_known_worst_cases_by_itself(stage: str, system, te
     omega, _, gamma = KNOWN[stage]
     assert found[0].gamma >= gamma - 1e-3
     assert any(abs(p.omega / omega - 1.0) < 0.01 for p in found)
+
+
+STAGE = "fsm+pma"
+
+
+@pytest.fixture(scope="module")
+def loop(system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), STAGE)
+
+
+def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: ImplementedLoop) -> None:
+    worst, metric = load_worst_points()[STAGE]["slow"], figures_of(loop.telescope, STAGE)["slow"]
+    found = {effect.parameter: effect for effect in effects_of_box(loop, metric, worst)}
+    assert set(found) == set(loop.names)
+    point = loop.point(dict(worst.parameters))
+    closed = loop.at(worst.omega)
+    for k, name in enumerate(loop.names):
+        effect, step = found[name], np.where(point < 0.5, 1.0, -1.0) * (np.arange(len(point)) == k)
+        here, beside = loop.gains(closed, metric, np.array([point, point + 1e-5 * step]))
+        assert effect.slope == pytest.approx((beside - here) / (1e-5 * step[k]) / here, rel=1e-3, abs=1e-3)
+        other = loop.gains(closed, metric, np.array([np.where(step != 0.0, 0.25, point)]))[0]
+        assert effect.least <= effect.value <= effect.largest and other <= effect.largest + 1e-12
+    spans = [effect.largest - effect.least for effect in found.values()]
+    assert spans == sorted(spans, reverse=True)
+
+
+def test_a_per_cent_of_all_disturbances_is_a_per_cent_of_the_figure(loop: ImplementedLoop) -> None:
+    """The fast worst tone is of the wheels, whose weight multiplies it."""
+    worst, metrics = load_worst_points()[STAGE]["fast"], figures_of(loop.telescope, STAGE)
+    (effect,) = effects_of_entries([loop], {STAGE: metrics}, [worst], ["weights.wheel_imbalance"])
+    assert effect.slope == pytest.approx(0.01, rel=1e-3)
+    assert effect.largest / effect.value == pytest.approx(1.01, rel=1e-4)
+    assert effect.least / effect.value == pytest.approx(0.99, rel=1e-4)
+
+
+@pytest.mark.parametrize("entry", ["isolator", "isolator.nothing", "nothing.stiffness", "camera.noise_curve"])
+def test_what_is_no_entry_of_numbers_is_refused_in_one_line(entry: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="must be TABLE"):
+        changed_entry(load_telescope(), entry, 1.0)
+    assert entry in refused(capsys, "design", "sensitivity", "--entry", entry)
+
+
+SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)
+
+
+@pytest.mark.slow
+def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
+    monkeypatch.setattr(stage_check, "CHUNK", 2)
+    telescope, pair = load_telescope(), load_designs("implemented")
+    system = control_loop_plant(telescope)
+    at = verification_points(telescope, system, 0)[:3]
+    open_loop, found, checked = OpenLoop(system, telescope), [], []
+    with one_thread(), Workers(2) as two:
+        for workers in (Workers(), two):
+            search = Search(ImplementedLoop(open_loop, *pair, "fsm+pma"), SMALL)
+            loop = ImplementedLoop(open_loop, *pair, "fsm")
+            found.append(search.run(["fast", "force"], workers=workers))
+            checked.append(check_stage(loop, at, changes=False, workers=workers))
+    for name, points in found[0].items():
+        assert [p.to_mapping() for p in points] == [p.to_mapping() for p in found[1][name]]
+    one, other = checked
+    assert {n: p.to_mapping() for n, p in one.worst.items()} == {n: p.to_mapping() for n, p in other.worst.items()}
+    assert one.stable.tolist() == other.stable.tolist() and len(one.stable) == len(at)
+    for name, values in one.envelope.items():
+        np.testing.assert_array_equal(values, other.envelope[name])
+
+
+@pytest.mark.further
+def test_values_and_gradients_in_two_threads() -> None:
+    telescope = load_telescope()
+    with one_thread():
+        samples = Samples(OpenLoop(control_loop_plant(telescope), telescope))
+        samples.add(np.random.default_rng(0).uniform(size=(2, 7)))
+        one, two = (pair_problem(samples, (ALONE, BOTH), (0, 1), threads) for threads in (1, 2))
+        matrices = []
+        for system in load_designs("implemented"):
+            A, B, C, D = continuous(system).at({}).matrices
+            matrices.append(np.block([[A, B], [C, D]]))
+        x = parameters_of(one.blocks, matrices)
+        values = one.values(x)
+        np.testing.assert_array_equal(two.values(x), values)
+        entries = np.argwhere(values > 0.5 * values.max())
+        for first, second in zip(one.slopes(x, entries), two.slopes(x, entries)):
+            np.testing.assert_array_equal(first, second)

@@ -96,9 +96,8 @@ def test_a_change_that_meets_the_critical_point_on_its_way_is_in_doubt() -> None
 
 
 def test_a_loop_of_small_gain_leaves_no_doubt() -> None:
-    sensitivity = np.linalg.inv(
-        np.eye(COMMANDS) + 0.04 * np.random.default_rng(0).standard_normal((COMMANDS, COMMANDS))
-    )
+    L = 0.04 * np.random.default_rng(0).standard_normal((COMMANDS, COMMANDS))
+    sensitivity = np.linalg.inv(np.eye(COMMANDS) + L)
     assert not doubtful(sensitivity[None].astype(complex), 700.0, "fsm+pma").any()
 
 

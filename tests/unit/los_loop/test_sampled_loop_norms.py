@@ -1,4 +1,4 @@
-"""Gains and noise of the sampled loop against stepping it, with a controller that passes the camera straight on."""
+"""Gains, noise and tones of the sampled loop against stepping it, power densities and sums that they must obey."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.run_parts import RunParts
 from scipy import signal
 from small_loop import DT, small_controllers, small_plant
 
 from los_loop import sampled_loop_norms
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
+from los_loop.noise import correlation, covariances, covariances_in_window
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
 from los_loop.tone_model import ToneModel
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import weight_amplitudes
 
 OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
@@ -193,18 +197,14 @@ def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("frame_ticks", [1, 20])
 def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, telescope) -> None:
     """Sensors with different noise on every kind of channel, so that none is taken for another."""
-    table: dict[str, Any] = {
-        "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
-        "camera_noise": 2e-3,
-        "strain_gauge_noise": 5e-2,
-    }
+    each = [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3]
+    table = {"accelerometer_noise": each, "camera_noise": 2e-3, "strain_gauge_noise": 5e-2}
     changed = telescope.changed({"sensors": table})
-    sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [2e-3] * 2, [5e-2] * 2]
+    sigma = np.r_[np.tile(each, 3), [2e-3] * 2, [5e-2] * 2]
     if sensors == "platform":
         sigma[6:] = 0.0
-    found = sampled_loop_metrics(
-        small_plant(), *small_controllers(), changed, loop="fsm+pma", frame_ticks=frame_ticks, sensors=sensors
-    )
+    given: dict[str, Any] = {"loop": "fsm+pma", "frame_ticks": frame_ticks, "sensors": sensors}
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), changed, **given)
     expected = covariance(closed(frame_ticks), sigma)
     assert [found.noise_ape, found.noise_rpe] == pytest.approx(expected, rel=1e-6)
 
@@ -214,9 +214,8 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, telescope) -> N
     k_fsm, k_pma = small_controllers()
     D = k_fsm.D.copy()
     D[:, 18:20] *= 8.0
-    found = sampled_loop_metrics(
-        small_plant(), replace(k_fsm, D=D), k_pma, telescope, loop="fsm", frame_ticks=frame_ticks
-    )
+    pair = replace(k_fsm, D=D), k_pma
+    found = sampled_loop_metrics(small_plant(), *pair, telescope, loop="fsm", frame_ticks=frame_ticks)
     assert not found.stable and found.radius > 1.0
     values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
     assert values == (np.inf,) * 7
@@ -227,3 +226,72 @@ def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(telescope, monkeyp
     monkeypatch.setattr(SampledLoop, "spectral_radius", lambda _: 1.0)
     found = sampled_loop_metrics(small_plant(), *small_controllers(), telescope, loop="fsm", frame_ticks=20)
     assert not found.stable and found.ape == np.inf
+
+
+SIGMA = 1e-3 * np.linspace(0.5, 2.0, 22)
+TICKS = 40000
+
+
+def test_the_correlation_is_the_transform_of_the_power_density() -> None:
+    """Of a loop with a sample of every sensor at each tick: a sum over frequencies, exact once it has decayed."""
+    own = closed(1)
+    poles, vectors = np.linalg.eig(own.frame)
+    left, right = np.linalg.solve(vectors, own.noise_frame * SIGMA), own.truth @ vectors
+    z = np.exp(2j * np.pi * np.arange(TICKS) / TICKS)
+    G = np.einsum("ik,kn,kj->nij", right, 1.0 / (z - poles[:, None]), left)
+    density = G @ G.conj().swapaxes(1, 2)
+    found = correlation(own, SIGMA)
+    for lag in (0, 1, 7, 30):
+        expected = np.mean(density * z[:, None, None] ** lag, axis=0).real
+        np.testing.assert_allclose(found(lag), expected, rtol=1e-6, atol=1e-9 * np.abs(found(0)).max())
+
+
+@pytest.mark.parametrize("frame_ticks", [1, 20])
+def test_without_a_lag_it_is_the_covariance(frame_ticks: int) -> None:
+    telescope, own = load_telescope(), closed(frame_ticks)
+    plain, _ = covariances(own, telescope, None)
+    found = correlation(own, telescope.loop_ports.reference.noise)(0)
+    np.testing.assert_allclose(found, plain, rtol=1e-9)
+    np.testing.assert_allclose(found, found.T, rtol=1e-9)
+
+
+def test_a_unit_divides_the_line_of_sight() -> None:
+    own = closed(20)
+    one, thousandth = correlation(own, SIGMA)(3), correlation(own, SIGMA, unit=1e-3)(3)
+    np.testing.assert_allclose(thousandth, 1e6 * one, rtol=1e-12)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 9])
+def test_what_is_within_a_window_is_the_whole_less_its_mean(ticks: int) -> None:
+    """The mean square of x less its mean is that of x, less that of the mean; of one tick nothing is left."""
+    found = correlation(closed(20), SIGMA)
+    within = covariances_in_window(found, ticks)
+    assert within.shape == (ticks, 2, 2)
+    of_mean = np.mean(
+        [[found(j - i) if j >= i else found(i - j).T for j in range(ticks)] for i in range(ticks)], (0, 1)
+    )
+    np.testing.assert_allclose(within.mean(axis=0), found(0) - of_mean, atol=1e-9 * np.abs(found(0)).max())
+
+
+def test_a_window_that_is_no_whole_number_of_ticks_has_them_by_their_share() -> None:
+    """The mean over the begins of disjoint windows, in closed form for white noise: 1 less the mean of the squares."""
+    within = covariances_in_window(lambda lag: np.eye(2) * (lag == 0), 2.5)
+    squares = [(1 + 1 + 0.25) / 2.5**2, (0.25 + 1 + 1) / 2.5**2]  # of the weights of windows that begin at 0 and 0.5
+    np.testing.assert_allclose(within.mean(axis=0), (1 - np.mean(squares)) * np.eye(2), atol=1e-12)
+
+
+def model_of(speeds: tuple[float, ...]):  # type: ignore[no-untyped-def]
+    base = RunConfig(mode="inprocess", loop="isolator", scenario="imbalance", wheel_speed=speeds, noise=False)
+    return RunParts(base).tone_model()
+
+
+def test_wheels_of_one_speed_but_for_rounding_have_the_tones_of_wheels_of_one_speed() -> None:
+    """Phasors of one frequency add up; of tones of several frequencies the squares do."""
+    speed = 200.0
+    same = model_of((speed, speed, 250.0, -270.0))
+    near = model_of((speed, np.nextafter(speed, np.inf), 250.0, -270.0))
+    apart = model_of((speed, speed * 1.001, 250.0, -270.0))
+    assert near.omega.size == same.omega.size < apart.omega.size
+    np.testing.assert_allclose(near.omega, same.omega, rtol=1e-12)
+    assert near.relative_error(0.02) == pytest.approx(same.relative_error(0.02), rel=1e-6)
+    assert apart.relative_error(0.02) != pytest.approx(same.relative_error(0.02), rel=1e-4)

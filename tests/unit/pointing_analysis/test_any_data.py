@@ -26,9 +26,7 @@ from pointing_analysis.requirements.summary import Summary, summarise
 from pointing_analysis.requirements.verdict import load
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
-
 pytestmark = pytest.mark.usefixtures("without_pictures")
-
 RATE = 512.0
 REQUIREMENTS = """
 [[requirement]]
@@ -117,12 +115,11 @@ def test_arrays_give_the_same_objects_and_the_same_page(folder: Path, monkeypatc
     monkeypatch.setattr(report, "PICTURES", report.PICTURES[::2])  # each takes a while
     xy, requirements = samples(), load(folder / "mission.toml")
     ours = summarise(Run.open(folder / "ours"), requirements=requirements)
-    found = judge_series(None, xy, unit="arcsec", rate=RATE, requirements=requirements)
-    assert repr(comparable(found)) == repr(comparable(ours))
-    assert (
-        found.verdicts
-        == judge_series(None, xy, unit="arcsec", rate=RATE, requirements=folder / "mission.toml").verdicts
+    found, again = (
+        judge_series(None, xy, unit="arcsec", rate=RATE, requirements=given)
+        for given in (requirements, folder / "mission.toml")
     )
+    assert repr(comparable(found)) == repr(comparable(ours)) and found.verdicts == again.verdicts
     in_mas = judge_series(np.arange(len(xy)) / RATE, 1e3 * xy, unit="mas", requirements=list(requirements))
     assert [v.status for v in in_mas.verdicts] == [v.status for v in ours.verdicts]
     pages = [
@@ -195,11 +192,7 @@ def test_any_message_with_two_numbers(tmp_path: Path, kind: str, los: str, time:
 @pytest.mark.parametrize(
     ("kind", "los", "quantity"),
     [
-        (
-            "geometry_msgs/msg/TwistStamped",
-            "/a.twist.angular",
-            r"an angular velocity \[rad/s\] of geometry_msgs/msg/Twist",
-        ),
+        ("geometry_msgs/msg/TwistStamped", "/a.twist.angular", r"angular velocity \[rad/s\] of .*/msg/Twist"),
         ("sensor_msgs/msg/Imu", "/a.angular_velocity", r"an angular velocity \[rad/s\] of sensor_msgs/msg/Imu"),
         ("sensor_msgs/msg/Imu", "/a.linear_acceleration", r"an acceleration \[m/s2\]"),
         ("geometry_msgs/msg/TwistStamped", "/a", "must be an angle, got /a.twist.linear"),
@@ -230,11 +223,7 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        (
-            "theirs",
-            {"los": "/other"},
-            r"los must be one of /my/los.point \(geometry_msgs/msg/PointStamped: x, y, z\), got",
-        ),
+        ("theirs", {"los": "/other"}, r"one of /my/los.point \(geometry_msgs/msg/PointStamped: x, y, z\), got"),
         ("theirs", {"los": "/text"}, "los must be one of /my/los.point"),
         ("theirs", {"los": "/my/los", "unit": None}, "theirs: unit must be given .--unit mas, .* for /my/los"),
         ("theirs", {"unit": None}, r"a topic such as .* another line of sight \(--los, `bag topics` lists them\)"),

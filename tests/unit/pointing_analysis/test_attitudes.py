@@ -11,11 +11,9 @@ from scipy.spatial.transform import Rotation
 from pointing_analysis.read.attitude import line_of_sight, turned_about
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
-from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
 from pointing_analysis.read.messages.transforms import transforms
 
 external_bags = pytest.importorskip("support.external_bags", reason="could not import 'rosbags'")
-
 RATE = 200.0
 AXES = {"x": np.eye(3)[0], "y": np.eye(3)[1], "z": np.eye(3)[2]}
 
@@ -148,9 +146,3 @@ def test_messages_without_an_attitude_are_excluded_and_counted(tmp_path: Path) -
     run = open_los(bag, los="/imu.orientation.y", rate=RATE)
     assert len(run["truth/los"]) == 96
     assert any("4 messages excluded: a quaternion must have norm 1" in problem for problem in run.problems)
-
-
-def test_a_quaternion_in_another_type_and_order() -> None:
-    text = "my/Q q\n" + "=" * 20 + "\nMSG: my/Q\nfloat32 w\nfloat32 x\nfloat32 y\nfloat32 z\n"
-    found = vectors("my/msg/Status", parse_definition("my/msg/Status", text))
-    assert [(v.name, v.components) for v in found] == [(f"q.{axis}", ("w", "x", "y", "z")) for axis in "xyz"]

@@ -30,7 +30,6 @@ from pointing_analysis.requirements.verdict import parse
 
 N, STEP = 1200, 10_000_000
 pytestmark = pytest.mark.usefixtures("without_pictures")
-
 START = 1_700_000_000_000_000_000
 KIND = "my_msgs/msg/Los"
 DEFINITION = b"""std_msgs/Header header

@@ -119,24 +119,20 @@ class Score:
                 self.inside += int(np.sum((near[0].lower <= amplitude) & (amplitude <= near[0].upper)))
 
 
-def judge(seeds: range) -> Score:
+def scored(seeds: range, apart: float = 3.0, pairs: bool = False) -> Score:
     score = Score()
     for seed in seeds:
-        known = record(seed)
+        known = record(seed, apart, pairs)
         score.add(known, find_lines(known.values, DT))
+    return score
+
+
+def judge(seeds: range) -> Score:
+    score = scored(seeds)
     assert score.false <= max(0.01 * score.found, binom.isf(1e-4, len(seeds), FALSE_LINES)), score
     assert score.records_with_false <= binom.isf(1e-4, len(seeds), FALSE_LINES), score
     assert score.detected >= 0.95 * score.lines, score
     assert score.inside >= binom.isf(0.999, score.bounds, 0.95), score
-    return score
-
-
-def score_of_pairs(seeds: range) -> Score:
-    """Score of records with pairs of lines 1 to 4 / T apart."""
-    score = Score()
-    for seed in seeds:
-        known = record(seed, apart=1.0, pairs=True)
-        score.add(known, find_lines(known.values, DT))
     return score
 
 
@@ -155,7 +151,7 @@ def test_lines_of_a_thousand_records() -> None:
 @pytest.mark.slow
 def test_close_lines_of_many_records() -> None:
     """Pairs 1 to 4 / T apart, 400 records of other seeds: 95 % found, at most 1 % false, 95 % of the bounds hold."""
-    score = score_of_pairs(range(10_000, 10_400))
+    score = scored(range(10_000, 10_400), apart=1.0, pairs=True)
     assert score.detected >= 0.95 * score.lines and score.false <= 0.01 * score.found, score
     assert score.inside >= binom.isf(0.999, score.bounds, 0.95), score
 
@@ -268,7 +264,7 @@ def test_a_weak_line_beside_a_strong_one_is_a_line_of_its_own(offset: float, tur
 @pytest.mark.further
 def test_close_lines_have_their_own_names() -> None:
     """Pairs 1 to 4 / T apart, of any levels from 10 dB: 95 % are found under their own name."""
-    score = score_of_pairs(range(40))
+    score = scored(range(40), apart=1.0, pairs=True)
     assert score.detected >= 0.95 * score.lines and score.false <= 1, score
 
 

@@ -1,4 +1,4 @@
-"""Signals of a bag in other formats: every number comes back, and what is evaluated of it is the same."""
+"""Signals of a bag in other formats and objects: every number comes back, and what is evaluated of it is the same."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from support.command_line import call_command
 
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.dataframes import to_pandas, to_xarray
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.topic import Topic
 from pointing_analysis.report.signal_files import TopicSignal, signals_of, write_signals
 
 BAG = Path(__file__).parents[3] / "bags" / "reference"
@@ -154,3 +157,26 @@ def test_what_cannot_be_written_is_one_line(
     last = err.splitlines()[-1]
     assert code == 2 and all(name in last for name in names), err
     assert [path.name for path in tmp_path.iterdir()] == ["there.csv"]
+
+
+@pytest.fixture
+def topic(tmp_path: Path) -> Topic:
+    values = np.random.default_rng(0).standard_normal((50, 6))
+    return Run.open(write_bag(tmp_path / "bag", {"m1/accel": values}))["m1/accel"]
+
+
+def test_pandas(topic: Topic) -> None:
+    pytest.importorskip("pandas")
+    frame = to_pandas(topic)
+    assert np.array_equal(frame.to_numpy(), topic.values)
+    assert list(frame.columns)[3] == "angular.x"
+    assert frame.attrs["unit"] == "m/s2, rad/s2"
+    assert np.array_equal(frame.index.asi8, topic.stamp)
+
+
+def test_xarray(topic: Topic) -> None:
+    pytest.importorskip("xarray")
+    array = to_xarray(topic)
+    assert float(array.sel(component="linear.y")[7]) == topic.values[7, 1]
+    assert np.allclose(array["time"], 1e-3 * np.arange(50))
+    assert array.attrs["units"] == topic.unit

@@ -1,7 +1,8 @@
-"""Every figure of a summary against samples whose figures are known, and every sentence about a damaged bag."""
+"""Every figure of a summary against samples whose figures are known; every sentence about a damaged bag."""
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
+from pointing_analysis.read.recorded_sensors import METADATA, RecordedSensor, sensors_of
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import run_end
 from pointing_analysis.read.series import series
+from pointing_analysis.report.signal_files import signals_of
 from pointing_analysis.requirements.summary import (
     Knowledge,
     Performance,
@@ -37,18 +42,26 @@ def upper_rank(values: Any, p: float) -> float:
     return float(next(v for v in x if np.mean(x > v) <= 1 - p + 1e-12))
 
 
-def test_performance() -> None:
-    found, w = Performance.of(NOISE, DT, 0.02), metrics.windows(NOISE, DT, 0.02)
-    radial, instants = np.hypot(*NOISE.T), np.hypot(*metrics.rpe_instant(NOISE, DT, 0.02).T)
+MANY = RAD_PER_MAS * np.random.default_rng(9).standard_normal((10_000, 2))
+"""Of 500 windows two may be above the 99.7 % quantile, but for one: it is not the largest."""
+
+
+@pytest.mark.parametrize(("errors", "windows"), [(NOISE, 150), (MANY, 500), (NOISE[:20], 1)], ids=["150", "500", "1"])
+def test_performance(errors: FloatArray, windows: int) -> None:
+    found, w = Performance.of(errors, DT, 0.02), metrics.windows(errors, DT, 0.02)
+    radial, instants = np.hypot(*errors.T), np.hypot(*metrics.rpe_instant(errors, DT, 0.02).T)
     assert found.ape_max == pytest.approx(radial.max() / RAD_PER_ARCSEC)
     assert found.ape_p997 == pytest.approx(upper_rank(radial, 0.997) / RAD_PER_ARCSEC)
     assert found.rpe_axis == pytest.approx(w.rpe_rms / RAD_PER_MAS)
     assert found.rpe_rms == pytest.approx(math.hypot(*found.rpe_axis))
     assert found.rpe_p997 == pytest.approx(upper_rank(instants, 0.997) / RAD_PER_MAS)
-    windows = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
-    assert found.rpe_windows_p997 == pytest.approx(upper_rank(windows, 0.997))
-    assert (found.windows, found.windows_skipped) == (150, 0)
-    assert Performance.of(NOISE[:20], DT, 0.02).windows == 1
+    sizes = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
+    assert found.rpe_windows_p997 == pytest.approx(upper_rank(sizes, 0.997))
+    assert (found.rpe_windows_p997 < sizes.max() * (1 - 1e-9)) == (windows == 500)
+    assert (found.windows, found.windows_skipped) == (windows, 0)
+    known = Knowledge.of(errors, DT, 0.02)
+    assert known.ake_p997_arcsec == pytest.approx(found.ape_p997)
+    assert (known.ake_p997_arcsec < found.ape_max * (1 - 1e-9)) == (windows > 1)
 
 
 def bag(folder: Path, n: int = 3000, *, lost: tuple[int, ...] = (), **parameters: Any) -> Run:
@@ -70,12 +83,8 @@ def test_figures_of_a_bag(tmp_path: Path) -> None:
     assert content["rpe_mas"] == {
         name: float(f"{getattr(found, f'rpe_{name}'):.6g}") for name in ("rms", "p997", "windows_p997")
     }
-    assert (content["ticks"], content["windows"], content["transient_s"], content["knowledge"]) == (
-        3000,
-        100,
-        1.0,
-        None,
-    )
+    counted = {name: content[name] for name in ("ticks", "windows", "transient_s", "knowledge")}
+    assert counted == {"ticks": 3000, "windows": 100, "transient_s": 1.0, "knowledge": None}
     assert content["lost_messages"] == {} and content["budget_rpe_mas"]["total"] is not None
 
 
@@ -133,10 +142,8 @@ def test_frames_and_numbers_that_are_none(tmp_path: Path) -> None:
     signals["camera/los"][1:] = 0.0
     given = {"camera/los": 20}
     one = summarise(Run.open(write_bag(tmp_path / "a", signals, periods=given, parameters={"transient_s": 0})))
-    assert one.camera_dropped == 1 and one.problems == (
-        "m1/accel: 1 message with NaN",
-        "camera/los: 1 frame dropped (NaN)",
-    )
+    assert one.problems == ("m1/accel: 1 message with NaN", "camera/los: 1 frame dropped (NaN)")
+    assert one.camera_dropped == 1
     signals["camera/los"][5] = np.nan
     two = summarise(Run.open(write_bag(tmp_path / "b", signals, periods=given, parameters={"transient_s": 0})))
     assert two.camera_dropped == 2 and two.problems[-1] == "camera/los: 2 frames dropped (NaN)"
@@ -194,17 +201,6 @@ def test_runs_with_requirements_of_their_own(tmp_path: Path) -> None:
     runs = [bag(tmp_path / str(k), transient_s=0, requirements=r) for k, r in enumerate((own, other, own))]
     found = summarise_all(runs)
     assert [[v.samples for v in s.verdicts] for s in found] == [[6000], [3000], [6000]]
-
-
-def test_quantiles_of_many_windows_are_not_their_largest() -> None:
-    """Of 500 windows two may be above the 99.7 % quantile, but for one."""
-    many = RAD_PER_MAS * np.random.default_rng(9).standard_normal((10_000, 2))
-    found, w = Performance.of(many, DT, 0.02), metrics.windows(many, DT, 0.02)
-    sizes = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
-    assert found.rpe_windows_p997 == pytest.approx(upper_rank(sizes, 0.997)) and found.rpe_windows_p997 < sizes.max()
-    assert found.ape_p997 == pytest.approx(upper_rank(np.hypot(*many.T), 0.997) / RAD_PER_ARCSEC)
-    known = Knowledge.of(many, DT, 0.02)
-    assert known.ake_p997_arcsec == pytest.approx(found.ape_p997) and known.ake_p997_arcsec < found.ape_max
 
 
 class Beside:
@@ -267,13 +263,9 @@ def bag_with_lost_periods(folder: Path, lost: tuple[int, ...], counted: int) -> 
     there = {"truth/los": sent, "isolator/accel": sent, "fsm/command": rest}
     signals = {"truth/los": NOISE[sent], "isolator/accel": np.zeros((len(sent), 6)), "fsm/command": NOISE[rest]}
     statistics = {"recorder": {f"unsent_/telescope/{name}": str(counted) for name in there}}
-    write_bag(
-        folder,
-        signals,
-        stamps={name: stamps[kept] for name, kept in there.items()},
-        parameters={"statistics": statistics, "transient_s": 0},
-    )
-    return summarise(Run.open(folder))
+    given = {name: stamps[kept] for name, kept in there.items()}
+    parameters = {"statistics": statistics, "transient_s": 0}
+    return summarise(Run.open(write_bag(folder, signals, stamps=given, parameters=parameters)))
 
 
 def test_samples_of_lost_periods_are_no_gaps(tmp_path: Path) -> None:
@@ -293,3 +285,75 @@ def test_of_periods_that_nothing_was_recorded_of_as_many_were_sent_as_the_record
         "isolator/accel: 1 sample missing in 1 gap",
         "fsm/command: 2 samples missing in 2 gaps",
     }
+
+
+GUIDE = RecordedSensor("guide/los", "rad", 10.0, True, (3e-8, 4e-8))
+LOST = RecordedSensor("lost/los", "rad", 10.0, True, (1e-8,))
+
+
+def recording(folder: Path, entries: Any, frames: np.ndarray) -> Run:
+    signals = {"truth/los": 1e-7 * np.random.default_rng(1).standard_normal((3000, 2)), "guide/los": frames}
+    return Run.open(write_bag(folder, signals, periods={"guide/los": 100}, parameters={METADATA: json.dumps(entries)}))
+
+
+def test_what_is_written_is_read_and_only_for_topics_that_are_there(tmp_path: Path) -> None:
+    frames = np.zeros((30, 2))
+    frames[3] = np.nan
+    run = recording(tmp_path / "bag", [sensor.to_mapping() for sensor in (GUIDE, LOST)], frames)
+    assert sensors_of(run) == (GUIDE,)
+    found = summarise(run, transient=0.0)
+    assert found.sensors == (GUIDE,) and found.camera_dropped == 1
+    assert found.problems == ("guide/los: 1 frame dropped (NaN)",)
+    assert found.as_dict()["sensors"] == [GUIDE.to_mapping()]
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("rate_hz", [0.0, "fast", math.inf]),
+        ("noise", [["loud"], 3.0, [math.nan]]),
+        *[("held", [1]), ("topic", [5]), ("unit", [None])],
+    ],
+)
+def test_a_description_that_cannot_be_read_is_none(tmp_path: Path, name: str, values: list[Any]) -> None:
+    for k, value in enumerate(values):
+        entry = {**GUIDE.to_mapping(), name: value}
+        with pytest.raises(ValueError, match=r"a sensor must have|rate_hz and noise of a sensor must be finite"):
+            RecordedSensor.from_mapping(entry)
+        assert sensors_of(recording(tmp_path / str(k), [GUIDE.to_mapping(), entry], np.zeros((30, 2)))) == ()
+
+
+def test_samples_have_the_unit_of_their_description(tmp_path: Path) -> None:
+    """A gyroscope has the message type of an angle."""
+    gyro = RecordedSensor("guide/los", "rad/s", 10.0, True, (1e-6, 1e-6))
+    run = recording(tmp_path / "bag", [gyro.to_mapping()], np.zeros((30, 2)))
+    assert (run["guide/los"].unit, run["truth/los"].unit) == ("rad/s", "rad")
+    assert signals_of(run, ["guide/los"])[0].heads[0] == "guide/los x [rad/s]"
+
+
+PLAN = {"duration": 10.0, "rate_hz": 1000, "mode": "realtime"}
+
+
+def of_plant(**plant: str) -> str:
+    return run_end({**PLAN, "statistics": {"plant": plant}}).text
+
+
+def test_a_run_that_ended_early_is_told_with_both_counts() -> None:
+    """By the plan of the plant: one that was started again has the rest of the run, its recorder the whole."""
+    assert of_plant(ticks="10000") == of_plant(ticks="10000", planned_ticks="10000") == ""
+    assert of_plant(ticks="6800", planned_ticks="6800") == ""
+    assert of_plant(ticks="10000", planned_ticks="20000") == "the run ended early: after 10000 of 20000 ticks"
+    assert of_plant(ticks="9999") == "the run ended early: after 9999 of 10000 ticks"
+
+
+def test_a_plant_that_was_killed_before_its_first_report_is_not_taken_for_one_that_ended() -> None:
+    for mode, said in (("realtime", True), ("lockstep", True), ("inprocess", False), (None, False)):
+        assert bool(run_end({**PLAN, "mode": mode, "statistics": {"recorder": {"messages": "5"}}}).text) is said
+
+
+def test_nothing_is_said_where_no_plan_is_known() -> None:
+    early = {"statistics": {"plant": {"ticks": "5"}}}
+    for parameters in ({}, PLAN, {**PLAN, "statistics": "none"}, early):
+        assert run_end(parameters).text == ""
+    for duration in (math.nan, math.inf, "ten"):
+        assert run_end({**PLAN, **early, "duration": duration}).text == "", duration

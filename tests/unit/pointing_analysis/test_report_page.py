@@ -1,4 +1,4 @@
-"""The report: nothing from outside; readable on a telephone, on a desk, on paper, by keyboard."""
+"""The report: nothing from outside; readable on a telephone, on a desk, on paper, by keyboard, in light and dark."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from support import headless_browser
+from support import axe, headless_browser
 
+from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.total import evaluate
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import report
 from pointing_analysis.report.cumulative_figure import cumulative
-from pointing_analysis.report.figures import time_history
 from pointing_analysis.report.line_sources import likely_source
 from pointing_analysis.report.model_results import ModelResults
+from pointing_analysis.report.pointing_budget_page import render_budget
 from pointing_analysis.report.report import latency_us, render, view, write_report
 from pointing_analysis.report.spectrum_figure import density
 from pointing_analysis.requirements.rows import WITHIN, overall
@@ -30,7 +31,6 @@ from titop_plant.telescope.load import load_telescope
 
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
-
 PREDICTED = ModelResults(
     predictions=(
         None,
@@ -185,22 +185,18 @@ def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
     assert order == sorted(order)
     found = re.findall(r'<strong class="name">([^<]*)</strong> <span class="status (\w+)">([^<]*)<', text)
     assert [name for name, *_ in found] == [*STAGES]
+    classes = {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}
     for bag, (_, css, shown) in zip(stages, found):
         status = overall(summarise(Run.open(bag)).verdicts)
-        assert (css, shown) == (
-            {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}.get(status, "open"),
-            status,
-        )
+        assert shown == status and css == classes.get(status, "open")
     assert "not compliant" in text
 
 
 def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
     """A tone of a source, a wheel, a multiple of its speed, else the scenario that acts; else there is no name."""
     acting = [{"name": "imbalance", "kind": "scenario", "what": ""}, {"name": "cooler", "lines_rad_s": [210.0, 260.0]}]
-    path = make(
-        tmp_path / "bag", "fsm", 5.0, wheel_speeds_rad_s=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
-    )
-    seen = view(Run.open(path), "fsm")
+    given = {"wheel_speeds_rad_s": [70.0, -88.0], "acting": acting, "tones_rad_s": [88.0, 210.0, 301.0]}
+    seen = view(Run.open(make(tmp_path / "bag", "fsm", 5.0, **given)), "fsm")
     names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
     assert names == {70: "wheel 1", 88: "wheel 2", 210: "cooler", 301: "imbalance"}
     nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
@@ -271,8 +267,6 @@ def test_bad_input(stages, tmp_path) -> None:
         write_report([blind], tmp_path / "x.html")
     assert not list(tmp_path.glob("*.html"))
 
-
-# -- in a real browser -------------------------------------------------------------------------------------------
 
 needs_browser = pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 
@@ -351,12 +345,64 @@ def test_prints_with_everything_unfolded(chromium, page) -> None:
         chromium.call("Emulation.setEmulatedMedia", media="")
 
 
-def test_the_smaller_axis_over_time_is_drawn_in_front(tmp_path: Path) -> None:
-    values = MAS * np.random.default_rng(5).standard_normal((4000, 2))
-    for number, (x, y) in enumerate(((1.0, 30.0), (30.0, 1.0))):
-        run = Run.open(write_bag(tmp_path / str(number), {"truth/los": values * (x, y)}))
-        drawn = time_history([view(run, "a")])
-        assert drawn.draw is not None
-        drawn.draw(figure := Figure())
-        front = max(figure.axes[0].get_lines(), key=lambda line: line.get_zorder())
-        assert front.get_label() == ("LOS x" if x < y else "LOS y")
+@pytest.fixture(params=["light", "dark"])
+def scheme(request, chromium):
+    chromium.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": request.param}])
+    yield request.param
+    chromium.call("Emulation.setEmulatedMedia", features=[])
+
+
+@pytest.fixture(scope="module")
+def budget_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    page = tmp_path_factory.mktemp("budget") / "budget.html"
+    text = 'unit = "mas"\n[[requirement]]\nname = "APE"\ntext = "prob(|APE| < 9 arcsec) >= 0.9 at 95 % confidence"\n'
+    sources = "".join(f'[sources.s{i}]\ntype = "random"\nsigma = {i + 1}\n' for i in range(20))
+    page.with_suffix(".toml").write_text(text + sources)
+    budget = load_budget(page.with_suffix(".toml"))
+    page.write_text(render_budget(budget, list(evaluate(budget))))
+    return page
+
+
+@needs_browser
+@pytest.mark.parametrize(
+    ("kind", "scheme", "width"),
+    [("page", "light", 390), ("page", "dark", 1280), ("budget_page", "dark", 390), ("budget_page", "light", 1280)],
+)
+def test_axe_finds_nothing(chromium, kind: str, scheme: str, width: int, request: pytest.FixtureRequest) -> None:
+    pytest.importorskip("axe_core_python")
+    assert axe.findings(chromium, request.getfixturevalue(kind), width, scheme) == []
+
+
+@needs_browser
+def test_the_dark_scheme_is_dark(chromium, page: Path, scheme: str) -> None:
+    chromium.open(page, 1280)
+    colour = chromium.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+    assert (sum(colour) < 150) == (scheme == "dark")
+
+
+@needs_browser
+@pytest.mark.further
+def test_a_run_can_be_hidden_and_shown_again(chromium, page: Path) -> None:
+    """Its card, its rows and its curves; the other runs stay."""
+    chromium.open(page, 1280)
+    shown = "[...document.querySelectorAll('.run-{}')].filter(e => getComputedStyle(e).display != 'none').length"
+    all_of_both = [chromium.value(shown.format(run)) for run in (0, 1)]
+    assert min(all_of_both) > 8
+    assert chromium.value("document.querySelectorAll('svg g.run-1').length") >= 4
+    chromium.value("document.getElementById('show-1').click()")
+    assert [chromium.value(shown.format(run)) for run in (0, 1)] == [all_of_both[0], 0]
+    chromium.value("document.getElementById('show-1').click()")
+    assert [chromium.value(shown.format(run)) for run in (0, 1)] == all_of_both
+
+
+@needs_browser
+@pytest.mark.further
+def test_a_picture_can_be_enlarged(chromium, page: Path) -> None:
+    """Where there are two columns; in one column it has the whole width already, and no control."""
+    chromium.open(page, 900)
+    assert chromium.value("getComputedStyle(document.querySelector('.enlarge')).display") == "none"
+    chromium.open(page, 1280)
+    size = "document.querySelector('#psd svg').getBoundingClientRect().width"
+    before = chromium.value(size)
+    chromium.value("document.querySelector('#psd .enlarge input').click()")
+    assert chromium.value(size) > 1.5 * before

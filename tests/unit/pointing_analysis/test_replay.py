@@ -1,4 +1,4 @@
-"""The replay is the recording again, bit by bit, or says where it is not."""
+"""The replay is the recording again, bit by bit, or says where it is not; missing ticks are stepped over."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pointing_analysis.indices.metrics import radial
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
+from pointing_analysis.replay.gap_stepping import FILLS, GAP_LIMITS, HOLD, LINE, GapStepper
 
 N, FRAME = 2000, 20
 START, MS = 1_700_000_000 * 10**9, 10**6
@@ -152,3 +153,50 @@ def test_sensors_alone_are_enough_to_drive_the_cores(tmp_path: Path) -> None:
     replayed = replay.replay(run, Observer(), Law())
     assert np.array_equal(replayed.estimate, whole["los_estimate"].values[:, :2])
     assert "neither estimates nor commands" in str(replay.compare(run, replayed))
+
+
+class Recorder:
+    def __init__(self) -> None:
+        self.samples: list[np.ndarray] = []
+
+    def step(self, sample: np.ndarray, out: np.ndarray) -> None:
+        self.samples.append(sample.copy())
+        out[0] = len(self.samples)
+
+
+@pytest.mark.parametrize("gap", [0, 1, GAP_LIMITS[LINE] + 1, GAP_LIMITS[HOLD], GAP_LIMITS[HOLD] + 1, 10**6])
+@pytest.mark.parametrize("fill", FILLS)
+def test_a_gap_costs_as_many_steps_up_to_the_limit(fill: str, gap: int) -> None:
+    """Of lines half a period of the fast tones; what is beyond the limit is left out."""
+    core, out, steps = Recorder(), np.zeros(1), gap + 1 if gap <= GAP_LIMITS[fill] else 1
+    stepper = GapStepper(core.step, 3, slice(1, 2), fill)
+    stepper(np.array([1.0, 2.0, 3.0]), 0, out)
+    stepper(np.array([4.0, 5.0, 6.0]), gap, out)
+    assert out[0] == len(core.samples) == 1 + steps
+    assert core.samples[0].tolist() == [1.0, 2.0, 3.0]
+    assert core.samples[-1].tolist() == [4.0, 5.0, 6.0]
+    for held in core.samples[1:-1] if fill == HOLD else []:
+        np.testing.assert_array_equal(held, [1.0, np.nan, 3.0])
+
+
+@pytest.mark.parametrize("gap", [1, 2, 7, GAP_LIMITS[LINE]])
+def test_a_line_is_met_exactly_and_a_bend_no_worse_than_by_a_held_sample(gap: int) -> None:
+    """Of a ramp no missing sample is wrong; the error of a tone is at most its bend, (w dt (gap + 1))^2 / 8."""
+    ticks, frequency = np.arange(gap + 2), 0.3 / (gap + 1)
+    for truth, bound in ((2.0 - 0.5 * ticks, 1e-12), (np.sin(frequency * ticks + 0.7), 0.3**2 / 8)):
+        worst = {}
+        for fill in FILLS:
+            core, out = Recorder(), np.zeros(1)
+            stepper = GapStepper(core.step, 1, fill=fill)
+            stepper(truth[:1], 0, out)
+            stepper(truth[-1:], gap, out)
+            worst[fill] = np.abs(np.ravel(core.samples) - truth).max()
+        assert worst[LINE] <= bound < worst[HOLD]
+
+
+def test_where_the_line_is_not_finite_the_sample_before_is_held() -> None:
+    core, out = Recorder(), np.zeros(1)
+    stepper = GapStepper(core.step, 4, slice(0, 1))
+    stepper(np.array([1.0, 2.0, -1.7e308, np.nan]), 0, out)
+    stepper(np.array([5.0, np.nan, 1.7e308, 3.0]), 1, out)
+    np.testing.assert_array_equal(core.samples[1], [np.nan, 2.0, -1.7e308, np.nan])

@@ -1,4 +1,4 @@
-"""The parts of the relative error: tones and noise of known size are found."""
+"""Tones of known size: their parts of the relative error, and stated deviations against their scatter."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.signal import lfilter
 
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.spectra import record_lines, spectra
+from pointing_analysis.spectra.prediction import ToneComparison
+from pointing_analysis.spectra.spectra import background, lines
 from pointing_analysis.spectra.tone_budget import tone_budget
 
 T = 1e-3 * np.arange(60_000)
@@ -134,3 +137,40 @@ def test_tones_that_cannot_be_told_are_not_numbers(monkeypatch: pytest.MonkeyPat
     assert "tones cannot be distinguished from the rest" in str(found) and "total (99.7 %) 33 of 40" in str(found)
     content = found.as_dict()
     assert [content[part] for part in ("noise", "slow", "fast", "total")] == [None, None, None, 33.0]
+
+
+DT, TICKS, OMEGA = 1e-3, 3000, 100.0
+RECORDS = 200
+
+
+def comparison(seed, axes, pole, phasor):
+    """A tone in noise of a first-order filter with `pole`, and its size on each axis."""
+    rng = np.random.default_rng(seed)
+    white = rng.standard_normal((TICKS + 3000, 2)) * axes
+    noise = signal.lfilter([1.0 - pole], [1.0, -pole], white, axis=0)[3000:]
+    turning = np.exp(1j * (OMEGA * DT * np.arange(TICKS) + rng.uniform(0.0, 2.0 * np.pi)))
+    record = noise + np.outer(turning, phasor).real
+    line = lines(record, DT, [OMEGA], 0.02)[0]
+    beside = background(noise, DT, [OMEGA], [phasor])[0]
+    return ToneComparison(OMEGA, 1, float(np.linalg.norm(phasor)), float(np.hypot(*line.amplitude)), *beside)
+
+
+@pytest.mark.parametrize(
+    ("axes", "pole", "phasor"),
+    [
+        ([1.0, 1.0], 0.0, [1.0, 0.0]),
+        ([1.0, 0.01], 0.99, [1.0, 0.0]),
+        ([1.0, 0.01], 0.99, [1.0, 1.0j]),
+        ([0.01, 1.0], 0.99, [1.0, 0.0]),
+        ([1.0, 0.3], 0.99, [1.0, -1.0]),
+    ],
+)
+def test_nineteen_of_twenty_ratios_are_within_two_standard_deviations(axes, pole, phasor):
+    """Of noise on both axes, along the tone, on one of its axes, across it."""
+    gain = (1.0 - pole) / abs(1.0 - pole * np.exp(-1j * OMEGA * DT))
+    size = 10.0 * gain * np.hypot(*axes) * np.sqrt(6.0 / TICKS)
+    tone = size * np.array(phasor) / np.linalg.norm(phasor)
+    found = [comparison(seed, axes, pole, tone) for seed in range(RECORDS)]
+    assert not any(one.in_noise for one in found)
+    within = np.mean([abs(one.ratio - 1.0) <= one.uncertainty for one in found])
+    assert 0.90 <= within <= 0.99
