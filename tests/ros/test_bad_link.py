@@ -5,11 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import bad_link
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-import bad_link
 from bad_link import DELAYED, LOST, SWAPPED, TWICE, fate
 from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.runner import Runner
@@ -17,7 +15,6 @@ from ros_runs import PLANT, assert_gaps_are_counted, config_for, judged_at_pace,
 
 from pointing_analysis.read.run import Run
 
-pytestmark = pytest.mark.ros
 MS = 1_000_000
 TICKS = 3000
 

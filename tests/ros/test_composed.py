@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from bystander import Bystander, middleware
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
@@ -23,8 +21,6 @@ from ros_faults import when_running
 from ros_runs import private_domain
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 SLOW_LAW = """
 import time

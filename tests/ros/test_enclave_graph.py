@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 import rclpy
 from bystander import middleware
@@ -20,7 +19,6 @@ from rclpy.context import Context
 from rclpy.node import Node
 from ros_runs import PLANT, config_for
 
-pytestmark = pytest.mark.ros
 SPACE = "/telescope"
 SECONDS = 20.0
 

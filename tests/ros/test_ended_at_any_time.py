@@ -19,7 +19,6 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
-pytest.importorskip("rclpy")
 TIMES = int(os.environ.get("SIGNAL_TRIALS", "25"))
 """Trials for each signal and mode of `make test-slow`."""
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
@@ -138,7 +137,6 @@ def trial(folder: Path, mode: str, name: str, seed: int) -> None:
     check_bag(folder, folder / "bag")
 
 
-@pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("mode", ["inprocess", "realtime"])
@@ -150,7 +148,6 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
         trial(folder, mode, name, seed)
 
 
-@pytest.mark.ros
 @pytest.mark.parametrize("mode", ["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Path, mode: str) -> None:
     """The nodes end in order when their program is gone: the file is whole, the run is not."""

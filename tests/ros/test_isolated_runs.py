@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from attack_campaign import messages_of, run_beside
 from attacker import EARLY, Attacker, Case
@@ -21,7 +20,6 @@ from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
 
-pytestmark = pytest.mark.ros
 DURATION = 0.6
 
 

@@ -7,8 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import IMAGE_NAME
 from los_testbed.run.loop.simulate import run_in_process
@@ -18,8 +16,6 @@ from ros_runs import PLANT, config_for
 from support.unjudged import judged
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(scope="module", params=["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from lossy_link import LOST_OUTWARD, LOST_RETURNING
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of
 from two_hosts import NotPermittedError, lossy_link, veth_pair
@@ -11,7 +9,6 @@ from two_hosts import NotPermittedError, lossy_link, veth_pair
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import unsent
 
-pytestmark = pytest.mark.ros
 MS = 1_000_000
 TICKS = 2500
 
