@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import json
 import os
@@ -26,6 +25,7 @@ from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.identity import identity
 from support.command_line import refused
+from support.marked_processes import processes_with
 
 pytest.importorskip("distributed")
 pytest.importorskip("cryptography")
@@ -72,14 +72,6 @@ def test_another_campaign_in_the_folder_is_refused_without_a_cluster(temporary: 
     assert list(temporary.iterdir()) == [] and (output / "campaign.json").read_bytes() == manifest
 
 
-def processes_of(variable: str) -> Iterator[int]:
-    """Processes with this in their environment."""
-    for entry in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if entry.name.isdigit() and variable.encode() in (entry / "environ").read_bytes().split(b"\0"):
-                yield int(entry.name)
-
-
 @pytest.mark.parametrize("started", ["folder", pytest.param("rows", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name",
@@ -106,10 +98,10 @@ def test_after_a_signal(name: str, started: str, temporary: Path, tmp_path: Path
         process.send_signal(getattr(signal, name))
     _, err = process.communicate(timeout=600)
     end = time.monotonic() + 60.0
-    while (list(temporary.iterdir()) or list(processes_of(variable))) and time.monotonic() < end:
+    while (list(temporary.iterdir()) or processes_with(variable)) and time.monotonic() < end:
         assert name == "SIGKILL", "others leave nothing when they have ended"
         time.sleep(0.05)
-    assert list(temporary.iterdir()) == [] and list(processes_of(variable)) == []
+    assert list(temporary.iterdir()) == [] and processes_with(variable) == []
     if name == "SIGKILL":
         assert process.returncode == -signal.SIGKILL
     else:

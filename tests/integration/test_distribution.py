@@ -16,21 +16,15 @@ from pathlib import Path
 import los_testbed
 import pytest
 import yaml
+from support import packages
 from support.installed_wheel import LFTKIT, ROOT, environment, run, sdist_and_wheel
 from support.packages import files_of
 from support.ros_runs import private_domain
 
 import lftkit
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-PACKAGES = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
-TOP = sorted({name.split(".")[0] for name in PACKAGES})
-LIBRARY = tomllib.loads((ROOT / "lftkit/pyproject.toml").read_text("utf-8"))["project"]
+PROJECT, LIBRARY = packages.PROJECT["project"], packages.LIBRARY["project"]
+TOP = sorted({name.split(".")[0] for name in packages.PROJECT["tool"]["setuptools"]["packages"]})
 HEAVY = (
     "rclpy",
     "numba",

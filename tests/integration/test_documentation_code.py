@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 import runpy
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,10 +16,7 @@ import pytest
 from support.documented_commands import PAGES, ROOT, blocks
 from support.uncertain_examples import two_mass_benchmark
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from pointing_analysis.files.structured_text import load_toml
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 TEXTS = {path: path.read_text("utf-8") for path in (*PAGES, ROOT / "CONTRIBUTING.md")}
@@ -126,4 +122,4 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("path", [p for p, text in TEXTS.items() if blocks(text, "toml")], ids=lambda p: p.name)
 def test_toml_blocks_are_read(path: Path) -> None:
-    assert all(tomllib.loads(block) for block in blocks(TEXTS[path], "toml"))
+    assert all(load_toml(block, path) for block in blocks(TEXTS[path], "toml"))

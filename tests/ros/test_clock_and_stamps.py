@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.run.processes.node_launch import node_command, parameter_file, ros_arguments
 from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
 from ros_faults import run_with_fault
@@ -25,6 +24,7 @@ from ros_runs import (
     assert_gaps_are_counted,
     assert_plant_is_recorded,
     config_for,
+    live_nodes,
     lost_samples,
     span_of,
 )
@@ -146,27 +146,10 @@ def told(tmp_path_factory):
     """What the plant of the user has seen."""
     folder = tmp_path_factory.mktemp("plain")
     config = config_for(folder, camera_latency=7.0, loop="fsm", priority=False)
-    parameter_file(config, folder / "run.yaml")
     variables = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(config.domain)}
-    nodes = [
-        subprocess.Popen(
-            [*node_command(name), *ros_arguments(config.namespace, folder / "run.yaml", name)], env=variables
-        )
-        for name in ("estimator", "controller")
-    ]
-    try:
-        done = subprocess.run(
-            [sys.executable, str(SUPPORT / "plain_plant.py"), str(config.domain), str(TICKS)],
-            capture_output=True,
-            text=True,
-            env=variables,
-            timeout=300,
-        )
-    finally:
-        for node in nodes:
-            node.terminate()
-        for node in nodes:
-            node.wait(30)
+    command = [sys.executable, str(SUPPORT / "plain_plant.py"), str(config.domain), str(TICKS)]
+    with live_nodes(config, folder, "estimator", "controller", variables=variables):
+        done = subprocess.run(command, capture_output=True, text=True, env=variables, timeout=300)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

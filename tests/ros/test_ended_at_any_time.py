@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from los_testbed.bags.check import check_bag as check_of_bag
 from los_testbed.bags.repair import repair_bag
+from support.marked_processes import processes_with
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
@@ -45,19 +46,9 @@ def temporary(folder: Path) -> list[Path]:
     return sorted((folder / "temporary").iterdir())
 
 
-def names_run(entry: Path, bag: Path, command: str) -> bool:
-    """Whether a process belongs to the run of this bag, by its environment, and has this in its command line."""
-    try:
-        found = f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes()
-        return found and command.encode() in (entry / "cmdline").read_bytes()
-    except OSError:
-        return False
-
-
 def nodes_of(bag: Path, command: str = "") -> list[int]:
     """Processes of the run of this bag."""
-    entries = (entry for entry in Path("/proc").iterdir() if entry.name.isdigit())
-    return [int(entry.name) for entry in entries if names_run(entry, bag, command)]
+    return processes_with(f"BAG_OF_TEST={bag}", command)
 
 
 def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:

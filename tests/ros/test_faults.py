@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bystander import Bystander
+from bystander import Bystander, kill_a_node
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config.run_config import RunConfig
@@ -58,15 +58,7 @@ def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     def kill(runner):
         for pid in runner.processes.values():
             threads.extend(Path(path).read_text().strip() for path in glob(f"/proc/{pid}/task/*/comm"))
-        seen = Bystander(runner.domain, hears=[TRUTH_LOS, FSM_COMMAND])
-        try:
-            killed.append(seen.next(TRUTH_LOS))
-            os.kill(runner.processes[name], signal.SIGKILL)
-            time.sleep(0.5)  # what the bystander has still to read is from before
-            killed.append(seen.next(TRUTH_LOS))
-            seen.next(FSM_COMMAND, killed[-1])
-        finally:
-            seen.close()
+        killed.extend(kill_a_node(runner, name))
 
     # long enough for the new node to find the recorder, too
     results = run_with_fault(tmp_path, 500, kill, after=5000)
