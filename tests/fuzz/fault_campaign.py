@@ -148,9 +148,9 @@ def signal_to_node(rng: random.Random, folder: Path) -> Case:
     named = rf"\w*{node}\w* ended unexpectedly \(signal {number.value}\)"  # both laws are in one process
     before = rf"recorder: a plant must run|was ended before|{node}: |the run ended before|did not reach"
     allowed = {OK: "", ExitCode.RESTARTED: named, FAILED: f"{named}|{before}"}
-    mode, live = rng.choice(("realtime", "realtime", "lockstep")), ()
+    mode, live = rng.choice(("realtime", "realtime", "lockstep")), ("--live=0",) if node == "live" else ()
     if node == "live":
-        live, allowed = ("--live=0",), {OK: "", FAILED: f"server for viewers|{node}|{before}"}
+        allowed = {OK: "", FAILED: f"server for viewers|{node}|{before}"}
 
     def act(case: Case, process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
