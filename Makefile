@@ -111,7 +111,7 @@ forgeries: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/forge_proofs.py --minutes=$(MINUTES) $(SEED:%=--seed=%)
 
 faults: $(EVERYTHING)
-	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)
+	PYTHONPATH=tests $(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)
 
 paper-designs: $(READY)
 	$(BIN)/python examples/paper/designs.py --only nominal & $(BIN)/python examples/paper/designs.py --only robust && wait $$!

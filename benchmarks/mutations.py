@@ -75,7 +75,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "los_design/verification/verification.py": ("tests/unit/los_design/test_verification.py",),
     "pointing_analysis": ("tests/unit/pointing_analysis",),
     "pointing_analysis/indices/confidence.py": (
-        "tests/published/test_ecss_sample_sizes.py",
+        "tests/published/test_ecss.py",
         "tests/unit/pointing_analysis/test_long_recordings.py::test_autocorrelation_by_blocks",
         "tests/unit/pointing_analysis/test_confidence.py",
         "tests/unit/pointing_analysis/test_verdict_laws.py",

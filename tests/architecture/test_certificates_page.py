@@ -7,19 +7,11 @@ import runpy
 from pathlib import Path
 
 import pytest
+from support.packages import LIBRARIES
 from support.trusted_code import CHECKERS, code_lines, imported_by, lines
 
 TESTS = Path(__file__).parents[1]
 PAGE = (TESTS.parent / "docs" / "certificates_mathematics.md").read_text("utf-8")
-PACKAGES = (
-    "lftkit",
-    "los_design",
-    "los_loop",
-    "titop_plant",
-    "los_estimator",
-    "fsm_pma_controller",
-    "pointing_analysis",
-)
 
 
 def stated(pattern: str) -> list[int]:
@@ -29,7 +21,7 @@ def stated(pattern: str) -> list[int]:
 
 
 def test_the_page_states_how_much_code_is_trusted() -> None:
-    files = imported_by(*CHECKERS, packages=PACKAGES)
+    files = imported_by(*CHECKERS, packages=LIBRARIES)
     found = [len(files), lines(files), sum(map(code_lines, files))]
     assert found == stated(
         r"What is trusted is the package `lftkit/proofs/trusted`: (\d+) files, (\d+) lines, (\d+) of"
@@ -38,7 +30,7 @@ def test_the_page_states_how_much_code_is_trusted() -> None:
 
 def test_the_page_states_what_makes_the_model() -> None:
     """To a tenth: it is the program itself, and changes with it."""
-    files = imported_by("los_design.verification.loop_models", packages=PACKAGES)
+    files = imported_by("los_design.verification.loop_models", packages=LIBRARIES)
     assert [len(files), lines(files)] == pytest.approx(
         stated(r"some (\d+) files with (\d+) lines make the model"), rel=0.1
     )

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from support.packages import files_of, tree
+from support.packages import FOLDERS as PACKAGES
+from support.packages import LIBRARIES, LIBRARY, NAMES, PROJECT, ROOT, files_of, tree
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-LIBRARY = tomllib.loads((ROOT / "lftkit/pyproject.toml").read_text("utf-8"))
-FOLDERS = {
-    "lftkit": ROOT / "lftkit",
-    "titop_plant": ROOT / "titop_plant",
-    "los_estimator": ROOT / "los_estimator",
-    "fsm_pma_controller": ROOT / "fsm_pma_controller",
-    "los_loop": ROOT / "los_loop",
-    "los_design": ROOT / "los_design",
-    "pointing_analysis": ROOT / "pointing_analysis",
-    "los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed",
-}
+FOLDERS = {name: ROOT / folder for name, folder in zip(NAMES, PACKAGES)}
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in files_of(folder))
 FUNCTION = 60
 PARAMETERS = 8
@@ -71,6 +57,27 @@ def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[str]:
 def test_modules_have_telling_names() -> None:
     telling_nothing = {"statistics", "utils", "core", "misc", "helpers", "common"}
     assert [identifier(case) for case in MODULES if case[1].stem in telling_nothing] == []
+
+
+def classes(path: Path) -> Iterator[tuple[str, str]]:
+    """Public classes that a module defines, with their places."""
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, f"{path.relative_to(ROOT)}:{node.lineno}"
+
+
+def test_no_name_stands_for_two_classes() -> None:
+    """Classes of the packages and of the launch file; only files that may hold one of a name twice are parsed."""
+    product = [path for folder in (*LIBRARIES, "ros_ws/src") for path in files_of(ROOT / folder)]
+    headed = {path: re.findall(r"^ *class ([A-Za-z]\w*)", path.read_text("utf-8"), re.MULTILINE) for path in product}
+    counts = Counter(name for names in headed.values() for name in names)
+    assert len(counts) > 300
+    found: dict[str, list[str]] = {}
+    for path, names in headed.items():
+        if any(counts[name] > 1 for name in names):
+            for name, place in classes(path):
+                found.setdefault(name, []).append(place)
+    assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
 
 def test_what_is_imported_at_every_start_is_small() -> None:
@@ -169,11 +176,6 @@ def test_the_library_imports_its_dependencies_only() -> None:
         name = path.relative_to(ROOT).as_posix()
         others[name] = {n.split(".")[0] for n in names} - allowed - optional.get(name, set())
     assert not {name: found for name, found in others.items() if found}
-
-
-def test_test_modules_have_names_of_their_own() -> None:
-    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
-    assert sorted(set(names)) == sorted(names)
 
 
 def test_pictures_of_the_documentation_are_small() -> None:

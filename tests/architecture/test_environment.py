@@ -8,17 +8,11 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from support.packages import PROJECT, ROOT
 from support.scripts import script
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-ROOT = Path(__file__).parents[2]
 ENVIRONMENT = ROOT / "environment"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-EXTRAS: dict[str, list[str]] = PROJECT["optional-dependencies"]
+EXTRAS: dict[str, list[str]] = PROJECT["project"]["optional-dependencies"]
 RUN_EXTRAS = ("ros", "fast", "live")
 
 
@@ -51,7 +45,7 @@ def test_what_a_run_installs_is_a_part_of_everything() -> None:
     assert [pin for pin, hashes in run.items() if versions.get(pin.split(" ;")[0]) != hashes] == []
     assert any(pin.startswith("setuptools==") and ";" not in pin for pin in run), "for the packages of this folder"
     assert len(run) < 0.6 * len(everything)
-    assert names(PROJECT["dependencies"]) - {"lftkit"} <= names(list(run))
+    assert names(PROJECT["project"]["dependencies"]) - {"lftkit"} <= names(list(run))
     for extra, requirements in EXTRAS.items():
         assert names(requirements) <= names(list(everything))
         assert (names(requirements) <= names(list(run))) is (extra in RUN_EXTRAS), extra

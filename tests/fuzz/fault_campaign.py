@@ -1,4 +1,6 @@
-"""Runs with random faults for some minutes: ``python tests/fuzz/fault_campaign.py MINUTES [SEED] [CASE ...]``.
+"""Runs with random faults for some minutes:
+
+    PYTHONPATH=tests python tests/fuzz/fault_campaign.py MINUTES [SEED] [CASE ...]
 
 Each case is one run of the program with one fault, chosen by the seed and the number of the case: a signal to one of
 its processes, a full disk, too few descriptors, too little memory, one processor, steps of the wall clock, a second run
@@ -36,6 +38,7 @@ from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import NAMESPACE
 from los_testbed.run.processes.domains import domain_lock
 from mcap.reader import NonSeekingReader
+from support.marked_processes import processes_with
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
@@ -85,7 +88,7 @@ class Case:
     folder: Path
     allowed: dict[int, str]
     mode: str = "realtime"
-    act: Callable[[subprocess.Popen[str]], None] = lambda process: None
+    act: Callable[[Case, subprocess.Popen[str]], None] = lambda case, process: None
     prepare: Callable[[], None] = lambda: None
     variables: dict[str, str] = field(default_factory=dict)
     options: tuple[str, ...] = ()
@@ -95,18 +98,6 @@ class Case:
 
     def __post_init__(self) -> None:
         self.bag = self.folder / "bag"
-
-
-def processes_of(folder: Path, command: str = "") -> list[int]:
-    """Processes of a case, by their environment, that have this in their command line."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        with contextlib.suppress(OSError, ValueError):
-            number = int(entry.name)
-            marked = f"{MARK}={folder}".encode() in (entry / "environ").read_bytes().split(b"\0")
-            if marked and command.encode() in (entry / "cmdline").read_bytes():
-                found.append(number)
-    return found
 
 
 def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
@@ -149,38 +140,36 @@ def moment(case: Case, process: subprocess.Popen[str], rng: random.Random) -> No
     time.sleep(wait)
 
 
+ANY_MODE = ("realtime", "lockstep", "inprocess")
+
+
 def signal_to_node(rng: random.Random, folder: Path) -> Case:
     node, number = rng.choice(NODES), rng.choice(ENDS)
     named = rf"\w*{node}\w* ended unexpectedly \(signal {number.value}\)"  # both laws are in one process
     before = rf"recorder: a plant must run|was ended before|{node}: |the run ended before|did not reach"
     allowed = {OK: "", ExitCode.RESTARTED: named, FAILED: f"{named}|{before}"}
-    case = Case(f"{number.name} to a node", f"{number.name} to {node}", folder, allowed)
-    case.mode = rng.choice(("realtime", "realtime", "lockstep"))
+    mode, live = rng.choice(("realtime", "realtime", "lockstep")), ("--live=0",) if node == "live" else ()
     if node == "live":
-        case.options = ("--live=0",)
-        case.allowed = {OK: "", FAILED: f"server for viewers|{node}|{before}"}
+        allowed = {OK: "", FAILED: f"server for viewers|{node}|{before}"}
 
-    def act(process: subprocess.Popen[str]) -> None:
+    def act(case: Case, process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
-        for pid in processes_of(folder, f"nodes.{node}")[:1]:
+        for pid in processes_with(f"{MARK}={folder}", f"nodes.{node}")[:1]:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, number)
                 if node in LOOP and number in UNANSWERED:
                     case.crashed = node
 
-    case.act = act
-    return case
+    text = f"{number.name} to {node}"
+    return Case(f"{number.name} to a node", text, folder, allowed, mode, act=act, options=live)
 
 
 def pause_of_process(rng: random.Random, folder: Path) -> Case:
     name, pause = rng.choice((*NODES, "runner")), rng.uniform(0.05, 2.0)
-    case = Case("SIGSTOP", f"SIGSTOP to {name} for {pause:.2f} s", folder, {OK: ""})
-    case.mode = rng.choice(("realtime", "lockstep"))
-    case.options = ("--live=0",) if name == "live" else ()
 
-    def act(process: subprocess.Popen[str]) -> None:
+    def act(case: Case, process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
-        pids = [process.pid] if name == "runner" else processes_of(folder, f"nodes.{name}")[:1]
+        pids = [process.pid] if name == "runner" else processes_with(f"{MARK}={folder}", f"nodes.{name}")[:1]
         with contextlib.suppress(ProcessLookupError):
             for pid in pids:
                 os.kill(pid, signal.SIGSTOP)
@@ -188,69 +177,65 @@ def pause_of_process(rng: random.Random, folder: Path) -> Case:
             for pid in pids:
                 os.kill(pid, signal.SIGCONT)
 
-    case.act = act
-    return case
+    text, live = f"SIGSTOP to {name} for {pause:.2f} s", ("--live=0",) if name == "live" else ()
+    return Case("SIGSTOP", text, folder, {OK: ""}, rng.choice(ANY_MODE[:2]), act=act, options=live)
 
 
 def signal_to_runner(rng: random.Random, folder: Path) -> Case:
     number = rng.choice((signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL))
-    killed = {-signal.SIGKILL: "", OK: ""}
-    early = {-number.value: ""}  # before the program answers signals
-    allowed = killed if number == signal.SIGKILL else {ExitCode.INTERRUPTED: "", OK: "", **early}
-    case = Case(f"{number.name} to the program", f"{number.name} to the program", folder, allowed)
-    case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
+    allowed = {-number.value: "", OK: ""}  # before the program answers signals
+    if number != signal.SIGKILL:
+        allowed[ExitCode.INTERRUPTED] = ""
 
-    def act(process: subprocess.Popen[str]) -> None:
+    def act(case: Case, process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
         process.send_signal(number)
 
     def end_by_interrupt() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    case.act = act
-    case.prepare = end_by_interrupt
-    return case
+    text = f"{number.name} to the program"
+    return Case(text, text, folder, allowed, rng.choice(ANY_MODE), act=act, prepare=end_by_interrupt)
 
 
 def limited(kind: str, what: int, low: int, high: int, unit: int, words: str) -> Callable[[random.Random, Path], Case]:
     """Case with a limit of a resource; whatever the run says of it must have these words."""
 
     def make(rng: random.Random, folder: Path) -> Case:
-        limit = rng.randint(low, high)
-        case = Case(kind, f"{kind} {limit}", folder, {OK: "", FAILED: words, MISTAKE: words})
-        case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
-        case.prepare = lambda: resource.setrlimit(what, (limit * unit, limit * unit))
-        return case
+        limit, allowed = rng.randint(low, high), {OK: "", FAILED: words, MISTAKE: words}
+        return Case(
+            kind,
+            f"{kind} {limit}",
+            folder,
+            allowed,
+            rng.choice(ANY_MODE),
+            prepare=lambda: resource.setrlimit(what, (limit * unit, limit * unit)),
+        )
 
     return make
 
 
 def one_processor(rng: random.Random, folder: Path) -> Case:
-    processor = rng.choice(sorted(os.sched_getaffinity(0)))
-    case = Case("one processor", f"processor {processor} alone", folder, {OK: "", FAILED: "within .* s"})
-    case.mode = rng.choice(("realtime", "lockstep"))
-    case.prepare = lambda: os.sched_setaffinity(0, {processor})
-    return case
+    processor, mode = rng.choice(sorted(os.sched_getaffinity(0))), rng.choice(ANY_MODE[:2])
+    text, allowed = f"processor {processor} alone", {OK: "", FAILED: "within .* s"}
+    return Case("one processor", text, folder, allowed, mode, prepare=lambda: os.sched_setaffinity(0, {processor}))
 
 
 def full_disk(rng: random.Random, folder: Path) -> Case:
-    size = rng.randint(8, 1500)
-    case = Case("full disk", f"disk of {size} kB", folder, {OK: "", FAILED: "No space left on device"})
-    case.mode = rng.choice(("realtime", "lockstep", "inprocess"))
-    small = folder / "small"
+    size, small = rng.randint(8, 1500), folder / "small"
     small.mkdir()
-    case.bag = small / "bag"
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(small)], check=True)
+    allowed = {OK: "", FAILED: "No space left on device"}
+    case = Case("full disk", f"disk of {size} kB", folder, allowed, rng.choice(ANY_MODE))
+    case.bag = small / "bag"
     return case
 
 
 def second_run(rng: random.Random, folder: Path) -> Case:
     """Another run on the domain or the output of one; the first is not disturbed, the second is refused."""
-    same = rng.choice(("domain", "output"))
-    case = Case(f"second run, same {same}", f"another run with the same {same}", folder, {OK: ""})
-    case.mode = rng.choice(("realtime", "lockstep"))
+    same, mode = rng.choice(("domain", "output")), rng.choice(ANY_MODE[:2])
 
-    def act(process: subprocess.Popen[str]) -> None:
+    def act(case: Case, process: subprocess.Popen[str]) -> None:
         time.sleep(rng.uniform(0.0, 3.0))
         own = re.search(r"--domain=(\d+)", " ".join(map(str, process.args)))  # type: ignore[call-overload]
         assert own is not None
@@ -259,26 +244,22 @@ def second_run(rng: random.Random, folder: Path) -> Case:
         out = other.communicate(timeout=HANG_S)[0]
         case.outputs.append((other.returncode, out))
 
-    case.act = act
-    return case
+    return Case(f"second run, same {same}", f"another run with the same {same}", folder, {OK: ""}, mode, act=act)
 
 
 def clock_step(rng: random.Random, folder: Path) -> Case:
     """The wall clock of all its processes is set by up to an hour, back and forth."""
-    case = Case("clock step", "wall clock set three times", folder, {OK: ""})
-    case.mode = rng.choice(("realtime", "realtime", "lockstep", "inprocess"))
-    offset = folder / "offset"
+    offset, mode = folder / "offset", rng.choice(("realtime", *ANY_MODE))
     offset.write_bytes(struct.pack("<q", 0))
-    case.variables = {"LD_PRELOAD": str(build_clock()), "CLOCK_STEP_FILE": str(offset)}
+    variables = {"LD_PRELOAD": str(build_clock()), "CLOCK_STEP_FILE": str(offset)}
 
-    def act(process: subprocess.Popen[str]) -> None:
+    def act(case: Case, process: subprocess.Popen[str]) -> None:
         for _ in range(3):
             moment(case, process, rng)
             with offset.open("r+b") as stream:
                 stream.write(struct.pack("<q", rng.randint(-HOUR_S, HOUR_S)))
 
-    case.act = act
-    return case
+    return Case("clock step", "wall clock set three times", folder, {OK: ""}, mode, act=act, variables=variables)
 
 
 @functools.cache
@@ -305,7 +286,6 @@ FAULTS: list[tuple[int, Callable[[random.Random, Path], Case]]] = [
     (1, one_processor),
     (2, second_run),
 ]
-FULL_DISK, CLOCK_STEP = (2, full_disk), (2, clock_step)
 
 
 def faults() -> Iterator[str]:
@@ -316,9 +296,9 @@ def faults() -> Iterator[str]:
             yield f"full disk left out: mounting is not permitted ({mounted.stderr.strip()})"
         else:
             subprocess.run(["umount", folder], check=True)
-            FAULTS.append(FULL_DISK)
+            FAULTS.append((2, full_disk))
     if compiler():
-        FAULTS.append(CLOCK_STEP)
+        FAULTS.append((2, clock_step))
     else:
         yield "clock step left out: there is no C compiler"
 
@@ -394,7 +374,7 @@ def missing_commands(bag: Path) -> int:
 def orphans(case: Case) -> list[int]:
     """Processes that are left, ended here."""
     end = time.monotonic() + LEFT_S
-    while (left := processes_of(case.folder)) and time.monotonic() < end:
+    while (left := processes_with(f"{MARK}={case.folder}")) and time.monotonic() < end:
         time.sleep(0.1)
     for number in left:
         with contextlib.suppress(ProcessLookupError):
@@ -413,7 +393,7 @@ def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
         process = start(case, domain, case.bag)
         out, hung = "", ""
         try:
-            case.act(process)
+            case.act(case, process)
             out = process.communicate(timeout=HANG_S)[0]
         except subprocess.TimeoutExpired:
             hung = f"it did not end within {HANG_S:g} s"
@@ -436,9 +416,8 @@ def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
     sys.stdout.write(f"case {number}: {case.text}, {case.mode}: exit code {code}\n")
     found = [*bags, *([end] if end else []), *([f"processes left: {left}"] if left else [])]
     for line in found:
-        sys.stdout.write(
-            f"  WRONG: {line}\n  {' '.join(out.split())[-1500:]}\n  repeat: {__file__} 60 {seed} {number}\n"
-        )
+        sys.stdout.write(f"  WRONG: {line}\n  {' '.join(out.split())[-1500:]}\n")
+        sys.stdout.write(f"  repeat: PYTHONPATH=tests python {__file__} 60 {seed} {number}\n")
     sys.stdout.flush()
     shutil.rmtree(folder, ignore_errors=True)
     return not found

@@ -18,6 +18,7 @@ import io
 import json
 import math
 import random
+import re
 import sys
 import tempfile
 import time
@@ -197,11 +198,8 @@ def bound_exceeds(path: Path, checked: Any) -> bool:
 FALSE: dict[str, Callable[[Path, Any], bool]] = {
     "loop": loop_exceeds,
     "noise": noise_exceeds,
-    "axis": system_exceeds,
-    "cells": system_exceeds,
-    "stable": system_exceeds,
-    "bound": bound_exceeds,
-    "noiseless": bound_exceeds,
+    **dict.fromkeys(("axis", "cells", "stable"), system_exceeds),
+    **dict.fromkeys(("bound", "noiseless"), bound_exceeds),
 }
 
 
@@ -239,13 +237,8 @@ def scaling(content: Content, chance: random.Random) -> None:
     exponent = chance.choice((chance.uniform(-330, 308), chance.uniform(300, 308.3), chance.uniform(-324, -300)))
     factor = chance.choice((1.0, 1.0, -1.0)) * (10.0 ** max(exponent, -323.0))
     if arrays:
-        names = [
-            n
-            for n in arrays
-            if n in ("unseen", "unmoved", "left", "right", "noiseless", "decaying_adjoint", "undisturbed")
-            or (n.split("_")[-1][0] in "DG" and n.split("_")[-1][1:].isdecimal())
-            or "factors" in n
-        ]
+        own = "unseen|unmoved|left|right|noiseless|decaying_adjoint|undisturbed|(.*_)?[DG][0-9]+|.*factors.*"
+        names = [n for n in arrays if re.fullmatch(own, n)]
         for name in names if chance.random() < 0.6 else [chance.choice(names)]:
             values = arrays[name].astype(np.result_type(arrays[name], np.float64))
             size = float(np.abs(values).max()) if chance.random() < 0.5 else 1.0
@@ -284,11 +277,8 @@ def types(content: Content, chance: random.Random) -> None:
 
         def other(old: Any, with_bools: bool = with_bools) -> Any:
             if with_bools and isinstance(old, (int, list)):
-                return (
-                    [bool(x) for x in old]
-                    if isinstance(old, list) and all(isinstance(x, int) for x in old)
-                    else bool(old)
-                )
+                numbers = isinstance(old, list) and all(isinstance(x, int) for x in old)
+                return [bool(x) for x in old] if numbers else bool(old)
             return copy.deepcopy(chance.choice(TYPES))
 
         try:
@@ -394,18 +384,17 @@ def main(minutes: float, seed: int, kept: Path) -> int:
             chance = random.Random(f"{seed} {number}")
             file = chance.choice(files)
             target = Path(name) / f"forged{file.suffix}"
+            number += 1
             try:
                 kind = forged(file, target, chance)
             except (ValueError, OverflowError):
-                number += 1
                 continue  # no file can be written of it
             said = outcome(target, file.stem)
             counts[said] += 1
             if said not in ("refused", "true"):
-                copy_of = kept / f"forged-{seed}-{number}{file.suffix}"
+                copy_of = kept / f"forged-{seed}-{number - 1}{file.suffix}"
                 copy_of.write_bytes(target.read_bytes())
                 found.append(f"{copy_of}: {file.stem}, {kind}: {said}")
-            number += 1
     sys.stdout.write("".join(f"{line}\n" for line in found[:50]))
     word = "something was found" if found else "nothing found" if counts else "no forgery was made"
     sys.stdout.write(f"{sum(counts.values())} forgeries, {dict(counts)}, seed {seed}: {word}\n")

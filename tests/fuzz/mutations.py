@@ -70,28 +70,10 @@ def _flip_head(good: bytes, m: Mutation) -> bytes:
     return bytes(data)
 
 
-def _overwrite(good: bytes, m: Mutation) -> bytes:
+def _spliced(good: bytes, m: Mutation, removed: int, data: bytes = b"") -> bytes:
+    """Some bytes at the place of the mutation replaced by others."""
     at = _at(good, m.place)
-    return (good[:at] + m.data + good[at + len(m.data) :])[: len(good)]
-
-
-def _insert(good: bytes, m: Mutation) -> bytes:
-    at = _at(good, m.place)
-    return good[:at] + m.data + good[at:]
-
-
-def _delete(good: bytes, m: Mutation) -> bytes:
-    at = _at(good, m.place)
-    return good[:at] + good[at + m.length :]
-
-
-def _cut(good: bytes, m: Mutation) -> bytes:
-    return good[: _at(good, m.place)]
-
-
-def _zeros(good: bytes, m: Mutation) -> bytes:
-    at = _at(good, m.place)
-    return (good[:at] + bytes(m.length) + good[at + m.length :])[: len(good)]
+    return good[:at] + data + good[at + removed :]
 
 
 def _remove_record(good: bytes, m: Mutation) -> bytes:
@@ -126,11 +108,11 @@ def _other_opcode(good: bytes, m: Mutation) -> bytes:
 KINDS: dict[str, Callable[[bytes, Mutation], bytes]] = {
     "flip": _flip,
     "flip_head": _flip_head,
-    "overwrite": _overwrite,
-    "insert": _insert,
-    "delete": _delete,
-    "cut": _cut,
-    "zeros": _zeros,
+    "overwrite": lambda good, m: _spliced(good, m, len(m.data), m.data)[: len(good)],
+    "insert": lambda good, m: _spliced(good, m, 0, m.data),
+    "delete": lambda good, m: _spliced(good, m, m.length),
+    "cut": lambda good, m: good[: _at(good, m.place)],
+    "zeros": lambda good, m: _spliced(good, m, m.length, bytes(m.length))[: len(good)],
     "remove_record": _remove_record,
     "repeat_record": _repeat_record,
     "swap_records": _swap_records,

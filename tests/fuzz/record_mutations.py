@@ -23,7 +23,6 @@ from pointing_analysis.read.mcap.records import (
     MAGIC,
     OP_ATTACHMENT,
     OP_ATTACHMENT_INDEX,
-    OP_CHANNEL,
     OP_CHUNK,
     OP_CHUNK_INDEX,
     OP_DATA_END,
@@ -31,36 +30,14 @@ from pointing_analysis.read.mcap.records import (
     OP_HEADER,
     OP_INDEX,
     OP_MANIFEST,
-    OP_MESSAGE,
     OP_METADATA,
     OP_METADATA_INDEX,
-    OP_SCHEMA,
-    OP_STATISTICS,
     RECORD,
 )
 
 Record = tuple[int, bytes]
-KINDS_OF_RECORDS = (
-    OP_HEADER,
-    OP_FOOTER,
-    OP_SCHEMA,
-    OP_CHANNEL,
-    OP_MESSAGE,
-    OP_CHUNK,
-    OP_INDEX,
-    OP_CHUNK_INDEX,
-    OP_ATTACHMENT,
-    OP_ATTACHMENT_INDEX,
-    OP_STATISTICS,
-    OP_METADATA,
-    OP_METADATA_INDEX,
-    OP_DATA_END,
-    OP_MANIFEST,
-    14,
-    0,
-    0x10,
-    0xFF,
-)
+KINDS_OF_RECORDS = (*range(OP_HEADER, OP_METADATA_INDEX + 1), OP_DATA_END, OP_MANIFEST, 14, 0, 0x10, 0xFF)
+"""Those of MCAP, the testbed's own, and some that are none."""
 ODD_NUMBERS = (0, 1, 30, 31, 1000, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)
 _CHUNK = struct.Struct("<QQQI")
 

@@ -97,12 +97,17 @@ class Recorded:
 
     def with_content(self, data: bytes) -> Path:
         """The bag with another content of its file."""
-        target = self.folder / "changed"
-        for folder in (self.new, target):
-            shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(self.folder / "bag", target)
-        (target / "bag_0.mcap").write_bytes(data)
-        return target
+        return changed(self.folder / "bag", self.folder, data)
+
+
+def changed(good: Path, folder: Path, data: bytes) -> Path:
+    """A bag with another content of its file in a folder without the repaired one."""
+    target = folder / "changed"
+    for old in (folder / "new", target):
+        shutil.rmtree(old, ignore_errors=True)
+    shutil.copytree(good, target)
+    next(target.glob("*.mcap")).write_bytes(data)
+    return target
 
 
 @pytest.fixture(scope="module")
@@ -301,19 +306,6 @@ def test_messages_of_another_type_are_left_out(recorded: Recorded) -> None:
 # -- single bits: what repair says of the loss, number by number and place by place
 
 
-def flipped(good: Path, bit: int, folder: Path) -> Path:
-    """A bag with one bit changed."""
-    bag = folder / "damaged"
-    for old in (bag, folder / "new"):
-        shutil.rmtree(old, ignore_errors=True)
-    shutil.copytree(good, bag)
-    file = next(bag.glob("*.mcap"))
-    changed = bytearray(file.read_bytes())
-    changed[bit // 8] ^= 1 << (bit % 8)
-    file.write_bytes(changed)
-    return bag
-
-
 def check_loss(result: RepairResult, found: dict[Key, Content], original: dict[Key, Content]) -> None:
     """What repair says of the loss is what is missing, topic by topic, number by number and place by place."""
     missing = sorted(original.keys() - found.keys())
@@ -352,12 +344,15 @@ def check_beside(result: RepairResult, new: bytes, original: bytes) -> None:
 
 def check_bit(good: Path, bit: int, original: dict[Key, Content], folder: Path) -> None:
     """The laws of a bag with one wrong bit."""
-    data, bag, new = next(good.glob("*.mcap")).read_bytes(), flipped(good, bit, folder), folder / "new"
+    data, new = next(good.glob("*.mcap")).read_bytes(), folder / "new"
+    damaged = bytearray(data)
+    damaged[bit // 8] ^= 1 << (bit % 8)
+    bag = changed(good, folder, damaged)
     result = repair_bag(bag, new)
     repaired = (new / "new_0.mcap").read_bytes()
     found = messages(repaired)
     assert all(original[key] == content for key, content in found.items()), bit
-    assert all(found.keys() >= others for others in others_find(next(bag.glob("*.mcap")).read_bytes(), original)), bit
+    assert all(found.keys() >= others for others in others_find(bytes(damaged), original)), bit
     check_loss(result, found, original)
     check_beside(result, repaired, data)
     run = Run.open(bag)

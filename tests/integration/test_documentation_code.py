@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 import runpy
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,24 +13,17 @@ from typing import Any
 from unittest.mock import create_autospec
 
 import pytest
+from support.documented_commands import PAGES, ROOT, blocks
 from support.uncertain_examples import two_mass_benchmark
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from pointing_analysis.files.structured_text import load_toml
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
-ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
+TEXTS = {path: path.read_text("utf-8") for path in (*PAGES, ROOT / "CONTRIBUTING.md")}
 WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "norms.md", "quick_start.md", "examples.md"}
 WITH_TESTS_OF_THEIR_OWN |= {path.name for path in (ROOT / "docs/extend").glob("*.md")}
 """Run by test_tutorials.py, which compares the output as well, and by test_contributing_pages.py."""
 Names = dict[str, Any]
-
-
-def blocks(path: Path, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
 
 
 def a_bag(folder: Path, _: pytest.MonkeyPatch) -> Names:
@@ -106,7 +98,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
 SLOW = {"certificates.md", "tuning.md"}
 EVERY_LINE_SHOWN = {"from_matlab.md"}
 """What each line prints is the comment behind it."""
-WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]
+WITH_PYTHON = [p for p, text in TEXTS.items() if blocks(text, "python") and p.name not in WITH_TESTS_OF_THEIR_OWN]
 
 
 @pytest.mark.parametrize(
@@ -118,16 +110,16 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
     names = NEEDED[path.name](tmp_path, monkeypatch) if path.name in NEEDED else {}
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        for block in blocks(path, "python"):
+        for block in blocks(TEXTS[path], "python"):
             exec(compile(block, path.name, "exec"), names)
     if path.name in EVERY_LINE_SHOWN:
-        expected = re.findall(r"^ *print\(.*\)  # (.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE)
+        expected = re.findall(r"^ *print\(.*\)  # (.*)$", "\n".join(blocks(TEXTS[path], "python")), flags=re.MULTILINE)
         assert printed.getvalue().splitlines() == expected
-    for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
+    for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(TEXTS[path], "python")), flags=re.MULTILINE):
         if path.name == "your_data.md":
             assert shown in printed.getvalue()
 
 
-@pytest.mark.parametrize("path", [p for p in PAGES if blocks(p, "toml")], ids=lambda p: p.name)
+@pytest.mark.parametrize("path", [p for p, text in TEXTS.items() if blocks(text, "toml")], ids=lambda p: p.name)
 def test_toml_blocks_are_read(path: Path) -> None:
-    assert all(tomllib.loads(block) for block in blocks(path, "toml"))
+    assert all(load_toml(block, path) for block in blocks(TEXTS[path], "toml"))

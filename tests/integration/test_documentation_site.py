@@ -16,10 +16,8 @@ from typing import Any
 import pytest
 import yaml
 from support import axe, headless_browser
-from support.packages import files_of, tree
+from support.packages import FOLDERS, ROOT, files_of, tree
 from support.scripts import script
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +62,7 @@ def test_links_lead_from_the_start_page_to_every_page(hooks: ModuleType) -> None
 def public_objects() -> set[str]:
     """Full names of the public functions and classes of all packages."""
     found = set()
-    packages = ("lftkit", "titop_plant", "los_estimator", "fsm_pma_controller", "los_loop", "los_design")
-    folders = [ROOT / name for name in (*packages, "pointing_analysis", "ros_ws/src/los_testbed/los_testbed")]
-    for folder in folders:
+    for folder in (ROOT / name for name in FOLDERS):
         for path in files_of(folder):
             if path.stem == "__main__":
                 continue

@@ -7,19 +7,21 @@ named with its reason. `tests/architecture/test_documented_commands.py` reads th
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from los_testbed.cli.app import main
 from support.command_line import call_command
-from support.documented_commands import PAGES, Printed, printed
+from support.documented_commands import PAGES, ROOT, Printed, blocks, printed
 
 import fsm_pma_controller
 import los_estimator
 
-ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.usefixtures("without_pictures")
 NOT_RUN = {
     r"--scheduler": "needs a cluster: test_campaign_cluster.py",
     r"^design (all|certify|k-fsm|k-pma|sensitivity|verify)\b": "takes minutes to hours: test_example_designs.py",
@@ -28,11 +30,11 @@ NOT_RUN = {
     r"--only\b|^control\b|^keys\b|--to-ros|--live|--isolated|--domain": "needs several processes: tests/ros",
     r"--device\b|^device check": "needs a rig: test_device_runs.py, test_rig_page.py",
     r"liblos_flight": "needs a compiler: test_flight_library_runs.py",
-    r"/my/los": "needs a bag of another program: test_pages_on_files.py",
+    r"/my/los": "needs a bag of another program: test_documented_commands_run.py",
 }
 """What is not run, by its words, and why."""
-TESTED_ELSEWHERE = {"tutorial.md": ("test_three_paths.py", "test_tutorials.py")}
-TESTED_ELSEWHERE |= dict.fromkeys(("your_data.md", "your_disturbances.md"), ("test_pages_on_files.py",))
+TESTED_ELSEWHERE = {"tutorial.md": ("test_tutorials.py",)}
+TESTED_ELSEWHERE |= dict.fromkeys(("your_data.md", "your_disturbances.md"), ("test_documented_commands_run.py",))
 TESTED_ELSEWHERE |= {path.name: ("test_contributing_pages.py",) for path in (ROOT / "docs/extend").glob("*.md")}
 SHORTER = {
     "run": {"--mode": "inprocess", "--duration": "2", "--no-report": ""},
@@ -46,19 +48,18 @@ PROFILE = "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4\n0
 OPTICS = "optics.aperture_diameter = 2.4\noptics.obscuration = 0.3\n"
 
 
-def blocks(name: str, language: str) -> list[str]:
-    text = (ROOT / "docs" / name).read_text("utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.M)
+def blocks_of(name: str, language: str) -> list[str]:
+    return blocks((ROOT / "docs" / name).read_text("utf-8"), language)
 
 
 def python_of(name: str) -> None:
-    for block in blocks(name, "python"):
+    for block in blocks_of(name, "python"):
         exec(compile(block, name, "exec"), {})
 
 
 def of_budget() -> None:
-    (toml,) = [block for block in blocks("pointing_analysis.md", "toml") if block.startswith("title")]
-    (table,) = [block for block in blocks("pointing_analysis.md", "text") if block.startswith("source,")]
+    (toml,) = [block for block in blocks_of("pointing_analysis.md", "toml") if block.startswith("title")]
+    (table,) = [block for block in blocks_of("pointing_analysis.md", "text") if block.startswith("source,")]
     Path("my_budget.toml").write_text(toml)
     Path("my_budget.csv").write_text(table)
 
@@ -68,9 +69,9 @@ def of_images() -> None:
     rows = Path("bench.csv").read_text().splitlines()[1:]
     Path("los.csv").write_text("\n".join(["time,x,y", *rows[:10_000]]) + "\n")
     Path("optics.toml").write_text(
-        re.sub(r"^optics.pupil.*\n", OPTICS, blocks("image_quality.md", "toml")[0], flags=re.M)
+        re.sub(r"^optics.pupil.*\n", OPTICS, blocks_of("image_quality.md", "toml")[0], flags=re.M)
     )
-    Path("my_camera.toml").write_text(blocks("image_quality.md", "toml")[1])
+    Path("my_camera.toml").write_text(blocks_of("image_quality.md", "toml")[1])
 
 
 def of_analysis() -> None:
@@ -124,7 +125,6 @@ RUN = [name for name, found in EVERY.items() if name not in TESTED_ELSEWHERE and
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("page", RUN)
 def test_the_commands_of_a_page_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -148,3 +148,32 @@ def test_every_reason_is_of_a_command_and_names_a_test_that_exists() -> None:
         for name in re.findall(r"test_\w+\.py", reason):
             assert list((ROOT / "tests").rglob(name)), name
     assert all((ROOT / "tests/integration" / name).is_file() for names in TESTED_ELSEWHERE.values() for name in names)
+
+
+@pytest.mark.parametrize("page", ["your_data.md", pytest.param("your_disturbances.md", marks=pytest.mark.further)])
+def test_the_commands_of_a_page_on_files_of_others_run(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the files that the page makes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bags").symlink_to(ROOT / "bags")
+    python_of(page)
+    observer = Path(los_estimator.__file__).parent / "designs" / "k_fsm.json"
+    Path("my_laws.py").write_text(
+        "from lftkit.systems.sampled.sampled_system import SampledSystem\n"
+        f"observer = SampledSystem.from_file({str(observer)!r}).to_control()\n"
+    )
+    for block in blocks_of(page, "toml"):
+        (tmp_path / "my_sources.toml").write_text(block)
+    commands = [line for block in blocks_of(page, "sh") for line in block.splitlines()]
+    assert len(commands) >= 3
+    for line in commands:
+        words = shlex.split(line, comments=True)
+        assert words.pop(0) == "los-testbed"
+        more = ["--no-report"] if words[0] == "run" else []
+        assert main([*words, *more]) == 0, line
+        shown = "".join(capsys.readouterr())
+        if words[0] == "run":
+            assert ("Sources, each alone" in shown) == ("--disturbance" in words)
+        else:
+            assert "512 Hz from the times" in shown

@@ -1,4 +1,4 @@
-"""Controllers of the user that read sensors and command actuators of a telescope's file."""
+"""Sensors and actuators of a telescope's file in runs, bags, replays, campaigns and controllers of the user."""
 
 from __future__ import annotations
 
@@ -87,6 +87,14 @@ class Greedy(Still):
 class Unknown(Still):
     sensors = ("on_m2",)
 '''
+SINE = """
+[[disturbance]]
+name = "sine"
+kind = "cooler"
+place = "shaker"
+frequency = 40.0
+harmonics = [{ order = 1, force = [0.0, 0.0, 2.0] }]
+"""
 ON_M1, AT_ROOT, SHAKER = Port("on_m1", 3, "m/s2"), Port("at_root", 1, "m/s2"), Port("shaker", 1, "N")
 
 
@@ -111,6 +119,20 @@ def law_with_devices() -> SampledSystem:
     C = np.block([[stored.C, np.full((6, 1), 5.0)], [np.zeros((1, n)), np.array([[-300.0]])]])
     D = np.block([[stored.D, np.zeros((6, 1))], [np.zeros((1, 7))]])
     return SampledSystem(A, B, C, D, (*K_PMA_INPUTS, AT_ROOT), (*K_PMA_OUTPUTS, SHAKER), DT)
+
+
+def test_a_bag_has_the_sensors_by_their_names(base: RunConfig, tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(
+        TELESCOPE.replace('place = "A1"\naxes', 'place = "A1"\nrange = 1e-3\naxes') + SINE
+    )
+    config = replace(base, duration=1.0, loop="fsm", disturbance=True)
+    run_in_process(config, tmp_path / "bag")
+    run = Run.open(tmp_path / "bag")
+    own, loop = run["sensor/on_m1"], run["m1/accel"]
+    assert own.values.shape == (1000, 3) and np.array_equal(own.stamp, loop.stamp)
+    assert own.values == pytest.approx(loop.values[:, :3], abs=1e-12)  # also what the source adds
+    assert np.abs(run["sensor/at_root"].values[:, 0]).max() == 1e-3
+    assert [topic.unit for topic in RunParts(config).topics if topic.name.startswith("sensor/")] == ["m/s2", "m/s2"]
 
 
 def test_an_actuator_moves_what_its_command_says(base: RunConfig, tmp_path: Path) -> None:
@@ -331,12 +353,15 @@ def test_other_devices_are_refused(
 
 
 def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
-    source = '[[disturbance]]\nname = "sine"\nkind = "cooler"\nplace = "shaker"\nfrequency = 40.0\n'
-    tone = "harmonics = [{order = 1, force = [0.0, 0.0, 2.0]}]\n"
-    (tmp_path / "own.toml").write_text(TELESCOPE + source + tone)
+    (tmp_path / "own.toml").write_text(TELESCOPE + SINE)
     config = replace(base, k_pma="laws_with_devices:Shaking", disturbance=True)
     with pytest.raises(ValueError, match="actuator shaker must have one driver, got source sine and k_pma"):
         RunParts(config).check()
+    (source,) = RunParts(config).sources
+    assert source.limit == 31.6
+    (tmp_path / "own.toml").write_text(TELESCOPE + SINE + SINE.replace('"sine"', '"other"'))
+    with pytest.raises(ValueError, match="actuator shaker must have one source, got 2"):
+        _ = RunParts(config).sources
 
 
 def test_proofs_of_a_design_with_devices_are_refused_before_the_design(

@@ -1,8 +1,9 @@
-"""All that acts in a run is named, and its parts add up to the record, for every kind of source."""
+"""All that acts in a run is named, its parts add up to the record, and its tones are lines."""
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,16 +17,18 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.conditions import conditions
 from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.loop.source_alone import NOISE, Part, parts_of
+from los_testbed.run.loop.source_alone import NOISE, Part, errors_of_source, parts_of
 from los_testbed.run.summary import source_shares as module_of_shares
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
 
 from pointing_analysis.indices.errors import default_transient
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.report import tones_of
+from pointing_analysis.report.report import render, tones_of
 from pointing_analysis.requirements.conditions import WHEEL_SPEEDS, conditions_of
-from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.summary import Summary, summarise
+from titop_plant.disturbances.drive_lines import fixed_lines, stepper_lines
 from titop_plant.interface import DT
+from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -243,3 +246,85 @@ def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
     words = "disturbance and member differ from a: no comparison of controllers"
     page = Path("page.html").read_text()
     assert words in said and words[1:] in page and acts in page and "unit_norm" in page
+
+
+COOLER = """
+import numpy as np
+from titop_plant.interface import DT
+from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS
+
+
+class Cooler:
+    def reset(self):
+        self.tick = 0
+
+    def step(self, out):
+        angle = 2.0 * np.pi * 45.0 * DT * self.tick
+        out[:] = 0.0
+        force = 200.0 * np.sin(angle) + 100.0 * np.sin(2.0 * angle + 1.0)
+        out[DISTURBANCE_COLUMNS["external_wrench"]] = force * np.array([1.0, 0.5, 0.2, 0.1, 0.1, 0.0])
+        self.tick += 1
+"""
+
+
+def run_of(bag: Path, **settings: object) -> tuple[Run, Summary]:
+    run_in_process(RunConfig(mode="inprocess", duration=8.0, loop="fsm+pma", seed=4, **settings), bag)  # type: ignore[arg-type]
+    run = Run.open(bag)
+    return run, summarise(run)
+
+
+@pytest.mark.further
+@pytest.mark.usefixtures("without_pictures")
+def test_harmonics_of_a_cooler_are_tones_and_what_is_left_is_the_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_cooler.py").write_text(COOLER)
+    monkeypatch.syspath_prepend(tmp_path)
+    run, with_cooler = run_of(tmp_path / "cooler", disturbance_source="own_cooler:Cooler", start="rest")
+    _, quiet = run_of(tmp_path / "quiet", disturbance=False, start="rest")
+    assert with_cooler.budget is not None and quiet.budget is not None
+    lines = [line for line in with_cooler.budget.found if not line.is_sideband]
+    assert [line.omega / (2.0 * np.pi) for line in lines] == pytest.approx([45.0, 90.0], abs=0.02)
+    moving = {line.carrier for line in with_cooler.budget.found if line.is_sideband}
+    assert moving <= {line.omega for line in lines}, "the ringing of the start is at the sides of the tones"
+    assert with_cooler.budget.fast > 20.0 and with_cooler.budget.slow == 0.0
+    assert quiet.budget.found == () and quiet.budget.fast == 0.0
+    assert with_cooler.budget.noise == pytest.approx(quiet.budget.noise, rel=0.1), "and the ringing of its start"
+    page = render([run])
+    assert page.count("dB above the noise") == 2
+
+
+FILE = Path(__file__).parents[2] / "examples/spacecraft/moving_rotors.toml"
+SEED = 3
+
+
+def test_without_steppers_the_drives_are_those_of_the_reference() -> None:
+    telescope = load_telescope(str(FILE))
+    assert len(telescope.motors) == 2 and not telescope.without_steppers().motors
+    assert telescope.without_steppers().sadm == load_telescope().sadm
+
+
+@pytest.mark.slow
+def test_the_lines_make_the_error_of_a_run() -> None:
+    """RPE of 20 ms by the lines against that of the simulated open plant under the drives alone, both of this seed."""
+    telescope = load_telescope(str(FILE))
+    config = RunConfig(
+        mode="inprocess",
+        loop="isolator",
+        scenario="imbalance",
+        wheel_speed=(0.0, 0.0, 0.0, 0.0),
+        duration=20.0,
+        seed=SEED,
+        parameters=str(FILE),
+    )
+    parts = RunParts(config)
+    index = [one.name for one in parts.sources].index("array drive")
+    los = errors_of_source(parts, index, 20_000)
+    ticks = round(0.02 / DT)
+    windows = los[: len(los) // ticks * ticks].reshape(-1, ticks, 2)
+    run = math.sqrt(float(np.square(windows - windows.mean(axis=1, keepdims=True)).sum(axis=2).mean()))
+    lines = stepper_lines(telescope, SEED)
+    part = 1.0 - np.square(np.sinc(lines.omega * 0.02 / (2.0 * np.pi)))
+    assert run == pytest.approx(math.sqrt(float((lines.size**2 * part).sum() / 2.0)), rel=0.03)
+    fixed = fixed_lines(telescope)
+    np.testing.assert_allclose(fixed.omega, telescope.sadm.step_frequency * np.arange(1, 6), rtol=1e-12)

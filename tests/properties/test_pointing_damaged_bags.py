@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 
 N = 400
+OPTIONS: dict[str, dict[str, Any]] = {"zstd": {}, "unchunked": {"chunks": False}}
+OPTIONS |= {"lz4": {"compression": "lz4"}, "plain": {"compression": "none"}}
 
 
 class Files(dict[str, tuple[Path, bytes]]):
@@ -29,19 +32,14 @@ def files(tmp_path_factory) -> Files:
     rng = np.random.default_rng(0)
     signals = {"truth/los": rng.standard_normal((N, 2)), "pma/command": rng.standard_normal((N, 6))}
     found = Files()
-    for name, options in {
-        "zstd": {},
-        "lz4": {"compression": "lz4"},
-        "plain": {"compression": "none"},
-        "unchunked": {"chunks": False},
-    }.items():
+    for name, options in OPTIONS.items():
         bag = write_bag(folder / name, signals, parameters={"seed": 1}, storage=McapStorage(chunk_size=5000, **options))
         file = bag / f"{name}_0.mcap"
         found[name] = (file, file.read_bytes())
     return found
 
 
-KINDS = st.sampled_from(["zstd", "lz4", "plain", "unchunked"])
+KINDS = st.sampled_from(list(OPTIONS))
 QUICK = settings(max_examples=26, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

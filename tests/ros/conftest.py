@@ -1,8 +1,9 @@
-"""The small telescope of tests/support stands in for the plant; nodes are copies of one process."""
+"""All files need rclpy and have the mark `ros`; the small telescope of tests/support stands in for the plant; nodes are
+copies of one process."""
 
 import os
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,22 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # message fields are type-checked i
 
 TOO_SLOW = "a plant step must take less than 1 ms in real time"
 """Why a run in real time ends on a machine that gives the plant too little of a processor."""
+
+
+class NeedsRclpy(pytest.Module):
+    """A file of tests, which is skipped before it is imported where rclpy is missing."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        pytest.importorskip("rclpy")
+        pytest.importorskip("std_srvs")
+        return super().collect()
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
+    """Every file of this folder."""
+    module = NeedsRclpy.from_parent(parent, path=module_path)
+    module.add_marker(pytest.mark.ros)
+    return module
 
 
 def _skipped_where_too_slow() -> Generator[None, Any, Any]:

@@ -3,9 +3,6 @@
 import json
 
 import pytest
-
-pytest.importorskip("rclpy")
-pytest.importorskip("std_srvs")
 from attack_campaign import GOOD, case_of, judge, messages_of, run_beside
 from attacker import EARLY, Attacker, Case
 from los_testbed.run.results import RunError
@@ -16,7 +13,6 @@ from ros_runs import PLANT, config_for, topic_hashes
 
 from pointing_analysis.read.run import Run
 
-pytestmark = pytest.mark.ros
 DURATION = 1.2
 LONG = 120.0
 """Of runs that a request ends: on a fast machine one of a second is over before it comes."""

@@ -1,25 +1,35 @@
-"""Lost, repeated, late and reordered messages between the nodes: counted, survived, never obeyed out of order."""
+"""Bad links: lost, repeated, late and reordered messages between nodes; two hosts with a link that loses packets."""
+
+from __future__ import annotations
 
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import bad_link
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-import bad_link
 from bad_link import DELAYED, LOST, SWAPPED, TWICE, fate
 from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, assert_gaps_are_counted, config_for, judged_at_pace, lost_samples, span_of
+from lossy_link import LOST_OUTWARD, LOST_RETURNING
+from ros_runs import (
+    PLANT,
+    assert_gaps_are_counted,
+    assert_plant_is_recorded,
+    config_for,
+    judged_at_pace,
+    lost_samples,
+    span_of,
+)
+from two_hosts import NotPermittedError, lossy_link, veth_pair
 
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.unsent import unsent
 
-pytestmark = pytest.mark.ros
 MS = 1_000_000
-TICKS = 3000
+TICKS, HOST_TICKS = 3000, 2500
 
 
 def over_link(command, *names):
@@ -134,3 +144,63 @@ def test_the_mirror_never_goes_back_to_an_older_command(recorded):
     assert np.all(obeyed[follows] >= obeyed[follows - 1])
     if judged_at_pace(run, "that commands are obeyed at once"):
         assert len(follows) > 20
+
+
+@pytest.fixture(scope="module", params=[pytest.param(veth_pair, marks=pytest.mark.slow), lossy_link])
+def over_hosts(request, tmp_path_factory):
+    """A run over two hosts: the hosts with the link's account, and the bag."""
+    folder = tmp_path_factory.mktemp(request.param.__name__)
+    try:
+        with request.param() as hosts:
+            hosts.run(config_for(folder, duration=HOST_TICKS / 1000), folder, PLANT)
+            hosts.unplug()
+    except NotPermittedError as error:
+        pytest.skip(f"network namespaces are not permitted: {error}")
+    return hosts, Run.open(folder / "bag")
+
+
+def scheduled(run, tick):
+    """Stamps of the run whose tick is `tick` modulo 100."""
+    return [int(stamp) for stamp in span_of(run) if stamp // MS % 100 == tick]
+
+
+def test_nothing_is_lost_on_the_plant_s_own_host(over_hosts):
+    assert_plant_is_recorded(over_hosts[1], HOST_TICKS)
+
+
+@pytest.mark.parametrize("over_hosts", [lossy_link], indirect=True)
+def test_the_link_loses_what_the_schedule_says(over_hosts):
+    hosts, run = over_hosts
+    outward = scheduled(run, LOST_OUTWARD)
+    assert set(hosts.lost_outward) <= set(outward)
+    assert len(outward) - len(hosts.lost_outward) <= unsent(run, "truth/los"), "but for ticks without samples"
+    assert set(hosts.lost_returning) <= set(scheduled(run, LOST_RETURNING))
+    assert hosts.lost >= 5 * len(hosts.lost_outward), "every sensor of these ticks"
+    assert float(run.parameters["statistics"]["plant"]["latency_median_us"]) >= 400, "twice 0.2 ms"
+
+
+@pytest.mark.parametrize("over_hosts", [lossy_link], indirect=True)
+def test_a_lost_sample_costs_its_own_tick(over_hosts):
+    """No estimate of a lost tick, an estimate of its successor: no other tick waits until it was sent again."""
+    hosts, run = over_hosts
+    estimates = set(run["los_estimate"].stamp.tolist())
+    assert not estimates & set(hosts.lost_outward)
+    followed = sum(stamp + MS in estimates for stamp in hosts.lost_outward)
+    assert followed >= len(hosts.lost_outward) / 4, "a busy machine may cost some of the successors"
+
+
+@pytest.mark.parametrize(("node", "topic"), [("estimator", "los_estimate"), ("controller", "fsm/command")])
+def test_what_a_node_counts_as_missing_is_missing(over_hosts, node, topic):
+    """By the node that stepped over it and by the recorder."""
+    _, run = over_hosts
+    assert_gaps_are_counted(run, topic, node)
+    assert np.isfinite(run[topic].values).all()
+
+
+@pytest.mark.parametrize("over_hosts", [lossy_link], indirect=True)
+def test_the_plant_counts_the_commands_it_missed(over_hosts):
+    hosts, run = over_hosts
+    commanded = set(run["fsm/command"].stamp.tolist())
+    lost = set(hosts.lost_outward) | set(hosts.lost_returning)
+    assert int(run.parameters["statistics"]["plant"]["missed_ticks"]) >= len(lost)
+    assert commanded & set(hosts.lost_returning), "sent again to the recorder, if it has a processor in time"

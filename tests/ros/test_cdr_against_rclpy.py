@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config.topics import TOPICS
@@ -17,7 +15,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from pointing_analysis.read.messages.message_types import ACCEL, JOINT_NAMES, JOINT_STATE, VECTOR3
 
-pytestmark = pytest.mark.ros
 RNG = np.random.default_rng(11)
 
 

@@ -10,14 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("rclpy")
 import observed_host
+import pytest
 from ros_runs import config_for, private_domain
 from two_hosts import NotPermittedError, veth_pair
 
-pytestmark = pytest.mark.ros
 LOOPBACK = "0100007F"
 """127.0.0.1 as /proc/net writes it."""
 NETWORK = "7F"

@@ -1,20 +1,15 @@
 """Estimator and controller as two nodes of one process: the same bits, the same faults, and the choice of the mode."""
 
-import os
-import signal
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-from bystander import Bystander, middleware
+from bystander import kill_a_node, middleware
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
+from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE
 from los_testbed.nodes.remote_control import remote_control
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.modes import EXERCISE_S
@@ -23,8 +18,6 @@ from ros_faults import when_running
 from ros_runs import private_domain
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 SLOW_LAW = """
 import time
@@ -68,15 +61,7 @@ def test_the_program_of_both_laws_is_replaced_as_one_and_the_plant_goes_on(tmp_p
 
     def kill(runner):
         assert runner.processes["estimator"] == runner.processes["controller"]
-        seen = Bystander(runner.domain, hears=[TRUTH_LOS, FSM_COMMAND])
-        try:
-            killed.append(seen.next(TRUTH_LOS))
-            os.kill(runner.processes["estimator"], signal.SIGKILL)
-            time.sleep(0.3)
-            killed.append(seen.next(TRUTH_LOS))
-            seen.next(FSM_COMMAND, killed[-1])  # both laws answer again
-        finally:
-            seen.close()
+        killed.extend(kill_a_node(runner, "estimator"))  # both laws answer again
 
     results = when_running(config, kill, at=500, after=1000)
     assert len(results.failures) == 1

@@ -9,16 +9,12 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.config.exit_codes import ExitCode
 from ros_runs import private_domain
 from simple_telescope import write_controllers
 
 from pointing_analysis.read.run import Run
 
-pytestmark = pytest.mark.ros
 SUPPORT = Path(__file__).parents[1] / "support"
 VARIABLES = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
 DRIVER = "los_testbed.rig.udp:UdpRig"

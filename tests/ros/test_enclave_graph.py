@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 import rclpy
 from bystander import middleware
+from los_testbed.config.topics import NODES
 from los_testbed.nodes.remote_control import remote_control
 from los_testbed.run.processes.enclaves import heard_by, sent_by
 from los_testbed.run.processes.viewers import Live
@@ -20,7 +20,6 @@ from rclpy.context import Context
 from rclpy.node import Node
 from ros_runs import PLANT, config_for
 
-pytestmark = pytest.mark.ros
 SPACE = "/telescope"
 SECONDS = 20.0
 
@@ -87,14 +86,7 @@ def test_permissions_cover_every_name_of_a_run(tmp_path):
             raise KeyboardInterrupt
 
     Runner(config, progress, {"plant": PLANT}, live=Live(port=0)).run()
-    assert {enclave_of(name) for name, _ in found} == {
-        "plant",
-        "estimator",
-        "controller",
-        "recorder",
-        "live",
-        "control",
-    }
+    assert {enclave_of(name) for name, _ in found} == {*NODES, "live", "control"}
     missing = {
         (node, way, name)
         for (node, _), ways in found.items()

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from los_testbed.bags.check import check_bag as check_of_bag
 from los_testbed.bags.repair import repair_bag
+from support.marked_processes import processes_with
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
-pytest.importorskip("rclpy")
 TIMES = int(os.environ.get("SIGNAL_TRIALS", "25"))
 """Trials for each signal and mode of `make test-slow`."""
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
@@ -46,19 +46,9 @@ def temporary(folder: Path) -> list[Path]:
     return sorted((folder / "temporary").iterdir())
 
 
-def names_run(entry: Path, bag: Path, command: str) -> bool:
-    """Whether a process belongs to the run of this bag, by its environment, and has this in its command line."""
-    try:
-        found = f"BAG_OF_TEST={bag}".encode() in (entry / "environ").read_bytes()
-        return found and command.encode() in (entry / "cmdline").read_bytes()
-    except OSError:
-        return False
-
-
 def nodes_of(bag: Path, command: str = "") -> list[int]:
     """Processes of the run of this bag."""
-    entries = (entry for entry in Path("/proc").iterdir() if entry.name.isdigit())
-    return [int(entry.name) for entry in entries if names_run(entry, bag, command)]
+    return processes_with(f"BAG_OF_TEST={bag}", command)
 
 
 def started(folder: Path, mode: str, duration: float) -> subprocess.Popen[str]:
@@ -138,7 +128,6 @@ def trial(folder: Path, mode: str, name: str, seed: int) -> None:
     check_bag(folder, folder / "bag")
 
 
-@pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("mode", ["inprocess", "realtime"])
@@ -150,7 +139,6 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
         trial(folder, mode, name, seed)
 
 
-@pytest.mark.ros
 @pytest.mark.parametrize("mode", ["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Path, mode: str) -> None:
     """The nodes end in order when their program is gone: the file is whole, the run is not."""

@@ -4,14 +4,10 @@ import os
 import signal
 
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 
 def run_that_hangs(config, node):

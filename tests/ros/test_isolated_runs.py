@@ -12,16 +12,15 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from attack_campaign import messages_of, run_beside
 from attacker import EARLY, Attacker, Case
 from los_testbed.run.processes.isolation import isolated_network
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
+from observed_host import local_addresses
 from ros_runs import PLANT, config_for
 
-pytestmark = pytest.mark.ros
 DURATION = 0.6
 
 
@@ -46,7 +45,7 @@ def run(tmp_path_factory):
             seen["page"] = urllib.request.urlopen(seen["address"]).read().decode()
             seen["processes"] = dict(runner.processes)
             seen["interfaces"] = {interfaces(number) for number in runner.processes.values()}
-            seen["sockets"] = {address for number in runner.processes.values() for address in local_addresses(number)}
+            seen["sockets"] = set().union(*(local_addresses(str(number)) for number in runner.processes.values()))
 
     live = Live(port=0, tell=lambda foxglove, page: seen.update(address=page))
     case = Case("fsm/command", "controller", "/telescope", "next", 2000.0, begin=EARLY, seconds=60.0)
@@ -61,14 +60,6 @@ def run(tmp_path_factory):
 
 def interfaces(number):
     return tuple(re.findall(r"(\S+):", Path(f"/proc/{number}/net/dev").read_text()))
-
-
-def local_addresses(number):
-    """Addresses that sockets of its network are bound to."""
-    for protocol in ("udp", "tcp", "udp6", "tcp6"):
-        path = Path(f"/proc/{number}/net/{protocol}")
-        for line in path.read_text().splitlines()[1:] if path.exists() else []:
-            yield line.split()[1].rpartition(":")[0]
 
 
 def test_a_stranger_with_the_names_of_the_run_changes_nothing_and_is_not_even_seen(run, tmp_path):

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from foxglove_client import FoxgloveClient, FoxgloveSession
 from los_testbed.bags.cdr import stamp_of
@@ -21,7 +20,6 @@ from mcap_ros2._dynamic import generate_dynamic
 from ros_runs import PLANT, config_for
 from support.unjudged import judged
 
-pytestmark = pytest.mark.ros
 TICKS = 700
 WAIT_S = 60.0
 

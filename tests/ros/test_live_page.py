@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
-pytest.importorskip("std_srvs")
 from foxglove_client import SUBPROTOCOL, never_reading
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import RunError
@@ -26,7 +24,6 @@ from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 pytestmark = [
-    pytest.mark.ros,
     pytest.mark.timeout(1200),
     pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine"),
 ]

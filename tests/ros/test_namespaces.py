@@ -6,8 +6,6 @@ import sys
 import threading
 
 import pytest
-
-pytest.importorskip("rclpy")
 from bystander import Bystander
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.processes.domains import (
@@ -25,7 +23,6 @@ from ros_runs import PLANT, config_for, lost_samples, span_of
 
 from pointing_analysis.read.run import Run
 
-pytestmark = pytest.mark.ros
 SEEDS = {"/foo": 3, "/foo/bar": 4}
 TICKS = {"/foo": 800, "/foo/bar": 1200}
 

@@ -9,8 +9,6 @@ import time
 from typing import Any
 
 import pytest
-
-pytest.importorskip("rclpy")
 from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.config.run_config import RunConfig
@@ -24,9 +22,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_runs import PLANT, config_for, until
-
-pytestmark = pytest.mark.ros
-
 
 REFUSED = {"seed": 9, "use_sim_time": True, "noise": False}
 """None of them changes at the controller during a run."""

@@ -1,8 +1,6 @@
 """Topics under other names: recorded as they were sent, and a remap that was forgotten is told."""
 
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -10,8 +8,6 @@ from mcap.reader import make_reader
 from ros_runs import PLANT, config_for
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 
 def remapped(command, **names):

@@ -1,25 +1,20 @@
 """Replay of bags of real runs: bit by bit, in this process and through live nodes that the bag drives."""
 
-import contextlib
 import json
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import IMAGE_NAME
 from los_testbed.run.loop.simulate import run_in_process
-from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
+from los_testbed.run.processes.node_launch import environment
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, config_for
+from ros_runs import PLANT, config_for, live_nodes
 from support.unjudged import judged
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(scope="module", params=["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
@@ -40,29 +35,6 @@ def call(config, folder, *arguments):
     return done.returncode, json.loads(lines[-1]) if lines else {}, done.stderr
 
 
-@contextlib.contextmanager
-def nodes(config, folder, *names):
-    """Live nodes under test, ended at the end."""
-    parameter_file(config, folder / "nodes.yaml")
-    variables = environment(config.domain, folder)
-    started = [
-        subprocess.Popen(
-            [*node_command(name), "--ros-args", "--params-file", str(folder / "nodes.yaml")],
-            env=variables,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        for name in names
-    ]
-    try:
-        yield
-    finally:
-        for process in started:
-            process.terminate()
-        for process in started:
-            process.wait(20)
-
-
 def test_a_recorded_run_comes_out_again_bit_by_bit(recorded, tmp_path):
     config, bag = recorded
     code, found, errors = call(config, tmp_path, bag, "--json")
@@ -79,7 +51,7 @@ def test_a_recorded_run_comes_out_again_bit_by_bit(recorded, tmp_path):
 def test_live_nodes_driven_by_a_bag_answer_as_recorded(recorded, tmp_path):
     """Estimator and controller, fresh processes: a tick that a busy machine lets them miss is the only difference."""
     config, bag = recorded
-    with nodes(config, tmp_path, "estimator", "controller"):
+    with live_nodes(config, tmp_path, "estimator", "controller"):
         code, found, errors = call(
             config, tmp_path, bag, "--to-ros", f"--domain={config.domain}", "--output", tmp_path / "answers", "--json"
         )
@@ -105,7 +77,7 @@ def test_frames_of_the_camera_come_to_a_recorder(tmp_path):
     config = config_for(tmp_path, mode="realtime", duration=1.0, seed=5, parameters=str(file))
     original = tmp_path / "original"
     run_in_process(config, original)
-    with nodes(config, tmp_path, "estimator", "controller", "recorder"):
+    with live_nodes(config, tmp_path, "estimator", "controller", "recorder"):
         code, found, errors = call(config, tmp_path, original, "--to-ros", f"--domain={config.domain}", "--json")
     assert code == 0, errors
     recorded = Run.open(config.output)

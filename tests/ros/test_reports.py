@@ -1,12 +1,15 @@
-"""Diagnostics as the recorder reads them, and second publishers as the graph shows them."""
+"""Reports of the nodes: read as they are written, damaged, lost, of second publishers, late where a node hangs."""
 
+from __future__ import annotations
+
+import os
 import random
+import signal
 import sys
+import time
 from typing import Any
 
 import pytest
-
-pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import CodecError
 from los_testbed.bags.diagnostics import HARDWARE, Status, read_diagnostics, write_diagnostics
@@ -15,15 +18,13 @@ from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.run.runner import Runner
 from rclpy.serialization import deserialize_message, serialize_message
-from ros_runs import PLANT as PLANT_COMMAND
-from ros_runs import config_for
+from ros_runs import PLANT, config_for
 
 from pointing_analysis.read.run import Run
 
-pytestmark = pytest.mark.ros
 VALUES = {"ticks": "5000", "mirror [µrad]": "", "": "empty name", "long": "x" * 1001}
 TOPIC = "/telescope/truth/los"
-PLANT = Endpoint("01", "/telescope/plant")
+OWN = Endpoint("01", "/telescope/plant")
 
 
 def report(count=2):
@@ -86,12 +87,12 @@ class Graph:
 
 
 def test_a_restarted_plant_is_no_second_publisher_and_interleaved_messages_of_its_name_are():
-    graph: Any = Graph(PLANT, Endpoint("04", "/telescope/plant"))
+    graph: Any = Graph(OWN, Endpoint("04", "/telescope/plant"))
     watch = SourceWatch(graph, [graph])
     assert watch.look(0) == []
     for gid in (b"\1", b"\4", b"\1"):
         graph.guard.sort(gid, 0, b"")
-        graph.guard.decide([PLANT], 0)
+        graph.guard.decide([OWN], 0)
     assert watch.look(0) == [(TOPIC, "of the same name")]
 
 
@@ -107,7 +108,7 @@ sys.exit(recorder.main())
 @pytest.mark.parametrize("mode", ["realtime", pytest.param("lockstep", marks=pytest.mark.slow)])
 def test_the_bag_has_the_last_statistics_of_nodes_whose_reports_were_lost(tmp_path, mode):
     """As where the processor is taken away for seconds."""
-    commands = {"plant": PLANT_COMMAND, "recorder": [sys.executable, "-c", LOSES_REPORTS]}
+    commands = {"plant": PLANT, "recorder": [sys.executable, "-c", LOSES_REPORTS]}
     results = Runner(config_for(tmp_path, duration=0.5, mode=mode), commands=commands).run()
     kept = Run.open(results.bag).parameters["statistics"]
     for name in NODES[:-1]:
@@ -115,3 +116,23 @@ def test_the_bag_has_the_last_statistics_of_nodes_whose_reports_were_lost(tmp_pa
         assert counts and counts.items() <= kept[name].items()
     assert kept["plant"]["ticks"] == "500"
     assert kept["plant"]["missed_ticks"] == results.statistics["plant"]["missed_ticks"]
+
+
+@pytest.mark.further
+def test_a_run_tells_that_a_node_hung(tmp_path):
+    stopped: list[Any] = []
+
+    def progress(ticks):
+        if ticks > 1500 and not stopped:
+            stopped.append(runner.processes["estimator"])
+            os.kill(stopped[0], signal.SIGSTOP)
+            time.sleep(5.0)
+            os.kill(stopped[0], signal.SIGCONT)
+
+    runner = Runner(config_for(tmp_path, duration=9.0), progress, {"plant": PLANT})
+    results = runner.run()
+    (line,) = [text for text in results.warnings if text.startswith("estimator: ")]
+    assert "reports missed their deadline of 3 s" in line
+    assert int(results.statistics["recorder"]["late_reports_estimator"]) >= 1
+    assert int(results.statistics["recorder"]["liveliness_lost_estimator"]) >= 1
+    assert "late_reports_estimator" in Run.open(results.bag).parameters["statistics"]["recorder"]

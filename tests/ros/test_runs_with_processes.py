@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 import simple_telescope
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
@@ -30,8 +28,6 @@ from ros_runs import (
 from simple_telescope import SimpleTelescope
 
 from pointing_analysis.read.run import Run
-
-pytestmark = pytest.mark.ros
 
 FOLLOWERS = {"los_estimate": "estimator", "fsm/command": "controller", "pma/command": "controller"}
 """Topics of the nodes that follow the plant."""

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from bystander import Bystander
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import codec_for
@@ -23,7 +21,6 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import unsent
 from titop_plant.interface import TICK_NS
 
-pytestmark = pytest.mark.ros
 HOUR_NS = 3600 * 1_000_000_000
 AHEAD, COMMANDS, MALFORMED, FALSE_REPORTS = 10, 50, 5, 3
 OWN = "/telescope/plant/diagnostics"

@@ -1,14 +1,14 @@
-"""Who sent a message or a request, as the middleware tells it: against the graph, and against forged events."""
+"""Requests and messages as the middleware tells them: whether one waits, who sent it, and forged events."""
+
+from __future__ import annotations
 
 import time
 
 import pytest
-
-pytest.importorskip("rclpy")
-pytest.importorskip("std_srvs")
 from bystander import middleware
 from geometry_msgs.msg import Vector3Stamped
 from los_testbed.nodes.support.requesters import UNKNOWN, WAIT_S, Requesters
+from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
 from rclpy.context import Context
@@ -18,8 +18,6 @@ from ros_runs import private_domain, until
 from std_srvs.srv import Trigger
 
 from pointing_analysis.read.messages.message_types import VECTOR3
-
-pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
@@ -113,3 +111,28 @@ def test_events_that_others_publish_name_nobody(served, nodes):
     time.sleep(max(0.3, WAIT_S))
     assert requesters.who() == UNKNOWN
     requesters.end()
+
+
+def test_a_request_waits_until_the_executor_has_answered_it(nodes):
+    server, user = nodes
+    requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
+    executor.add_node(server)
+    assert not requests.waiting()
+
+    def answer(request, response):
+        response.success = True
+        return response
+
+    server.create_service(Trigger, "~/go", answer)  # seen although it was made after the first question
+    assert not requests.waiting()
+    client = user.create_client(Trigger, "/telescope/server/go")
+    assert client.wait_for_service(60.0)
+    future = client.call_async(Trigger.Request())
+    until(requests.waiting)
+    assert requests.waiting(), "asking does not take it"
+    executor.spin_once(timeout_sec=0.0)
+    assert not requests.waiting()
+    other = SingleThreadedExecutor(context=user.context)
+    other.add_node(user)
+    other.spin_until_future_complete(future, 60.0)
+    assert future.result().success

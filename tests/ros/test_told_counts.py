@@ -1,8 +1,6 @@
 """What the runner says at the end of messages that were not of the run."""
 
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.runner import Runner
 

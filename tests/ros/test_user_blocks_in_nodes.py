@@ -6,8 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for, lockstep_and_alone
@@ -15,8 +13,6 @@ from user_code import STORED_LAW
 
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
-
-pytestmark = pytest.mark.ros
 
 MODULE = """
 import threading

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import time
 from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.diagnostics import read_diagnostics
-from los_testbed.config.topics import TopicDefinition
+from los_testbed.config.topics import FSM_COMMAND, TRUTH_LOS, TopicDefinition
 from los_testbed.nodes.support.transport.middleware import (
     PROFILE_VARIABLES,
     TRANSPORT_VARIABLE,
@@ -18,6 +19,7 @@ from los_testbed.nodes.support.transport.middleware import (
 )
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.processes.node_launch import RANGE_VARIABLE
+from los_testbed.run.runner import Runner
 from rclpy.context import Context
 from rclpy.node import Node
 
@@ -38,6 +40,20 @@ def middleware(ours=True):
             os.environ.pop(variable, None)
             if variable in before:
                 os.environ[variable] = before[variable]
+
+
+def kill_a_node(runner: Runner, name: str) -> tuple[int, int]:
+    """Kill a node of a run; stamps from before and from after that, when commands have come again."""
+    seen = Bystander(runner.domain, hears=[TRUTH_LOS, FSM_COMMAND])
+    try:
+        before = seen.next(TRUTH_LOS)
+        os.kill(runner.processes[name], signal.SIGKILL)
+        time.sleep(0.5)  # what the bystander has still to read is from before
+        after = seen.next(TRUTH_LOS)
+        seen.next(FSM_COMMAND, after)
+    finally:
+        seen.close()
+    return before, after
 
 
 class Bystander:

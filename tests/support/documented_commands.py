@@ -44,6 +44,11 @@ class Printed:
         return f"{self.page}:{self.line}"
 
 
+def blocks(text: str, language: str) -> list[str]:
+    """Contents of the fenced blocks of a language in a text."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+
+
 def printed(page: Path) -> list[Printed]:
     """Commands in the blocks of a page, fenced or indented, with their continued lines."""
     found: list[Printed] = []

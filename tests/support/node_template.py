@@ -25,7 +25,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -173,24 +173,24 @@ def serve(channel: socket.socket) -> int:
         importlib.import_module(name)
     first_moments()
     assert threading.active_count() == 1, "a fork copies one thread only"
-    tracing = TracingLibrary()
+    tell = tracing_library()
     while True:
         data, descriptors, _, _ = socket.recv_fds(channel, 1 << 20, 100)
         if not data:
             return 0
         reading, writing = os.pipe()
-        tracing.before_fork()
+        tell("before_fork")
         between = os.fork()
         if not between:
             copy = os.fork()
             if copy:
                 os.write(writing, str(copy).encode())
                 os._exit(0)
-            tracing.in_copy()
+            tell("after_fork_child")
             for descriptor in (reading, writing, channel.detach()):
                 os.close(descriptor)
             return become(json.loads(data), descriptors)
-        tracing.in_parent()
+        tell("after_fork_parent")
         os.waitpid(between, 0)
         for descriptor in (writing, *descriptors):
             os.close(descriptor)
@@ -220,33 +220,21 @@ def first_moments() -> None:
     gc.freeze()
 
 
-class TracingLibrary:
-    """The tracing library that rclpy loads, which has threads: it must be told of a fork.
+def tracing_library() -> Callable[[str], None]:
+    """A function that tells the tracing library of rclpy of a moment of a fork, since it has threads.
 
+    Before a fork it takes its locks, and signals wait until it has given them back or, in the copy, has begun anew.
     Where rclpy has none, nobody is told.
     """
-
-    def __init__(self) -> None:
-        self._signals = ctypes.create_string_buffer(1024)  # a `sigset_t`: signals wait while it holds its locks
-        self._call = lambda moment: None
-        mapped = [line for line in Path("/proc/self/maps").read_text().splitlines() if "/" in line]
-        for path in {line.split(maxsplit=5)[-1] for line in mapped}:
-            library = ctypes.CDLL(path) if Path(path).name.startswith("liblttng-ust") else None
-            begin = next((b for b in ("lttng_ust_", "ust_") if hasattr(library, f"{b}before_fork")), "")
-            if begin:
-                self._call = lambda moment, of=library, begin=begin: getattr(of, begin + moment)(self._signals)
-
-    def before_fork(self) -> None:
-        """Take its locks."""
-        self._call("before_fork")
-
-    def in_parent(self) -> None:
-        """Give its locks back."""
-        self._call("after_fork_parent")
-
-    def in_copy(self) -> None:
-        """Begin anew."""
-        self._call("after_fork_child")
+    signals = ctypes.create_string_buffer(1024)  # a `sigset_t`
+    mapped = [line for line in Path("/proc/self/maps").read_text().splitlines() if "/" in line]
+    calls = []
+    for path in {line.split(maxsplit=5)[-1] for line in mapped}:
+        library = ctypes.CDLL(path) if Path(path).name.startswith("liblttng-ust") else None
+        begin = next((b for b in ("lttng_ust_", "ust_") if hasattr(library, f"{b}before_fork")), "")
+        if begin:
+            calls.append(lambda moment, of=library, begin=begin: getattr(of, begin + moment)(signals))
+    return calls[-1] if calls else lambda moment: None
 
 
 def become(request: Mapping[str, Any], descriptors: Sequence[int]) -> int:

@@ -45,11 +45,11 @@ class OutgoingPackets:
                 self.counts["udp" if protocol == IPV4 and data[23] == UDP else f"{protocol:04x}"] += 1
 
 
-def local_addresses() -> set[str]:
-    """Addresses that sockets of this network namespace are bound to, as the kernel writes them (hexadecimal)."""
+def local_addresses(process: str = "self") -> set[str]:
+    """Addresses that sockets of a process's network namespace are bound to, as the kernel writes them (hexadecimal)."""
     found = set()
     for protocol in ("udp", "tcp", "udp6", "tcp6"):
-        path = Path("/proc/net") / protocol
+        path = Path("/proc", process, "net", protocol)
         lines = path.read_text().splitlines()[1:] if path.exists() else []
         found |= {line.split()[1].rpartition(":")[0] for line in lines}
     return found

@@ -11,8 +11,10 @@ from pointing_analysis.files.structured_text import load_toml
 
 ROOT = Path(__file__).parents[2]
 ROS_PACKAGE = "ros_ws/src/los_testbed"
-_PROJECT = ROOT / "pyproject.toml"
-NAMES: tuple[str, ...] = tuple(load_toml(_PROJECT.read_text("utf-8"), _PROJECT)["tool"]["mypy"]["packages"])
+PROJECTS = "pyproject.toml", "lftkit/pyproject.toml"
+PROJECT, LIBRARY = (load_toml(path.read_text("utf-8"), path) for path in map(ROOT.joinpath, PROJECTS))
+"""Of both distributions."""
+NAMES: tuple[str, ...] = tuple(PROJECT["tool"]["mypy"]["packages"])
 LIBRARIES = tuple(name for name in NAMES if (ROOT / name).is_dir())
 """Those that lie at the top of the repository."""
 FOLDERS = tuple(name if name in LIBRARIES else f"{ROS_PACKAGE}/{name}" for name in NAMES)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.domains import domain_lock
+from los_testbed.run.processes.node_launch import environment, node_command, parameter_file, ros_arguments
 from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
@@ -58,6 +60,31 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         **write_controllers(folder),
     }
     return RunConfig.from_mapping({**base, **values})
+
+
+@contextlib.contextmanager
+def live_nodes(
+    config: RunConfig, folder: Path, *names: str, variables: Mapping[str, str] | None = None
+) -> Iterator[None]:
+    """Nodes that are started beside what is under test, with the environment of a run or another one, and ended."""
+    parameters = folder / "nodes.yaml"
+    parameter_file(config, parameters)
+    started = [
+        subprocess.Popen(
+            [*node_command(name), *ros_arguments(config.namespace, parameters, name)],
+            env=variables or environment(config.domain, folder),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for name in names
+    ]
+    try:
+        yield
+    finally:
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.wait(30)
 
 
 def until(condition: Callable[[], Any], what: str = "nothing came", seconds: float = 200.0) -> Any:

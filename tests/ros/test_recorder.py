@@ -1,4 +1,6 @@
-"""What the recorder takes for another run, for a start, and for a report of a node of its own."""
+"""What the recorder counts as lost, and takes for another run, for a start and for a report of a node."""
+
+from __future__ import annotations
 
 from collections import deque
 from types import SimpleNamespace
@@ -6,20 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status, write_diagnostics
-from los_testbed.config.topics import TOPICS, TopicDefinition
+from los_testbed.config.topics import FSM_COMMAND, TOPICS, TopicDefinition
 from los_testbed.nodes.recorder import Recorder
-from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
+from los_testbed.nodes.support.track import MAX_DISORDER, UNKNOWN_NS, ReportTrack, Track
 from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.run.loop.source_guard import OURS, Endpoint, SourceGuard
 
 from titop_plant.interface import TICK_NS
 
-pytestmark = pytest.mark.ros
-HOLD = 0
+START, HOLD = 1000, 0
 
 
 class Queue:
@@ -37,6 +36,36 @@ class Queue:
 
     def sort(self, taken, now):
         return OURS
+
+
+def lost(ticks, last):
+    source = Queue(FSM_COMMAND)
+    for tick in ticks:
+        source.send(tick * TICK_NS)
+    track = Track("fsm/command", source, TICK_NS, codec_for(FSM_COMMAND))
+    track.drain()
+    return track.lost(START * TICK_NS, last * TICK_NS)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "last", "expected"),
+    [
+        (range(START, START + 100), START + 99, 0),
+        ([START, START + 1, START + 3], START + 3, 1),
+        ([START, START + 2, START + 1, START + 3], START + 3, 0),
+        ([START, START + 3, START + 1, START + 1, START + 3], START + 3, 1),
+        ([START, START + 1], START + 4, 3),
+        ([START, START + 5, START + 10, START + 4, START + 9, START + 4], START + 10, 6),
+    ],
+    ids=["whole", "a gap", "swapped", "late and twice", "the end", "two gaps"],
+)
+def test_late_samples_are_not_lost(ticks, last, expected):
+    assert lost(ticks, last) == expected
+
+
+def test_a_sample_that_is_later_than_the_limit_stays_lost():
+    far = START + 2 * MAX_DISORDER
+    assert lost([START, far, START + 1, far - 1], far) == far - START + 1 - 3
 
 
 def recorder():

@@ -1,4 +1,5 @@
-"""Worked example of ECSS-E-ST-60-10C, annex C: budget of a star-tracker pointed spacecraft (mixed, 95 %), arcsec."""
+"""Numbers of ECSS: the worked example of ECSS-E-ST-60-10C, annex C, budget of a star-tracker pointed spacecraft (mixed,
+95 %) in arcsec; sample sizes of ESSB-HB-E-003, which are those of Clopper & Pearson (1934)."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import numpy as np
 import pytest
 
 from pointing_analysis.budget.lines import combine, contribution, periodic, uniform
+from pointing_analysis.indices import confidence
 
 # About x, y, z. The example prints 10/5/5, 6.67/3.33/3.33, 3.16, 1.63, 2.89, 3.54/0.71/3.54, 2.12/3.54/2.12.
 CONTRIBUTIONS = [
@@ -45,3 +47,20 @@ def test_relative_performance_error_keeps_what_varies_within_the_exposure() -> N
     total = combine(CONTRIBUTIONS, "RPE", factor=2.0)
     assert np.round(total.rss, 2).tolist() == [10.70, 6.89, 6.28]
     assert np.round(total.level, 2).tolist() == [21.40, 13.78, 12.57]
+
+
+@pytest.mark.parametrize(
+    ("probability", "exceedances", "samples"),
+    [
+        (0.997, 0, 998),
+        (0.997, 1, 1580),
+        (0.997, 2, 2097),
+        (0.997, 5, 3502),
+        (0.95, 0, 59),
+        (0.95, 1, 93),
+        (0.95, 2, 124),
+        (0.95, 5, 208),
+    ],
+)
+def test_samples_needed_at_95_percent_confidence(probability: float, exceedances: int, samples: int) -> None:
+    assert confidence.samples_needed(probability, 0.95, exceedances) == samples
