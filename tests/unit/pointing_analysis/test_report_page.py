@@ -18,6 +18,7 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import report
 from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.figures import commands
 from pointing_analysis.report.line_sources import likely_source
 from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.pointing_budget_page import render_budget
@@ -406,3 +407,12 @@ def test_a_picture_can_be_enlarged(chromium, page: Path) -> None:
     before = chromium.value(size)
     chromium.value("document.querySelector('#psd .enlarge input').click()")
     assert chromium.value(size) > 1.5 * before
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6])
+def test_commands_have_a_picture_where_one_of_them_is_not_zero(tmp_path: Path, size: float) -> None:
+    """A stage without fine control records zeros."""
+    signals = {"truth/los": MAS * np.ones((4000, 2)), "fsm/command": np.zeros((4000, 2))}
+    signals["fsm/command"][7, 1] = size
+    seen = view(Run.open(write_bag(tmp_path / "bag", signals)), "bag")
+    assert (commands([seen], {"fsm/command": 1e-3}) is None) == (size == 0.0)
