@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.conditions import ACTING, LINES, WHEEL_SPEEDS
 from pointing_analysis.spectra.spectra import SpectralLine
 
+NAMED = 2
+"""Sources of one line that are named, in the space of a label."""
 ORDERS = 6
 """Multiples of the speed of a wheel at which its bearings and its imbalance make lines."""
 
@@ -51,14 +54,15 @@ def _acting(run: Recording) -> list[dict[str, object]]:
 
 
 def _sources(run: Recording, omega: float, near: float) -> str:
-    """Names of the sources with a tone at a frequency [rad/s]."""
+    """Names of the sources with a tone at a frequency [rad/s], of more than `NAMED` the first ones and their number."""
     found: list[str] = []
     for entry in _acting(run):
         lines = entry.get(LINES)
         known = [float(x) for x in lines if is_number(x)] if isinstance(lines, list) else []
         if any(abs(line - omega) <= near for line in known):
             found.append(str(entry.get("name")))
-    return ", ".join(found)
+    others = len(found) - NAMED
+    return ", ".join(found[:NAMED]) + (f" and {counted(others, 'other')}" if others > 0 else "")
 
 
 def _scenario(run: Recording) -> str:

@@ -195,11 +195,15 @@ def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
 
 def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
     """A tone of a source, a wheel, a multiple of its speed, else the scenario that acts; else there is no name."""
-    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}, {"name": "cooler", "lines_rad_s": [210.0, 260.0]}]
-    given = {"wheel_speeds_rad_s": [70.0, -88.0], "acting": acting, "tones_rad_s": [88.0, 210.0, 301.0]}
+    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}]
+    acting += [{"name": name, "lines_rad_s": lines} for name, lines in (("cooler", [210.0, 260.0]), ("pump", [260.0]))]
+    acting += [{"name": "fan", "lines_rad_s": [260.0]}, {"name": "odd", "lines_rad_s": "260"}]
+    tones = [88.0, 140.0, 210.0, 260.0, 301.0]
+    given = {"wheel_speeds_rad_s": [70.0, -88.0], "acting": acting, "tones_rad_s": tones}
     seen = view(Run.open(make(tmp_path / "bag", "fsm", 5.0, **given)), "fsm")
     names = {round(line.omega): likely_source(seen, line) for line in (*seen.tones, *seen.within_noise)}
-    assert names == {70: "wheel 1", 88: "wheel 2", 210: "cooler", 301: "imbalance"}
+    several = {210: "cooler", 260: "cooler, pump and 1 other", 301: "imbalance"}
+    assert names == {70: "wheel 1", 88: "wheel 2", 140: "2 × wheel 1", **several}
     nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
     found = replace(seen.tones[0], omega=333.0, found=nobody)
     assert likely_source(seen, found) == ""
