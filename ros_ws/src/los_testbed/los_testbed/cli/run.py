@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -287,19 +287,25 @@ def configure(
         settings_given.pop("mode", None)
     else:
         free_mode = False
-    of_file = {name for name, value in first.items() if file is not None and settings_given.get(name) is value}
-    try:
+    with _naming(file, {name for name, value in first.items() if settings_given.get(name) is value}):
         chosen = completed(settings_given, designs or "")
-    except InputError as error:
-        stated_there = str(error).startswith(tuple(f"{name} must" for name in of_file))
-        if file is None or not (stated_there or any(f"unknown parameter {name!r}" in str(error) for name in of_file)):
-            raise
-        raise InputError.of_file(file, error) from None
     if free_mode:
         chosen = first_choice(chosen)
     if chosen.output is None:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
+
+
+@contextlib.contextmanager
+def _naming(file: Path | None, names: set[str]) -> Iterator[None]:
+    """Refusals of the settings with these names begin with the file that gives them."""
+    try:
+        yield
+    except InputError as error:
+        starts = tuple(start for name in names for start in (f"{name} must", f"unknown parameter {name!r}"))
+        if file is None or not str(error).startswith(starts):
+            raise
+        raise InputError.of_file(file, error) from None
 
 
 DISTURBANCE_ON = "on"
