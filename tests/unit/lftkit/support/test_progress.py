@@ -27,6 +27,7 @@ def test_the_standard_output_stays_free_and_lines_stay_only_when_shown(capsys, s
 
 def test_a_terminal_shows_part_count_and_best_value(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")  # a dumb one shows no bar
     monkeypatch.setenv("COLUMNS", "120")
     with Progress("tuning") as bar:
         bar.report(1, 3, what="start 2", best=0.125)
