@@ -195,7 +195,7 @@ def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
 
 def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
     """A tone of a source, a wheel, a multiple of its speed, else the scenario that acts; else there is no name."""
-    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}]
+    acting: list[dict[str, object]] = [{"name": "imbalance", "kind": "scenario", "what": ""}]
     acting += [{"name": name, "lines_rad_s": lines} for name, lines in (("cooler", [210.0, 260.0]), ("pump", [260.0]))]
     acting += [{"name": "fan", "lines_rad_s": [260.0]}, {"name": "odd", "lines_rad_s": "260"}]
     tones = [88.0, 140.0, 210.0, 260.0, 301.0]
