@@ -6,14 +6,16 @@ axis is :math:`|\sum\mu| + n_P \sqrt{\sum\sigma^2}` with the :math:`n_P` of a Ga
 axes is that of two independent Gaussian ones.
 
 The interpretation of the requirement decides what is drawn. ``temporal``: sources that vary over the ensemble have
-their largest value (where a distribution has no bound, :math:`n_P` standard deviations) in the worst direction.
-``ensemble``: those that vary in time do. ``mixed``: all are drawn.
+their largest value (where a distribution has no bound, :math:`n_P` standard deviations) with one sign for all of the
+time; the largest quantile over the signs of the axes counts. ``ensemble``: those that vary in time have their largest
+value, which at some instant adds to whatever the others are. ``mixed``: all are drawn.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy import integrate, optimize, special
@@ -158,12 +160,14 @@ def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudge
     offset = sum((means[s.path] for s in budget.sources), np.zeros(len(budget.axes)))
     largest = sum((_largest(s, window, factor) for s in fixed), np.zeros(len(budget.axes)))
 
-    def radius(sources: list[ErrorSource], mean: FloatArray, worst: FloatArray) -> FloatArray:
-        error = _draw(sources, budget, window, len(budget.axes)) + mean
-        return np.asarray(np.sqrt(np.square((np.abs(error) + worst)[:, axes]).sum(axis=1)))
-
-    values = radius(drawn, offset, largest)
-    found = confidence.quantile(values, p, 0.975, effective=values.size)
+    error = (_draw(drawn, budget, window, len(budget.axes)) + offset)[:, axes]
+    if requirement.interpretation == "temporal":
+        corners = product(*((one, -one) if one else (0.0,) for one in largest[axes].tolist()))
+        sizes = [np.sqrt(np.square(error + corner).sum(axis=1)) for corner in corners]
+    else:
+        sizes = [np.sqrt(np.square(np.abs(error) + largest[axes]).sum(axis=1))]
+    quantiles = (confidence.quantile(size, p, 0.975, effective=size.size) for size in sizes)
+    found = max(quantiles, key=lambda quantile: quantile.value)
     sigma = np.sqrt(sum((s.sigma(window) ** 2 for s in drawn), np.zeros(len(budget.axes))))
     reach = (np.abs(offset) + largest)[axes]
     rss = float(reach[0] + factor * sigma[axes[0]]) if len(axes) == 1 else norm_quantile(reach, sigma, p)

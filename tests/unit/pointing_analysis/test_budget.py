@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import optimize, special
 from support.command_line import refused
 
 import pointing_analysis
@@ -78,9 +79,28 @@ def test_interpretations_and_transfers(tmp_path: Path) -> None:
         kind: budget(tmp_path, text, kept + tail).level
         for kind, tail in (("temporal", ""), ("ensemble", ", ensemble"), ("mixed", ", mixed"))
     }
-    assert levels["temporal"] == pytest.approx(1.0 + amplitude * math.sin(0.9 * math.pi / 2), rel=5e-3)
+    # of |1 + a sin| with the bias at its limit for all of the time: nine tenths are below where sin is 0.4 pi
+    assert levels["temporal"] == pytest.approx(1.0 + amplitude * math.sin(0.4 * math.pi), rel=5e-3)
     assert levels["ensemble"] == pytest.approx(amplitude + 0.9, rel=5e-3)
     assert levels["mixed"] < min(levels["temporal"], levels["ensemble"])
+
+
+def test_a_constant_error_has_one_sign_for_all_of_the_time(tmp_path: Path) -> None:
+    """Quantile of |10 + N(0, 3) + 6 sin| by quadrature over the phase: 22.353."""
+    text = (
+        '[sources.bias]\ntype = "constant"\nhalf_range = [10, 0]\n[sources.noise]\ntype = "random"\n'
+        'sigma = [3, 0]\n[sources.sine]\ntype = "periodic"\nfrequency = 0.001\namplitude = [6, 0]\n'
+    )
+    phase = np.pi * (np.arange(2000) + 0.5) / 1000.0
+
+    def inside(q: float) -> float:
+        mean = 10.0 + 6.0 * np.sin(phase)
+        return float(np.mean(special.ndtr((q - mean) / 3.0) - special.ndtr((-q - mean) / 3.0)))
+
+    expected = optimize.brentq(lambda q: inside(q) - 0.997, 10.0, 30.0)
+    found = budget(tmp_path, text, "prob(|APE_x| < 30 mas) >= 0.997 at 95 % confidence")
+    assert expected == pytest.approx(22.353, abs=1e-3)
+    assert abs(found.level - expected) <= 2.0 * found.uncertainty < 1.0
 
 
 @pytest.mark.parametrize("transfer", ["-1.0", "{numerator = [-62.8], denominator = [1, 62.8]}"])
