@@ -7,6 +7,9 @@ move it. A recording of attitudes has no target: **the mean is the target, a con
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import combinations
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -40,6 +43,31 @@ def unit_quaternions(quaternions: FloatArray) -> BoolArray:
     [True, False]
     """
     return np.asarray(np.abs(np.sqrt(np.sum(np.square(quaternions), axis=1)) - 1.0) <= NORM)
+
+
+def quaternion_of(columns: Mapping[str, FloatArray], pair: tuple[str, str]) -> tuple[str, ...]:
+    """Four columns of one length that are a unit quaternion with a pair of them in it; empty where there are none.
+
+    They have names that differ in the last character (``q1`` to ``q4``, ``qx`` to ``qw``), or each of them varies.
+
+    Examples
+    --------
+    >>> half = 0.5 * np.linspace(-0.1, 0.3, 100)
+    >>> turn = {"q1": np.sin(half), "q2": 0.0 * half, "q3": 0.0 * half, "q4": np.cos(half), "t": np.arange(100.0)}
+    >>> quaternion_of(turn, ("q1", "q2"))
+    ('q1', 'q2', 'q3', 'q4')
+    >>> quaternion_of({"x": 1e-6 * half, "y": 1e-6 * half, "valid": np.ones(100), "mode": np.zeros(100)}, ("x", "y"))
+    ()
+    """
+    others = [name for name in columns if name not in pair and np.isfinite(columns[name]).any()]
+    rest = 1.0 - sum(np.square(columns[name]) for name in pair)
+    for two in combinations(others, 2):
+        four = tuple(name for name in columns if name in (*pair, *two))
+        norm = np.abs(rest - np.square(columns[two[0]]) - np.square(columns[two[1]]))
+        alike = len({name[:-1] for name in four}) == 1
+        if np.nanmax(norm, initial=0.0) <= 2.0 * NORM and (alike or all(np.nanstd(columns[c]) > NORM for c in four)):
+            return four
+    return ()
 
 
 def line_of_sight(quaternions: FloatArray, axis: str) -> FloatArray:

@@ -17,6 +17,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.read.attitude import quaternion_of
 from pointing_analysis.read.series import LOS, Provenance, Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.dates import DATES
@@ -105,6 +106,13 @@ def read_los_table(
 def _series_of(table: Table, los: str | None, unit: str | None, rate: float | None, time: str | None) -> Series:
     (x, y, when), unit_of_time = _chosen(table, los, time)
     columns = table.of_length(len(table.columns[x]))
+    few = slice(None, None, max(len(columns[x]) // 1000, 1))
+    numbers = {name: column[few].astype(float) for name, column in columns.items() if column.dtype.kind in "fiu"}
+    if four := quaternion_of(numbers, (x, y)):
+        raise InputError(
+            f"{table.path}: los must be two angles, got {x} and {y} of the unit quaternion {', '.join(four)}: its "
+            "angles are twice its vector part, relative to the mean attitude"
+        )
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
     stated_rate, problems = table.rate((x, y)), list(table.left_out)

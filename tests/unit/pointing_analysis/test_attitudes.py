@@ -146,3 +146,20 @@ def test_messages_without_an_attitude_are_excluded_and_counted(tmp_path: Path) -
     run = open_los(bag, los="/imu.orientation.y", rate=RATE)
     assert len(run["truth/los"]) == 96
     assert any("4 messages excluded: a quaternion must have norm 1" in problem for problem in run.problems)
+
+
+@pytest.mark.parametrize("names", [("q1", "q2", "q3", "q4"), ("att_a", "att_b", "att_c", "att_d")])
+def test_parts_of_a_quaternion_in_a_table_are_no_angles(tmp_path: Path, names: tuple[str, ...]) -> None:
+    """Whatever its columns are called, and though its sign flips: twice its vector part is the rotation."""
+    rng = np.random.default_rng(1)
+    q = np.array([0.41, -0.57, 0.67, -0.22]) + 0.05 * rng.standard_normal((200, 4))
+    q *= np.where(rng.random(200) < 0.3, -1.0, 1.0)[:, None] / np.sqrt(np.square(q).sum(axis=1))[:, None]
+    file = tmp_path / "star_tracker.csv"
+    table = np.column_stack([0.1 * np.arange(200), q])
+    np.savetxt(file, table, delimiter=",", header=",".join(("time_s", *names)), comments="", fmt="%.12f")
+    with pytest.raises(ValueError, match=f"los must be two angles, got {names[0]} and {names[1]} of the unit quat"):
+        open_los(file, los=f"{names[0]},{names[1]}", unit="rad", time="time_s")
+    flags = np.column_stack([table[:, 0], 1e-6 * q[:, :2], np.ones(200), np.zeros(200)])
+    header = "time_s,x_rad,y_rad,valid,mode"
+    np.savetxt(file, flags, delimiter=",", header=header, comments="", fmt="%.12g")
+    assert len(open_los(file, los="x,y")["truth/los"]) == 200
