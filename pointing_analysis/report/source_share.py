@@ -23,6 +23,8 @@ class SourceShare:
         Its relative error, rms of both axes in its windows [mas].
     share : float
         Its part of the sum of squares of the relative errors of all sources, between 0 and 1.
+    settled : bool
+        Whether the errors do not grow or fall beyond the time that was simulated.
     """
 
     name: str
@@ -31,10 +33,12 @@ class SourceShare:
     ape: float
     rpe: float
     share: float
+    settled: bool = True
 
 
 def source_table(shares: Sequence[SourceShare], name: str = "sources") -> TextTable:
     """Sources of disturbance and their errors, each alone in the loop."""
-    cells = [(s.name, s.kind, s.place, digits(s.ape), digits(s.rpe), percent(s.share)) for s in shares]
+    names = [s.name if s.settled else f"{s.name}, not settled" for s in shares]
+    cells = [(name, s.kind, s.place, digits(s.ape), digits(s.rpe), percent(s.share)) for name, s in zip(names, shares)]
     heads = (*texts("source", "kind", "place"), *numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"))
     return TextTable.of(heads, cells, "Sources, each alone in the loop; shares add up", name=name)

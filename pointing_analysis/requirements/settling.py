@@ -23,7 +23,7 @@ from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, perfo
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.conditions import MEASURED, START_UP
-from pointing_analysis.requirements.requirement import Requirement
+from pointing_analysis.requirements.requirement import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged
 from pointing_analysis.spectra.tone_budget import named_tones
 
@@ -101,7 +101,7 @@ def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[floa
     if requirement.of_image:
         squares = metrics.windows(series.values, series.dt, requirement.times[0]).variance.sum(axis=1)
     else:
-        squares = np.square(index_samples(series, requirement)[0])
+        squares = np.square(index_samples(series, requirement).values)
     squares = squares[np.isfinite(squares)]
     if len(squares) < 2 * BLOCKS or not squares.any():
         return 0.0
@@ -109,6 +109,14 @@ def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[floa
     if _tone_changes(series, requirement, np.asarray(tones, dtype=float), level):
         return math.inf
     return decay(squares, series.duration)
+
+
+def is_settled(series: ErrorSeries, window: float, tones: Sequence[float] | FloatArray = ()) -> bool:
+    """Whether absolute error and relative error in a window [s] are settled in the second half of a series."""
+    asked = ("|APE|", f"rms RPE({time_text(window)})") if metrics.holds(window, series.dt) else ("|APE|",)
+    half = 0.5 * series.duration
+    requirements = [parse(f"prob({index} < 1 arcsec) >= 0.997 at 95 % confidence") for index in asked]
+    return all(start_up(series, requirement, tones) <= half for requirement in requirements)
 
 
 def decay(squares: FloatArray, seconds: float) -> float:
@@ -188,4 +196,4 @@ def _amplitudes(e: FloatArray, dt: float, n: int, omega: float) -> FloatArray:
     return np.asarray(2.0 * np.einsum("skc,sk->sc", parts, turn * window / window.sum()))
 
 
-__all__ = ["Settled", "decay", "judge_settled", "start_up"]
+__all__ = ["Settled", "decay", "is_settled", "judge_settled", "start_up"]

@@ -21,14 +21,16 @@ from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.loop.source_alone import parts_of
 from los_testbed.run.replay import models_of_controllers
 from pointing_analysis.files.structured_text import load_yaml
-from pointing_analysis.indices.errors import default_transient, performance_error
+from pointing_analysis.indices.errors import ErrorSeries, default_transient, performance_error
 from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.indices.window_rows import ROUNDING, windows_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.conditions import ACTING
+from pointing_analysis.requirements.settling import is_settled
 from pointing_analysis.requirements.summary import Performance, exposure_of_run
+from pointing_analysis.spectra.tone_budget import named_tones
 from titop_plant.interface import DT
 
 LONGEST = 20.0
@@ -75,12 +77,14 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     power = _covariance(whole, whole, window)
     shares = [_covariance(los, whole, window) / power if power else 0.0 for *_, los in rows]
     rows.append((TOGETHER, "", f"{ticks * DT:g} s", whole))
-    return tuple(_row(*row, window, share) for row, share in zip(rows, [*shares, sum(shares)]))
+    tones = named_tones(run)
 
+    def row(name: str, kind: str, place: str, los: FloatArray, share: float) -> SourceShare:
+        error = Performance.of(los, DT, window)
+        settled = is_settled(ErrorSeries(los, DT, first * DT, 0), window, tones)
+        return SourceShare(name, kind, place, error.ape_p997, error.rpe_rms, share, settled)
 
-def _row(name: str, kind: str, place: str, los: FloatArray, window: float, share: float) -> SourceShare:
-    error = Performance.of(los, DT, window)
-    return SourceShare(name, kind, place, error.ape_p997, error.rpe_rms, share)
+    return tuple(row(*one, share) for one, share in zip(rows, [*shares, sum(shares)]))
 
 
 def _record(run: Run, ticks: int, first: int, count: int) -> FloatArray | None:
