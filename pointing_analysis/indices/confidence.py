@@ -81,13 +81,20 @@ def samples_to_refute(probability: float, confidence: float, rate: float) -> flo
     return math.inf
 
 
-def samples_to_decide(probability: float, confidence: float, rate: float) -> float:
-    """Independent samples after which the requirement would be decided if the exceedance rate stays as it is."""
+def samples_to_decide(probability: float, confidence: float, rate: float, unseen: float = 0.0) -> float:
+    """Independent samples after which the requirement would be decided if the exceedance rate stays as it is.
+
+    Parameters
+    ----------
+    probability, confidence : of the requirement
+    rate : share of the samples above the limit
+    unseen : samples above it that are added, however many there are
+    """
     if rate > 1 - probability:
         return samples_to_refute(probability, confidence, rate)
     n = float(samples_needed(probability, confidence))
     while n < 1e12:
-        if exceedance_upper(math.ceil(rate * n), int(n), confidence) <= 1 - probability:
+        if exceedance_upper(math.ceil(rate * n + unseen), int(n), confidence) <= 1 - probability:
             return float(int(n))
         n *= 1.02
     return math.inf
@@ -161,6 +168,27 @@ def effective_number(values: ArrayLike) -> float:
 
 
 @dataclass(frozen=True)
+class EffectiveSamples:
+    """Independent samples that the exceedances of a limit weigh as much as.
+
+    Attributes
+    ----------
+    number : of the samples that are there
+    with_missing : of all samples, with the missing ones as exceedances
+    unseen : samples that clusters beyond those of the record may exceed in the same time
+    """
+
+    number: float
+    with_missing: float
+    unseen: float = 0.0
+
+    @classmethod
+    def of(cls, number: EffectiveSamples | float) -> EffectiveSamples:
+        """From a number of samples that are known to be independent."""
+        return number if isinstance(number, EffectiveSamples) else cls(number, number)
+
+
+@dataclass(frozen=True)
 class Quantile:
     """A quantile with one-sided bounds, each at the stated confidence.
 
@@ -202,7 +230,7 @@ def quantile(
     values: ArrayLike,
     probability: float,
     confidence: float = 0.95,
-    effective: float | None = None,
+    effective: EffectiveSamples | float | None = None,
     missing: float = 0.0,
 ) -> Quantile:
     """Quantile of samples with distribution-free confidence bounds from order statistics.
@@ -226,10 +254,13 @@ def quantile(
     x = SortedValues(np.asarray(values, dtype=float))
     if not x.size:
         return Quantile(p, c, math.nan, math.nan, math.inf, 0.0)
-    n_eff = effective_number(values) if effective is None else min(effective, x.size)
-    n = max(int(n_eff), 1)
-    up, low = _upper_rank(n, p, c), _lower_rank(n, p, c)
-    upper_rank = math.ceil(up * (x.size + missing) / n) - 1 if up <= n and math.isfinite(missing) else x.size
+    known = EffectiveSamples.of(effective_number(values) if effective is None else effective)
+    number = min(known.number, x.size)
+    n = max(int(number), 1)
+    low = _lower_rank(n, p, c)
     lower_rank = max(math.floor((low - 1) * x.size / n), 0) if low >= 1 else 0
+    n, upper_rank = max(int(min(known.with_missing, x.size + missing)), 1), x.size
+    if (up := _upper_rank(n, p, c)) <= n and math.isfinite(missing):
+        upper_rank = math.ceil(up * (x.size + missing) / n + known.unseen) - 1
     lower, upper = x.at([lower_rank, min(upper_rank, x.size - 1)]).tolist()
-    return Quantile(p, c, x.quantile(p), lower, upper if upper_rank < x.size else math.inf, float(n_eff))
+    return Quantile(p, c, x.quantile(p), lower, upper if upper_rank < x.size else math.inf, float(number))

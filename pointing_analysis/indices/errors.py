@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.formatting.number_text import percent
+from pointing_analysis.indices.live_rows import hold_of, samples_behind, saturated_rows, stuck_rows
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.topic import OFF_GRID, on_grid, read_only
-from pointing_analysis.read.unsent import unsent
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
@@ -40,8 +41,8 @@ class ErrorSeries:
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
     open_end : whether the recording is truncated and the number of missing samples at its end is unknown
-    never_sent : whether all that are missing were never sent (`pointing_analysis.read.unsent`), so that windows with
-        one are left out of a verdict and do not count against it
+    blind : what the sensor did not see, in words, with its share of the samples: these are missing
+    remarks : what else the values say of the record, one sentence each
     """
 
     values: FloatArray
@@ -49,7 +50,8 @@ class ErrorSeries:
     start: float
     missing: int
     open_end: bool = False
-    never_sent: bool = False
+    blind: tuple[tuple[str, float], ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def time(self) -> FloatArray:
@@ -89,18 +91,38 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
         raise ShortRunError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
-    rest = by_parts(np.array, values[first:, :2])
-    missing = sum(int(np.isnan(rest[part]).any(axis=1).sum()) for part in parts(len(rest)))
-    if missing == len(rest):
+    rows = by_parts(np.array, values[first:, :2])
+    if all(np.isnan(rows[part]).any(axis=1).all() for part in parts(len(rows))):
         raise BagError(f"{path}: the line of sight must have finite samples, got none")
-    for part in parts(len(rest)):
-        if (odd := np.argwhere(np.abs(rest[part]) > LARGEST)).size:
+    for part in parts(len(rows)):
+        if (odd := np.argwhere(np.abs(rows[part]) > LARGEST)).size:
             row, column = map(int, odd[0])
             raise BagError(
                 f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
-                f"got {rest[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
+                f"got {rows[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
             )
-    return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
+    return _of_live_rows(rows, dt, first * dt, open_end)
+
+
+def _of_live_rows(rows: FloatArray, dt: float, start: float, open_end: bool) -> ErrorSeries:
+    """Series of the samples that the sensor took: :mod:`pointing_analysis.indices.live_rows`."""
+    remarks = []
+    if hold := hold_of(rows):
+        rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)
+        what = "interpolated over" if hold.interpolated else "held for"
+        remarks.append(
+            f"each sample is {what} {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no motion above "
+            f"{rate / 2:.4g} Hz"
+        )
+        dt *= hold.rows
+    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(rows)}
+    dead["stuck"] &= ~dead["saturated"]
+    blind = tuple((what, float(one.mean())) for what, one in dead.items() if one.any())
+    if blind:
+        rows = np.where((dead["saturated"] | dead["stuck"])[:, None], np.nan, rows)
+        remarks += [f"{what}: {percent(share)} of the samples, which are missing" for what, share in blind]
+    missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
+    return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks))
 
 
 def on_camera(run: Recording) -> bool:
@@ -135,10 +157,8 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
         return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
-    truth = run["truth/los"]
     values, dt = _gridded(run, "truth/los")
-    series = _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, truth.open_end)
-    return replace(series, never_sent=0 < truth.integrity.missing <= unsent(run, "truth/los"))
+    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
 
 
 def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:

@@ -23,6 +23,19 @@ above the limit has more that are just below it. The few themselves count as the
 A record that repeats itself exactly (a tone without noise whose period is a whole number of samples) has no more than
 the samples of one period.
 
+**Clusters that may come.** Where exceedances excite each other, or last for times with a long tail, the largest
+cluster of the record is not the largest one: at 95 % confidence at most 3 of m clusters are larger than any of the m
+that were seen, and those may be several times as large. For compliance a multiple of the largest cluster is added to
+the exceedances, more of it where there are few (`ClusterSettings`). A cluster is what a block of the record has beyond
+the largest number that independent samples with the correlation of the values would have there.
+
+**Missing samples** are, for compliance, exceedances at their places: lost in clumps, they weigh as a burst does.
+
+**Persistent motion.** The mean of a motion whose blocks scatter as a power :math:`F \propto B^\beta`, up to the length
+of the record, is as uncertain as that of :math:`n^{1 - \beta}` samples (fractional noise with
+:math:`\beta = 2 H - 1`; Beran, Statistics for Long-Memory Processes, 1994). It is recognised by the slope over all
+blocks and over the longest ones (`PersistenceSettings`).
+
 **What no estimate sees** are events that are not in the record: of those that are in it k times on average, a part
 :math:`e^{-k}` of the records has none. Nor does one see changes that are slower than the record, or a motion that
 never returns (a random walk).
@@ -38,8 +51,8 @@ import numpy as np  # scipy where it computes: see pointing_analysis.indices.con
 from numpy.typing import ArrayLike
 
 from pointing_analysis.arrays import FloatArray, IntArray
-from pointing_analysis.indices.confidence import effective_number
-from pointing_analysis.read.mapped_arrays import PART, parts, present
+from pointing_analysis.indices.confidence import EffectiveSamples, effective_number
+from pointing_analysis.read.mapped_arrays import PART, SortedValues, by_parts, parts, present
 
 SURE = 128
 """Blocks from which an estimate always counts."""
@@ -61,134 +74,274 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True)
+class ClusterSettings:
+    """Allowance for clusters of exceedances that are larger than those of the record.
+
+    Attributes
+    ----------
+    largest : how many times the largest cluster of the record is added
+    few : clusters below which it is added more often, in inverse proportion to their number
+    fewest : blocks of a record, the longest in which a cluster is sought
+    beyond : factor above that of the correlated values from which exceedances come in clusters
+    usual : quantiles between which values are usual: their correlation is not that of the clusters
+    """
+
+    largest: float = 10.0
+    few: float = 20.0
+    fewest: int = 8
+    beyond: float = 2.0
+    usual: tuple[float, float] = (0.1, 0.9)
+
+
+@dataclass(frozen=True)
+class PersistenceSettings:
+    """Recognition of a motion whose scatter over blocks is a power of their length.
+
+    A first-order process has the power 1 in blocks that are shorter than its memory, and 0 in longer ones.
+
+    Attributes
+    ----------
+    samples : fewest in which a power is sought
+    long : blocks of a record of which each is a long one, or fewer
+    most : blocks of a record, the most that count
+    least, largest : powers of the short blocks between which the motion is persistent
+    least_of_long : power above which that of the long blocks is
+    """
+
+    samples: int = 4096
+    long: int = 127
+    most: int = 2047
+    least: float = 0.6
+    largest: float = 0.92
+    least_of_long: float = 0.42
+
+
+CLUSTERS, PERSISTENCE = ClusterSettings(), PersistenceSettings()
+
+
+@dataclass(frozen=True)
 class IndependentSamples:
     """Independent samples of one record, at any limit.
 
     Attributes
     ----------
-    values : (N,) samples, without NaN
+    values : (N,) samples in the order of time, NaN where one is missing
     correlated : those that the correlation of the values leaves
     most : no more than this many are independent, whatever the limit
+    explained : factor by which the correlation of the usual values makes the sums of blocks scatter more
     """
 
     values: FloatArray
     correlated: float
     most: float
+    explained: float = 1.0
 
     @classmethod
-    def of(cls, values: ArrayLike, cap: float = math.inf) -> IndependentSamples:
-        """Of samples (N,), NaN left out; `cap` is a number of them that is known to be the most.
+    def of(cls, values: ArrayLike, cap: float = math.inf, components: ArrayLike | None = None) -> IndependentSamples:
+        """Of samples (N,).
+
+        Parameters
+        ----------
+        values : (N,) in the order of time, NaN where one is missing
+        cap : a number of independent samples that is known to be the most
+        components : (n, k) signed motion of which the values are the size; a persistent one is recognised in it
 
         Examples
         --------
         >>> white = np.random.default_rng(1).standard_normal(20_000)
-        >>> 0.7 < IndependentSamples.of(white).above(2.0) / 20_000 <= 1.0
+        >>> 0.7 < IndependentSamples.of(white).above(2.0).number / 20_000 <= 1.0
         True
         >>> bursts = np.repeat(white[:1000], 20) + 1e-6 * white
-        >>> 600 < IndependentSamples.of(bursts).above(2.0) < 1100
+        >>> 600 < IndependentSamples.of(bursts).above(2.0).number < 1100
         True
         """
-        x = present(np.asarray(values, dtype=float))
+        everything = np.asarray(values, dtype=float)
+        x = present(everything)
         n = len(x)
         if not n:
-            return cls(x, 0.0, 0.0)
+            return cls(everything, 0.0, 0.0)
         correlated = effective_number(x)
         mean = sum(float(x[part].sum()) for part in parts(n)) / n
         power = sum(float(np.square(x[part] - mean).sum()) for part in parts(n)) / n
         known = correlated / float(inflation(correlated - 1.0))
         unit = math.sqrt(power) or 1.0
-        factor = block_factor(lambda part: (x[part] - mean) / unit, n, 1.0, n / correlated, math.inf)
+        factor = BlockSums.of(lambda part: (x[part] - mean) / unit, n).factor(1.0, n / correlated, math.inf)
         most = min(known, n / factor if factor else n, cap, period(x, unit))
-        return cls(x, correlated, max(most, 1.0))
+        if components is not None and (beta := persistence(components)):
+            most = min(most, n ** (1.0 - beta))
+        usual = SortedValues(x)
+        low, high = (usual.quantile(part) for part in CLUSTERS.usual)
+        explained = n / effective_number(by_parts(lambda rows: np.clip(rows, low, high), x)) if high > low else 1.0
+        return cls(everything, correlated, max(most, 1.0), explained)
 
-    def above(self, limit: float, lower: bool = False) -> float:
-        """Independent samples that the exceedances of a limit weigh as much as: at least one, at most `most`.
+    def above(self, limit: float, lower: bool = False) -> EffectiveSamples:
+        """Weight of the exceedances of a limit: each number is at least one and at most `most`.
 
         Parameters
         ----------
         limit : samples at or above it exceed it
         lower : whether the limit is a lower one, which samples at or below it violate
         """
-        x, sign = self.values, -1.0 if lower else 1.0
+        x, sign = present(self.values), -1.0 if lower else 1.0
         n = len(x)
         if not n:
-            return 0.0
-        few = self._count(sign, sign * limit) < TYPICAL < n
-        factors = [self._factor(sign, sign * limit, certain=few)]
+            return EffectiveSamples(0.0, 0.0)
+        few = sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n)) < TYPICAL < n
+        seen = [self._exceedances(x, sign, sign * limit, certain=few)]
         if few:
-            factors.append(self._factor(sign, _ranked(x, sign)))
-        return max(min([self.most, *(n / factor for factor in factors if factor)]), 1.0)
+            seen.append(self._exceedances(x, sign, _ranked(x, sign)))
+        number = self._number(n, seen)
+        unseen = max(one.largest * max(1.0, CLUSTERS.few / one.clusters) for one in seen)
+        with_missing = number
+        if n < len(self.values):
+            lost = [self._exceedances(self.values, sign, sign * limit, certain=True)]
+            with_missing = min(number, self._number(len(self.values), lost))
+        return EffectiveSamples(number, with_missing, CLUSTERS.largest * unseen)
 
-    def _count(self, sign: float, level: float) -> int:
-        return sum(int(np.count_nonzero(sign * self.values[part] >= level)) for part in parts(len(self.values)))
+    def _number(self, n: int, seen: Sequence[_Exceedances]) -> float:
+        return max(min([self.most, *(n / one.factor for one in seen if one.factor)]), 1.0)
 
-    def _factor(self, sign: float, level: float, certain: bool = False) -> float:
-        """Factor F of the exceedances of a level, `certain` or taken larger for what is not known of it."""
-        n = len(self.values)
-        share = self._count(sign, level) / n
+    def _exceedances(self, x: FloatArray, sign: float, level: float, certain: bool = False) -> _Exceedances:
+        """Exceedances of a level, missing samples among them; `certain`: their factor is not taken larger."""
+        n = len(x)
 
-        def deviation(part: slice) -> FloatArray:
-            return np.asarray((sign * self.values[part] >= level) - share)
+        def beyond(part: slice) -> FloatArray:
+            return np.asarray(~(sign * x[part] < level), dtype=float)
 
-        return block_factor(deviation, n, share * (1.0 - share), n / self.correlated, certain=certain)
+        share = sum(float(beyond(part).sum()) for part in parts(n)) / n
+        sums = BlockSums.of(lambda part: beyond(part) - share, n)
+        variance = share * (1.0 - share)
+        factor = sums.factor(variance, n / self.correlated, certain=certain)
+        clusters = share * n / factor if factor > CLUSTERS.beyond * self.explained else math.inf
+        return _Exceedances(factor, sums.largest_cluster(variance, self.explained), clusters)
 
 
-def block_factor(
-    deviation: Callable[[slice], FloatArray],
-    n: int,
-    variance: float,
-    explained: float,
-    sure: float = SURE,
-    certain: bool = False,
-) -> float:
-    """Largest factor F by which blocks scatter more than independent samples of a variance do; zero if it is unknown.
+@dataclass(frozen=True)
+class _Exceedances:
+    """Factor of their blocks, samples of the largest cluster, and number of clusters; infinite where there are none."""
 
-    Parameters
+    factor: float
+    largest: float
+    clusters: float
+
+
+@dataclass(frozen=True)
+class BlockSums:
+    """Sums of a record's samples, less their mean, over blocks of 1, 2, 4, 8 ... samples.
+
+    Attributes
     ----------
-    deviation : samples less their mean, of a slice of the record
-    n : samples of the record
-    variance : of an independent sample
-    explained : factor that is known of the values: fewer than `sure` blocks count only above it
-    sure : blocks from which the factor always counts
-    certain : whether it is taken as it is, not larger for its own uncertainty
+    samples : (m,) in a block
+    blocks : (m,) number of them
+    squares, fourth : (m,) sums over the blocks of the squares, and of the fourth powers, of their sums
+    largest : (m,) largest of their sums
     """
-    from scipy import special
 
-    if not variance > 0.0:
+    samples: FloatArray
+    blocks: FloatArray
+    squares: FloatArray
+    fourth: FloatArray
+    largest: FloatArray
+
+    @classmethod
+    def of(cls, deviation: Callable[[slice], FloatArray], n: int) -> BlockSums:
+        """Of n samples less their mean, of which `deviation` gives a slice; lengths with at least `FEWEST` blocks."""
+        levels = max(n.bit_length(), 1)
+        blocks, squares, fourth = np.zeros((3, levels))
+        largest = np.full(levels, -math.inf)
+        within = PART.bit_length() - 1
+
+        def add(sums: FloatArray, first: int, last: int) -> FloatArray:
+            for level in range(first, last):
+                square = np.square(sums)
+                blocks[level] += len(sums)
+                squares[level] += square.sum()
+                fourth[level] += np.square(square).sum()
+                largest[level] = max(largest[level], sums.max(initial=-math.inf))
+                even = len(sums) // 2 * 2
+                sums = sums[0:even:2] + sums[1:even:2]
+            return sums
+
+        long = [add(deviation(part), 0, min(within, levels)) for part in parts(n)]
+        if levels > within:
+            add(np.concatenate(long), within, levels)
+        enough = (blocks >= FEWEST) & (squares > 0.0)
+        samples = np.power(2.0, np.flatnonzero(enough), dtype=np.float64)
+        return cls(samples, blocks[enough], squares[enough], fourth[enough], largest[enough])
+
+    def factor(self, variance: float, explained: float, sure: float = SURE, certain: bool = False) -> float:
+        """Largest factor F by which blocks scatter more than independent samples do; zero if it is unknown.
+
+        Parameters
+        ----------
+        variance : of an independent sample
+        explained : factor that is known of the values: fewer than `sure` blocks count only above it
+        sure : blocks from which the factor always counts
+        certain : whether it is taken as it is, not larger for its own uncertainty
+        """
+        from scipy import special
+
+        if not variance > 0.0:
+            return 0.0
+        blocks = self.blocks
+        factor = self.squares / (blocks - 1.0) / (self.samples * variance)
+        kurtosis = blocks * self.fourth / self.squares**2
+        free = np.clip(2.0 * blocks / np.maximum(kurtosis - 1.0, 1e-12), 1.0, blocks - 1.0)
+        beyond = factor > explained * special.chdtri(blocks - 1.0, DOUBT) / (blocks - 1.0)
+        growth = np.maximum(np.diff(factor, prepend=factor[:1]), 0.0)
+        factor += np.where(blocks < 2 * SURE, growth, 0.0)
+        counts = (blocks >= sure) | beyond
+        return float((factor * (1.0 if certain else inflation(free)))[counts].max(initial=0.0))
+
+    def largest_cluster(self, variance: float, explained: float) -> float:
+        """Samples of the largest cluster: beyond the largest sum that is expected of correlated samples.
+
+        The expected one is that of a normal distribution with the correction for its skewness (Cornish and Fisher).
+        """
+        chosen = self.blocks >= CLUSTERS.fewest
+        z = np.sqrt(2.0 * np.log(self.blocks[chosen]))
+        expected = z * np.sqrt(explained * variance * self.samples[chosen]) + explained * ((z**2 - 1.0) / 6.0 + 1.0)
+        return float(np.max(self.largest[chosen] - expected, initial=0.0))
+
+    def power(self, fewest: int, most: int) -> float:
+        """Power of the length with which the scatter of blocks grows beyond that of white noise.
+
+        Parameters
+        ----------
+        fewest, most : of the blocks that count
+        """
+        chosen = (self.blocks >= fewest) & (self.blocks <= most)
+        blocks, length = self.blocks[chosen], np.log(self.samples[chosen])
+        scatter = np.log(self.squares[chosen] / (blocks - 1.0)) - length
+        length, scatter = length - np.average(length, weights=blocks), scatter - np.average(scatter, weights=blocks)
+        return float(np.sum(blocks * length * scatter) / np.sum(blocks * length**2))
+
+
+def persistence(components: ArrayLike) -> float:
+    """Power of a persistent motion (n, k), NaN where a sample is missing, the mean over its components; else zero.
+
+    Examples
+    --------
+    >>> white = np.random.default_rng(1).standard_normal((20_000, 2))
+    >>> persistence(white)
+    0.0
+    """
+    powers = []
+    for column in np.asarray(components, dtype=float).T:
+        x = present(column)
+        if len(x) < PERSISTENCE.samples:
+            continue
+        mean = sum(float(x[part].sum()) for part in parts(len(x))) / len(x)
+        rest = by_parts(lambda rows, mean=mean: rows - mean, x)
+        sums = BlockSums.of(rest.__getitem__, len(rest))
+        if len(sums.blocks):  # else it is a constant
+            of_short = sums.power(PERSISTENCE.long + 1, len(x))
+            powers.append((of_short, sums.power(0, PERSISTENCE.long), sums.power(0, PERSISTENCE.most)))
+    if not powers:
         return 0.0
-    blocks, squares, fourth = _moments(deviation, n)
-    enough = (blocks >= FEWEST) & (squares > 0.0)
-    blocks, squares, fourth, size = blocks[enough], squares[enough], fourth[enough], 2.0 ** np.flatnonzero(enough)
-    factor = squares / (blocks - 1.0) / (size * variance)
-    kurtosis = blocks * fourth / squares**2
-    free = np.clip(2.0 * blocks / np.maximum(kurtosis - 1.0, 1e-12), 1.0, blocks - 1.0)
-    beyond = factor > explained * special.chdtri(blocks - 1.0, DOUBT) / (blocks - 1.0)
-    growth = np.maximum(np.diff(factor, prepend=factor[:1]), 0.0)
-    factor += np.where(blocks < 2 * SURE, growth, 0.0)
-    counts = (blocks >= sure) | beyond
-    return float((factor * (1.0 if certain else inflation(free)))[counts].max(initial=0.0))
-
-
-def _moments(deviation: Callable[[slice], FloatArray], n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the sums over blocks of 1, 2, 4 ... samples: their number, and their sums of squares and of fourth powers."""
-    levels = max(n.bit_length(), 1)
-    blocks, squares, fourth = np.zeros((3, levels))
-    within = PART.bit_length() - 1
-
-    def add(sums: FloatArray, first: int, last: int) -> FloatArray:
-        for level in range(first, last):
-            square = np.square(sums)
-            blocks[level] += len(sums)
-            squares[level] += square.sum()
-            fourth[level] += np.square(square).sum()
-            even = len(sums) // 2 * 2
-            sums = sums[0:even:2] + sums[1:even:2]
-        return sums
-
-    long = [add(deviation(part), 0, min(within, levels)) for part in parts(n)]
-    if levels > within:
-        add(np.concatenate(long), within, levels)
-    return blocks, squares, fourth
+    of_short, of_long, power = np.mean(powers, axis=0).tolist()
+    straight = PERSISTENCE.least < of_short < PERSISTENCE.largest and of_long > PERSISTENCE.least_of_long
+    return min(power, 1.0) if straight else 0.0
 
 
 def inflation(free: ArrayLike) -> FloatArray:
@@ -240,32 +393,23 @@ def _ranked(values: FloatArray, sign: float) -> float:
     return float(top.min())
 
 
-def pooled_number(shares: Sequence[float], numbers: Sequence[float], weights: Sequence[float] | None = None) -> float:
-    """Independent samples that several runs together weigh as much as, with the scatter between the runs.
+def pooled_number(numbers: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Independent samples that several runs together weigh as much as: at most one of each run.
+
+    What differs between runs, as between the members of a family, is seen as often as there are runs, however long each
+    of them is: a member in ten that always exceeds is in none of twenty with a probability of 12 %.
 
     Parameters
     ----------
-    shares : (m,) share of exceedances of each run
-    numbers : (m,) independent samples of each
-    weights : (m,) of each in the pooled share; by default their numbers
+    numbers : (m,) independent samples of each run
+    weights : (m,) of each run in the pooled share; by default their numbers
 
     Examples
     --------
-    >>> round(pooled_number([0.1, 0.1, 0.1], [100.0, 200.0, 300.0]))
-    600
-    >>> pooled_number([0.0, 0.5, 0.0, 0.5], [1e6] * 4) < 10.0
-    True
+    >>> pooled_number([100.0, 100.0, 100.0]), pooled_number([0.5, 0.5])
+    (3.0, 1.0)
     """
-    from scipy import special
-
-    r, n = np.asarray(shares, dtype=float), np.asarray(numbers, dtype=float)
+    n = np.asarray(numbers, dtype=float)
     w = n if weights is None else np.asarray(weights, dtype=float)
-    within = float(w.sum() ** 2 / np.sum(w**2 / n))
-    pooled = float(np.average(r, weights=w))
-    variance, m = pooled * (1.0 - pooled), len(r)
-    if m < 2 or not variance > 0.0:
-        return within
-    between = m / (m - 1.0) * float(np.sum(w**2 * (r - pooled) ** 2) / np.sum(w**2 * variance / n))
-    if between <= special.chdtri(m - 1.0, DOUBT) / (m - 1.0):
-        return within
-    return max(min(within, within / between / float(inflation(m - 1.0))), 1.0)
+    total = float(w.sum() ** 2)
+    return max(min(total / float(np.sum(w**2 / n)), total / float(np.sum(w**2))), 1.0)

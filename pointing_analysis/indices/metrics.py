@@ -165,6 +165,12 @@ class Windows:
         """(2,) RPE rms per axis by the window estimator; the radial one is its norm."""
         return np.asarray(np.sqrt(self.variance.mean(axis=0))) if len(self.variance) else np.full(2, np.nan)
 
+    def in_order(self, values: FloatArray) -> FloatArray:
+        """Values (m, k) of the complete windows at the places of these among all windows, NaN at the others."""
+        every = np.full((len(self.mean) + self.skipped, *values.shape[1:]), np.nan)
+        every[np.rint(self.begin / self.samples).astype(np.int64)] = values
+        return every
+
 
 def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     r"""Cut the series into disjoint windows; an incomplete one at the end is dropped.
@@ -334,7 +340,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
 
     Returns
     -------
-    (m, 2) one row per position of the pair, first windows disjoint; pairs with missing samples left out
+    (m, 2) one row per position of the pair, first windows disjoint; NaN where a sample of a pair is missing
     """
     e = _series(error)
     n = _fits(e, window, dt)
@@ -351,8 +357,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
     else:
         begin = n * np.arange(int((len(e) - n - lag) / n + ROUNDING) + 1, dtype=np.float64)
         first, second = (np.concatenate([mean for mean, _ in windows_of(e, at, n)]) for at in (begin, begin + lag))
-    drift = second - first
-    return np.asarray(drift[~np.isnan(drift).any(axis=1)])
+    return np.asarray(second - first)
 
 
 PAIRED = 1000

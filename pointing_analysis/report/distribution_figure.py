@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, present
 from pointing_analysis.report.figures import (
     LIMIT,
     Picture,
@@ -63,7 +63,7 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
     requirement = own[0] if own else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
     try:
-        values = [index_samples(view.series, requirement)[0] for view in views]
+        values = [present(index_samples(view.series, requirement).values) for view in views]
     except ValueError:  # a window that is longer than the run, or shorter than two of its samples
         return None
     if not all(map(len, values)):

@@ -15,8 +15,8 @@ from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.requirements.requirement import Requirement
 
 
-def image_samples(series: ErrorSeries, requirement: Requirement, optics: Optics) -> tuple[FloatArray, int]:
-    """One value of the index for each exposure [rad, or a number], and the number of exposures that are missing.
+def image_samples(series: ErrorSeries, requirement: Requirement, optics: Optics) -> FloatArray:
+    """One value of the index for each exposure [rad, or a number], NaN where a sample is missing.
 
     Exposures are those of `pointing_analysis.image.motion_blur.exposures`: one of N periods has N + 1 samples.
 
@@ -25,13 +25,13 @@ def image_samples(series: ErrorSeries, requirement: Requirement, optics: Optics)
     ValueError
         The exposure is no whole number of samples, or longer than the run.
     """
-    found: list[FloatArray] = []
-    gone = 0
+    every: list[FloatArray] = []
     for paths in exposure_parts(series.values, series.dt, requirement.times[0]):
-        lost = missing(paths)
-        gone += int(lost.sum())
-        found.append(index_of(paths[~lost], requirement, optics))
-    return np.concatenate(found), gone
+        there = ~missing(paths)
+        values = np.full(len(paths), np.nan)
+        values[there] = index_of(paths[there], requirement, optics)
+        every.append(values)
+    return np.concatenate(every)
 
 
 def index_of(paths: FloatArray, requirement: Requirement, optics: Optics) -> FloatArray:
@@ -44,10 +44,10 @@ def index_of(paths: FloatArray, requirement: Requirement, optics: Optics) -> Flo
 
 def finite(values: FloatArray) -> FloatArray:
     """Values with the largest finite one in place of infinite ones, for the correlation of neighbours."""
-    infinite = ~np.isfinite(values)
+    infinite = np.isinf(values)
     if not infinite.any():
         return values
-    there: Sequence[float] = values[~infinite].tolist()
+    there: Sequence[float] = values[np.isfinite(values)].tolist()
     return np.where(infinite, max(there, default=0.0), values)
 
 

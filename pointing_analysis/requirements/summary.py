@@ -50,7 +50,7 @@ from pointing_analysis.requirements.settling import judge_settled
 from pointing_analysis.requirements.verdict import Requirement, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
-from pointing_analysis.spectra.spectra import lines
+from pointing_analysis.spectra.spectra import highest_frequency, lines
 from pointing_analysis.spectra.tone_budget import PART as BUDGET_PART
 from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_budget
 
@@ -110,8 +110,8 @@ class Performance:
             sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
             of_windows = SortedValues(sizes).quantile(0.997)
         return cls(
-            float(ape.at(ape.size - 1)[0]),
-            ape.quantile(0.997),
+            float(ape.at(ape.size - 1)[0]) if ape.size else nan,
+            ape.quantile(0.997) if ape.size else nan,
             float(np.hypot(*rms)),
             p997,
             (float(rms[0]), float(rms[1])),
@@ -476,10 +476,13 @@ def summarise(
     lost, problems, dropped = _integrity(run)
     star, unusable = _star(run, series, window) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
-    problems += [text for text in (damaged, unusable, *dict.fromkeys(one.remark for one in settled)) if text]
+    remarks = dict.fromkeys((*series.remarks, *(one.remark for one in settled)))
+    problems += [text for text in (damaged, unusable, *remarks) if text]
     if not judged:
         problems.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     problems += _of_start(run, series, transient)
+    if "loop" not in run.parameters and (top := highest_frequency(series.values, series.dt)) is not None:
+        problems.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),

@@ -12,11 +12,13 @@ import numpy as np
 
 from lftkit.errors import InputError
 from pointing_analysis.arrays import BoolArray, FloatArray
+from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
+from pointing_analysis.indices.confidence import EffectiveSamples
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
-from pointing_analysis.indices.exceedances import IndependentSamples, block_factor, pooled_number
+from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, pooled_number
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
@@ -60,8 +62,9 @@ class Verdict:
     effective : independent samples they weigh as much as
     seconds : length of data that was used [s]
     seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
-    note : why it was not judged, or how many samples are missing
+    note : why it was not judged, how many samples are missing, or what may be larger than the record shows
     missing : samples of the index that are missing in the judged span; see `decide`
+    start : length of the start-up of a run, which precedes the data [s]
     """
 
     requirement: Requirement
@@ -74,6 +77,7 @@ class Verdict:
     seconds_needed: float
     note: str = ""
     missing: float = 0.0
+    start: float = 0.0
 
     @property
     def within_limit(self) -> bool:
@@ -96,8 +100,10 @@ class Verdict:
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
             return f"{'at' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
-        needs = f"at {100 * self.requirement.confidence:g} % confidence: needs {math.ceil(self.seconds_needed)} s"
-        return f"{'within' if self.within_limit else beyond} limit; not yet demonstrated {needs}"
+        after = f" after {self.start:.3g} s of start-up" if self.start else ""
+        needs = f"needs {math.ceil(self.seconds_needed)} s{after}"
+        at = f"at {100 * self.requirement.confidence:g} % confidence"
+        return f"{'within' if self.within_limit else beyond} limit; not yet demonstrated {at}: {needs}"
 
 
 @dataclass(frozen=True)
@@ -108,18 +114,22 @@ class IndexSamples:
     ----------
     values : those that are there [rad]
     effective : independent samples that their exceedances of a requirement's limit weigh as much as
-    seconds : length of the data [s]
+    seconds : length of the data, of missing samples, too [s]
     missing : samples missing; infinite if the recording is truncated and their number is unknown
+    start : length of the start-up before them [s]
     """
 
     values: FloatArray
-    effective: Callable[[Requirement], float]
+    effective: Callable[[Requirement], EffectiveSamples]
     seconds: float
     missing: float
+    start: float = 0.0
 
     def decided(self, requirement: Requirement, runs: int = 1) -> Verdict:
         """Verdict on this run, or pair of runs, one of so many; see `decide`."""
-        return decide(requirement, self.values, self.effective(requirement), self.seconds, self.missing, runs)
+        effective = self.effective(requirement)
+        verdict = decide(requirement, self.values, effective, self.seconds, self.missing, runs)
+        return replace(verdict, start=self.start)
 
 
 def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
@@ -134,13 +144,20 @@ def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | 
     Raises
     ------
     ValueError
-        The index cannot be formed.
+        The index cannot be formed, or the sensor did not see more of the motion than the requirement allows to exceed.
     """
-    values, cap, missing = index_samples(series, requirement, optics)
-    if not values.size:
+    for what, share in series.blind:
+        if share > 1.0 - requirement.probability:
+            raise InputError(f"{what}: {percent(share)} of the samples")
+    samples = index_samples(series, requirement, optics)
+    there = present(samples.values)
+    if not there.size:
         raise InputError(f"no complete window of {requirement.quantity}")
-    independent = IndependentSamples.of(finite(values) if requirement.of_image else values, cap)
-    return IndexSamples(values, lambda r: independent.above(r.limit, r.lower), series.duration, missing)
+    values = finite(samples.values) if requirement.of_image else samples.values
+    independent = IndependentSamples.of(values, samples.most, samples.motion)
+    missing = math.inf if series.open_end else float(len(samples.values) - len(there))
+    seconds = len(samples.values) * samples.step
+    return IndexSamples(there, lambda r: independent.above(r.limit, r.lower), seconds, missing, series.start)
 
 
 def refusal(requirement: Requirement, rows: int, dt: float, optics: Optics | None = None) -> str:
@@ -164,44 +181,54 @@ def refusal(requirement: Requirement, rows: int, dt: float, optics: Optics | Non
     return ""
 
 
-def index_samples(
-    series: ErrorSeries, requirement: Requirement, optics: Optics | None = None
-) -> tuple[FloatArray, float, float]:
-    """Samples of the judged index, the largest number of them that may count as independent, and those missing.
+@dataclass(frozen=True)
+class SamplesInTime:
+    """Samples of an index in the order of time.
+
+    Attributes
+    ----------
+    values : (n,) [rad], or numbers; NaN where one is missing
+    step : time for each of them [s]
+    motion : (n, k) signed errors whose size the values are; None for an index of a scatter or of an image
+    most : no more than this many are independent
+    """
+
+    values: FloatArray
+    step: float
+    motion: FloatArray | None = None
+    most: float = math.inf
+
+
+def index_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> SamplesInTime:
+    """Samples of the judged index.
 
     RPE samples are those of the instant estimator: every instant of disjoint windows. Samples within one window share
     its mean, so no more than one per window counts. Of a requirement of windows each window is one sample.
-    Of an index of the image each exposure is one; it needs the `optics`. Samples are in rad, or numbers.
+    Of an index of the image each exposure is one; it needs the `optics`.
     """
+    e, dt, times = series.values, series.dt, requirement.times
     if requirement.of_image:
         if optics is None:
             raise InputError(NONE_KNOWN)
-        found, gone = image_samples(series, requirement, optics)
-        return found, math.inf, math.inf if series.open_end else 0.0 if series.never_sent else float(gone)
-    values, cap = _index(series.values, series.dt, requirement)
-    there = present(values)
-    if series.open_end:
-        return there, cap, math.inf
-    if not series.missing or series.never_sent:
-        return there, cap, 0.0
-    whole, _ = _index(by_parts(np.zeros_like, series.values), series.dt, requirement)
-    return there, cap, float(len(whole) - len(there))
-
-
-def _index(e: FloatArray, dt: float, requirement: Requirement) -> tuple[FloatArray, float]:
-    times, cap = requirement.times, math.inf
+        return SamplesInTime(image_samples(series, requirement, optics), times[0])
     if requirement.of_windows:
-        return _norm(np.sqrt(metrics.windows(e, dt, times[0]).variance), requirement), cap
+        windows = metrics.windows(e, dt, times[0])
+        return SamplesInTime(windows.in_order(_norm(np.sqrt(windows.variance), requirement)), times[0])
+    if requirement.index in ("RPE", "RKE"):
+        instants = _norm(metrics.rpe_instant(e, dt, times[0]), requirement)
+        return SamplesInTime(instants, dt, most=len(metrics.windows(e, dt, times[0]).mean))
     if requirement.index in ("APE", "AKE"):
-        samples = e
+        motion, step = e, dt
     elif requirement.index in ("MPE", "MKE"):
-        samples = metrics.mpe(e, dt, times[0])
-    elif requirement.index in ("RPE", "RKE"):
-        samples = metrics.rpe_instant(e, dt, times[0])
-        cap = len(metrics.windows(e, dt, times[0]).mean)
+        windows = metrics.windows(e, dt, times[0])
+        motion, step = windows.in_order(windows.mean), times[0]
     else:
-        samples = metrics.pde(e, dt, times[0], times[1])
-    return _norm(samples, requirement), cap
+        motion, step = metrics.pde(e, dt, times[0], times[1]), times[0]
+    if requirement.axis:
+        column = metrics.AXES.index(requirement.axis)
+        motion = motion[:, column : column + 1]
+        return SamplesInTime(by_parts(lambda rows: np.abs(rows[:, 0]), motion), step, motion)
+    return SamplesInTime(metrics.radial(motion), step, motion)
 
 
 def _reproducibility(
@@ -219,7 +246,7 @@ def _reproducibility(
             samples = metrics.pre(first.values, second.values, first.dt, window)
             values = _norm(samples, requirement)
             means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
-            most = min(IndependentSamples.of(metrics.radial(m)).most for m in means)
+            most = min(IndependentSamples.of(metrics.radial(m), components=m).most for m in means)
             pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end
             missing = math.inf if cut else float(max(pairs - len(values), 0))
@@ -228,7 +255,7 @@ def _reproducibility(
     return found
 
 
-def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requirement) -> float:
+def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requirement) -> EffectiveSamples:
     """Independent samples that the exceedances of pairs of windows weigh as much as.
 
     The share that one window of a run exceeds is a sample of that run: the variances over both runs add.
@@ -243,8 +270,8 @@ def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requireme
     share = float(beyond.mean())
     variance = share * (1.0 - share)
     shares = [np.asarray(beyond.mean(axis=axis) - share) for axis in (0, 1)]
-    one = sum(block_factor(own.__getitem__, len(own), variance, 0.0) / len(own) for own in shares)
-    return max(min(most, 1.0 / one if one else most), 1.0)
+    one = sum(BlockSums.of(of_run.__getitem__, len(of_run)).factor(variance, 0.0) / len(of_run) for of_run in shares)
+    return EffectiveSamples.of(max(min(most, 1.0 / one if one else most), 1.0))
 
 
 def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
@@ -263,7 +290,7 @@ def not_judged(requirement: Requirement, why: str) -> Verdict:
 def decide(
     requirement: Requirement,
     values: FloatArray,
-    effective: float,
+    effective: EffectiveSamples | float,
     seconds: float,
     missing: float = 0.0,
     runs: int = 1,
@@ -275,35 +302,43 @@ def decide(
 
     Missing samples count against either verdict: for ``compliant`` each of them as one above the limit, for ``not
     compliant`` as one below it. Where both fail, and where an unknown number is missing and the rest complies, there is
-    not enough data.
+    not enough data. For ``compliant`` the samples of larger clusters that may come are above the limit, too.
     """
+    effective = EffectiveSamples.of(effective)
     above = _count_beyond(values, requirement)
     rate = above / len(values)
-    p, c = requirement.probability, requirement.confidence
+    p, c, number = requirement.probability, requirement.confidence, effective.number
     unknown = math.isinf(missing)
     total = len(values) + (0.0 if unknown else missing)
-    worst = 1.0 if unknown else (above + missing) / total
-    best = above / total
-    status, needed = status_of(requirement, worst, best, effective, runs), seconds
+    best, worst = above / total, 1.0 if unknown else (above + missing) / total
+    unseen = effective.unseen / total
+    status, needed, note = status_of(requirement, worst + unseen, best, effective, runs), seconds, ""
     if status == "not enough data":
         open_share = not unknown and best <= 1 - p < worst  # the samples that are missing would decide
         share = rate if unknown else best if best > 1 - p else worst
-        needed = math.inf if open_share else confidence.samples_to_decide(p, c, share) * seconds / effective
-    note = _missing_note(requirement, missing, len(values))
+        each = seconds / (number if unknown else effective.with_missing)
+        needed = math.inf if open_share else each * confidence.samples_to_decide(p, c, share, unseen * number)
+        if status_of(requirement, worst, best, effective, runs) == "compliant":
+            note = "exceedances come in clusters, of which too few are in the record to say how large they are"
+    note = "; ".join(filter(None, (note, _missing_note(requirement, missing, len(values)))))
     bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective, missing)
     if requirement.lower:
         bounds = replace(bounds, value=-bounds.value, lower=-bounds.upper, upper=-bounds.lower)
-    return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
+    return Verdict(requirement, status, rate, bounds, len(values), number, seconds, needed, note, missing)
 
 
-def status_of(requirement: Requirement, worst: float, best: float, effective: float, runs: int = 1) -> Status:
+def status_of(
+    requirement: Requirement, worst: float, best: float, effective: EffectiveSamples | float, runs: int = 1
+) -> Status:
     """Status of a share beyond the limit that is at most `worst` and at least `best`, of `effective` samples.
 
     Exceedances are scaled to the effective number, each bound rounded to its own safe side.
     """
-    n, c, allowed = max(int(effective), 1), requirement.confidence, 1 - requirement.probability
-    upper = confidence.exceedance_upper(math.ceil(worst * n - ROUNDING), n, c)
-    refuting = 1 - (1 - c) / runs if runs > 1 else c
+    effective = EffectiveSamples.of(effective)
+    c, allowed = requirement.confidence, 1 - requirement.probability
+    n = max(int(effective.with_missing), 1)
+    upper = confidence.exceedance_upper(math.ceil(min(worst, 1.0) * n - ROUNDING), n, c)
+    n, refuting = max(int(effective.number), 1), 1 - (1 - c) / runs if runs > 1 else c
     lower = confidence.exceedance_lower(math.floor(best * n + ROUNDING), n, refuting)
     return "compliant" if upper <= allowed else "not compliant" if lower > allowed else "not enough data"
 
@@ -371,11 +406,13 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, sign * v.quantile.value))
 
 
-def _of_all(requirement: Requirement, runs: Sequence[IndexSamples]) -> float:
+def _of_all(requirement: Requirement, runs: Sequence[IndexSamples]) -> EffectiveSamples:
     """Independent samples that those of all runs together weigh as much as."""
-    sizes = [float(len(one.values)) for one in runs]
-    shares = [_count_beyond(one.values, requirement) / size for one, size in zip(runs, sizes)]
-    return pooled_number(shares, [one.effective(requirement) for one in runs], sizes)
+    sizes, each = [len(one.values) for one in runs], [one.effective(requirement) for one in runs]
+    number, with_missing = (
+        pooled_number(numbers, sizes) for numbers in ([n.number for n in each], [n.with_missing for n in each])
+    )
+    return EffectiveSamples(number, with_missing, max(n.unseen for n in each))
 
 
 def _worst(values: FloatArray, requirement: Requirement) -> float:

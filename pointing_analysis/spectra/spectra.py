@@ -65,6 +65,66 @@ class Spectrum:
         return np.asarray(np.sqrt(np.cumsum(total) * self.step))
 
 
+@dataclass(frozen=True)
+class BandSettings:
+    """What counts as the end of a spectrum.
+
+    Attributes
+    ----------
+    rows, fewest : of a record that are looked at, from its begin
+    beta : of the Kaiser window
+    top : part of the frequencies, the highest, that have the floor
+    rounding : power of the floor over the largest one that is the rounding of a double
+    quantum : power of the floor over that of the smallest step that is its quantisation
+    above : power over that of the floor up to which there is motion
+    lines : median power of the band over the largest one below which there are lines alone
+    early : part of the Nyquist frequency below which a spectrum ends early
+    """
+
+    rows: int = 1 << 16
+    fewest: int = 256
+    beta: float = 30.0
+    top: float = 0.1
+    rounding: float = 1e-20
+    quantum: float = 4.0
+    above: float = 100.0
+    lines: float = 1e-9
+    early: float = 0.5
+
+
+BAND = BandSettings()
+
+
+def highest_frequency(error: FloatArray, dt: float, settings: BandSettings = BAND) -> float | None:
+    """Frequency [Hz] above which a record (n, 2) has only the rounding of its numbers; None where it goes on.
+
+    So are records that were made from slower ones by a smooth interpolation.
+
+    Examples
+    --------
+    >>> from scipy.signal import resample
+    >>> slow = np.random.default_rng(1).standard_normal((400, 2))
+    >>> round(highest_frequency(resample(slow, 8000), 1e-3)), highest_frequency(slow, 1e-3)
+    (26, None)
+    """
+    e = np.asarray(error[: settings.rows], dtype=float)
+    if len(e) < settings.fewest or np.isnan(e).any():
+        return None
+    # A window whose side lobes are below the rounding of a double: leakage would hide the end.
+    power = np.square(np.abs(np.fft.rfft((e - e.mean(axis=0)) * np.kaiser(len(e), settings.beta)[:, None], axis=0)))
+    size, steps = power.max(axis=1), np.abs(np.diff(e, axis=0))
+    quantum = float(np.min(steps, where=steps > 0.0, initial=np.inf))
+    of_quantum = quantum**2 / 12.0 * float(np.square(np.kaiser(len(e), settings.beta)).sum())
+    floor = float(np.median(size[-int(settings.top * len(size)) :]))
+    if not floor <= max(settings.rounding * float(size.max()), settings.quantum * of_quantum) < np.inf:
+        return None
+    moving = np.flatnonzero(size > max(settings.above * floor, settings.rounding * float(size.max())))
+    if not moving.size or float(np.median(size[: moving[-1] + 1])) <= settings.lines * float(size.max()):
+        return None  # lines alone
+    top = float(moving[-1]) / (len(e) * dt)
+    return top if top < settings.early * 0.5 / dt else None
+
+
 def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
     """One-sided power spectral density by Welch's method (Hann window, half overlap, no detrending).
 

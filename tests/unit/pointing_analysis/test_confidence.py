@@ -12,7 +12,7 @@ from support.slow_cases import slow
 
 from pointing_analysis.indices import confidence
 from pointing_analysis.indices.confidence import effective_number
-from pointing_analysis.indices.exceedances import IndependentSamples, _moments, block_factor, inflation, pooled_number
+from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, inflation, persistence, pooled_number
 
 
 def reference_time(x: np.ndarray) -> float:
@@ -194,7 +194,7 @@ def noise(n: int, seed: int = 1) -> np.ndarray:
 
 @pytest.mark.parametrize("limit", [-1.0, 0.0, 1.3, 2.6, 6.0])
 def test_independent_samples_count_as_they_are(limit: float) -> None:
-    counts = [IndependentSamples.of(noise(5000, seed)).above(limit) for seed in range(40)]
+    counts = [IndependentSamples.of(noise(5000, seed)).above(limit).number for seed in range(40)]
     assert np.median(counts) > 0.85 * 5000 and max(counts) <= 5000
 
 
@@ -207,8 +207,8 @@ def test_bursts_count_once(long: int) -> None:
         for start in np.random.default_rng([1, seed]).integers(0, 40_000 - long, 40):
             x[start : start + long] += 9.0
         found = IndependentSamples.of(x)
-        ratios.append(found.above(5.0) * np.mean(x >= 5.0) / 40.0)
-        assert found.above(5.0) <= found.most <= found.correlated <= 40_000
+        ratios.append(found.above(5.0).number * np.mean(x >= 5.0) / 40.0)
+        assert found.above(5.0).number <= found.most <= found.correlated <= 40_000
     assert 0.5 < np.median(ratios) < 1.3
 
 
@@ -216,36 +216,39 @@ def test_a_burst_of_which_little_exceeds_is_seen_by_what_is_below_the_limit() ->
     x = noise(10_000)
     x[5000:5030] = 4.0 + 0.01 * np.arange(30)
     alone = IndependentSamples.of(x)
-    assert alone.above(4.285) < 1500 and effective_number(x) > 7000
+    assert alone.above(4.285).number < 1500 and effective_number(x) > 7000
     x[5000:5030] = noise(30, 2)
-    assert IndependentSamples.of(x).above(4.285) > 7000
+    assert IndependentSamples.of(x).above(4.285).number > 7000
 
 
 def test_a_slow_change_of_the_size_is_seen_where_no_limit_is_near() -> None:
     """The correlation of the values does not see it under the noise."""
     rng, n = np.random.default_rng(3), 20_000
     x = np.abs(rng.standard_normal(n)) * np.exp(0.3 * np.sin(2.0 * np.pi * np.arange(n) / 8000.0))
-    assert effective_number(x) > 0.5 * n and IndependentSamples.of(x).above(99.0) < 0.05 * n
+    assert effective_number(x) > 0.5 * n and IndependentSamples.of(x).above(99.0).number < 0.05 * n
 
 
 def test_signs_scales_gaps_and_constants() -> None:
     x = np.repeat(noise(300), 7)
     found = IndependentSamples.of(x)
     assert IndependentSamples.of(-x).above(-1.5, lower=True) == found.above(1.5)
-    assert IndependentSamples.of(1e-9 * x).above(1.5e-9) == pytest.approx(found.above(1.5))
-    assert IndependentSamples.of(np.append(x, np.nan)).above(1.5) == found.above(1.5)
-    assert IndependentSamples.of(x, cap=20.0).above(1.5) == 20.0
-    assert IndependentSamples.of(np.full(1000, 0.1)).above(0.05) == 1.0
-    assert IndependentSamples.of([np.nan]).above(0.0) == 0.0
+    scaled = IndependentSamples.of(1e-9 * x).above(1.5e-9)
+    assert vars(scaled) == pytest.approx(vars(found.above(1.5)))
+    gap = IndependentSamples.of(np.append(x, np.nan)).above(1.5)
+    assert (gap.number, gap.unseen) == (found.above(1.5).number, found.above(1.5).unseen)
+    assert gap.with_missing <= gap.number
+    assert IndependentSamples.of(x, cap=20.0).above(1.5).number == 20.0
+    assert IndependentSamples.of(np.full(1000, 0.1)).above(0.05).number == 1.0
+    assert IndependentSamples.of([np.nan]).above(0.0).number == 0.0
     for few in range(1, 9):
-        assert 1.0 <= IndependentSamples.of(noise(few)).above(0.0) <= few
+        assert 1.0 <= IndependentSamples.of(noise(few)).above(0.0).number <= few
 
 
 def test_a_record_that_repeats_itself_is_one_period() -> None:
     """Of 600 s of a tone of 1.7 Hz at 100 Hz there are 500 phases of its size: none may be in a tenth of a per cent."""
     phase = 2.0 * np.pi * 0.017 * np.arange(60_000)
     size = np.abs(np.cos(phase + 0.3))
-    assert IndependentSamples.of(size).above(0.9999) <= 500
+    assert IndependentSamples.of(size).above(0.9999).number <= 500
     assert IndependentSamples.of(np.abs(np.cos(3.0**0.5 / 1.7 * phase))).most > 10_000
     assert IndependentSamples.of(np.round(np.abs(noise(5000)), 1)).most > 4000, "values of few digits do not repeat"
 
@@ -254,11 +257,13 @@ def test_blocks_of_a_long_record_are_those_of_a_short_one() -> None:
     """Record by record and in parts: the sums of squares are those of the blocks."""
     for n in (1, 5, 64, 1000, 300_001):
         x = noise(n)
-        blocks, squares, fourth = _moments(lambda part, x=x: x[part], n)
-        for level, size in enumerate(2 ** np.arange(len(blocks))):
+        found = BlockSums.of(lambda part, x=x: x[part], n)
+        assert found.samples.tolist() == [2.0**k for k in range(20) if n // 2**k >= 4]
+        for level, size in enumerate(found.samples.astype(int)):
             sums = x[: n // size * size].reshape(-1, size).sum(axis=1)
-            assert (blocks[level], squares[level]) == (len(sums), pytest.approx(np.sum(sums**2)))
-            assert fourth[level] == pytest.approx(np.sum(sums**4))
+            assert (found.blocks[level], found.squares[level]) == (len(sums), pytest.approx(np.sum(sums**2)))
+            assert found.fourth[level] == pytest.approx(np.sum(sums**4))
+            assert found.largest[level] == pytest.approx(sums.max())
 
 
 def test_the_factor_is_that_of_the_correlation() -> None:
@@ -266,9 +271,8 @@ def test_the_factor_is_that_of_the_correlation() -> None:
     from scipy.signal import lfilter
 
     x = lfilter([1.0], [1.0, -0.9], noise(400_000))
-    found = block_factor(lambda part: x[part] - x.mean(), len(x), float(x.var()), 19.0)
-    assert 19.0 < found < 24.0
-    assert block_factor(lambda part: 0.0 * x[part], len(x), 0.0, 1.0) == 0.0
+    assert 19.0 < BlockSums.of(lambda part: x[part] - x.mean(), len(x)).factor(float(x.var()), 19.0) < 24.0
+    assert BlockSums.of(lambda part: 0.0 * x[part], len(x)).factor(0.0, 1.0) == 0.0
 
 
 def test_an_uncertain_variance_is_taken_larger() -> None:
@@ -277,10 +281,51 @@ def test_an_uncertain_variance_is_taken_larger() -> None:
     assert np.all(np.diff(inflation(np.arange(1.0, 50.0))) < 0.0) and inflation(0.0) == inflation(1.0)
 
 
-def test_runs_that_scatter_are_the_samples() -> None:
-    rng = np.random.default_rng(5)
-    alike = pooled_number(rng.binomial(1000, 0.1, 20) / 1000, [1000.0] * 20)
-    assert alike == pytest.approx(20_000)
-    assert 50.0 < pooled_number(rng.beta(1.0, 9.0, 20), [1000.0] * 20) < 1000.0, "220 on average"
-    assert pooled_number([0.2], [50.0]) == pytest.approx(50.0)
-    assert pooled_number([0.1, 0.1], [10.0, 10.0], [3.0, 1.0]) == pytest.approx(16.0)
+def test_runs_are_at_most_one_sample_each() -> None:
+    """One in ten always exceeds: of twenty none does in 12 % of the cases, whatever their length."""
+    assert pooled_number([1000.0] * 20) == pytest.approx(20.0)
+    assert pooled_number([0.5] * 20) == pytest.approx(10.0)
+    assert pooled_number([10.0, 10.0], [3.0, 1.0]) == pytest.approx(1.6)
+
+
+def test_samples_lost_in_clumps_weigh_as_bursts() -> None:
+    """Ten gaps of 300 of 60 000 samples: what exceeds in them are ten events, not three thousand."""
+    x = noise(60_000)
+    for start in range(2000, 60_000, 5800):
+        x[start : start + 300] = np.nan
+    gaps = IndependentSamples.of(x).above(1.28)
+    assert gaps.number > 40_000 and gaps.with_missing < 15_000 and gaps.unseen == 0.0
+
+
+def test_a_larger_cluster_than_those_of_the_record_may_come() -> None:
+    """None is expected of independent or correlated samples; of clusters the largest counts several times."""
+    from scipy.signal import lfilter
+
+    assert max(IndependentSamples.of(noise(20_000, k)).above(2.5).unseen for k in range(20)) < 40.0
+    correlated = lfilter([1.0], [1.0, -0.95], noise(20_000))
+    assert IndependentSamples.of(correlated).above(6.0).unseen == 0.0
+    x = noise(20_000)
+    for start, long in zip(range(500, 20_000, 1500), (10, 20, 10, 40, 10, 20, 10, 160, 10, 20, 10, 40, 10)):
+        x[start : start + long] += 9.0
+    assert IndependentSamples.of(x).above(5.0).unseen > 8.0 * 120.0
+
+
+def test_a_persistent_motion_has_the_mean_of_few_samples() -> None:
+    """Fractional noise: the power of its blocks is 2 H - 1; white and first-order noise have none in the long run."""
+    from scipy.signal import lfilter
+
+    def fractional(hurst: float, n: int, seed: int) -> np.ndarray:
+        k = np.arange(n + 1.0)
+        row = 0.5 * (np.abs(k - 1) ** (2 * hurst) - 2 * k ** (2 * hurst) + (k + 1) ** (2 * hurst))
+        size = np.sqrt(np.maximum(np.fft.rfft(np.append(row, row[-2:0:-1])).real, 0.0))
+        return np.fft.irfft(np.fft.rfft(noise(2 * n, seed)) * size)[:n]
+
+    def share(make: object) -> float:
+        return float(np.mean([persistence(np.column_stack([make(k), make(50 + k)])) > 0.0 for k in range(20)]))
+
+    assert share(lambda k: fractional(0.9, 10_000, k)) > 0.6
+    assert share(lambda k: fractional(0.7, 10_000, k)) == share(lambda k: noise(10_000, k)) == 0.0
+    for pole in (0.8, 0.95, 0.99):
+        assert share(lambda k, pole=pole: lfilter([1.0], [1.0, -pole], noise(10_000, k))) == 0.0
+    e = np.column_stack([fractional(0.9, 10_000, 3), fractional(0.9, 10_000, 4)])
+    assert IndependentSamples.of(np.hypot(*e.T), components=e).most < 10_000.0 ** (1.0 - 0.6)

@@ -14,9 +14,10 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.source_share import SourceShare, source_table
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.conditions import MEASURED, NEVER
-from pointing_analysis.requirements.settling import judge_settled, start_up
+from pointing_analysis.requirements.settling import is_settled, judge_settled, start_up
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.verdict import judge, parse
 from titop_plant.telescope.load import load_telescope
@@ -197,6 +198,16 @@ def test_tones_in_their_steady_state_are_settled(seed: int) -> None:
     values = 0.5 * noise(55.0, seed, 0.02) + tones
     omega = [2 * np.pi * hz for hz in lines]
     assert start_up(series(values), APE, omega) == start_up(series(values), RPE, omega) == 0.0
+
+
+def test_a_source_that_still_builds_up_is_marked() -> None:
+    """Its error in a table would be that of the seconds that were simulated."""
+    t = DT * np.arange(15_000)
+    grown = ErrorSeries(MAS * tone(15.0, 11.0, 1.0 - np.exp(-t / 40.0)), DT, 5.0, 0)
+    steady = ErrorSeries(MAS * tone(15.0, 11.0), DT, 5.0, 0)
+    assert is_settled(steady, 0.02, [2 * np.pi * 11.0]) and not is_settled(grown, 0.02, [2 * np.pi * 11.0])
+    rows = source_table([SourceShare("cooler", "cooler", "body", 1.0, 2.0, 1.0, settled=False)])
+    assert rows.rows[0][0] == "cooler, not settled"
 
 
 @pytest.mark.parametrize("linewidth", [0.02, 0.5])

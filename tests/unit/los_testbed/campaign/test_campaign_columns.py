@@ -143,7 +143,7 @@ def test_columns_are_what_analyse_says_of_the_recorded_run(
         printed = [float(f"{row[c]:.6g}") for c in (columns.quantile, columns.share, columns.effective)]
         assert printed == [said["quantile"], said["exceeding"], said["effective_samples"]], name
         error = (knowledge_error if r.index in ("AKE", "RKE") else performance_error)(run)
-        values, _, _ = index_samples(error, r, optics_of(run))
+        values = index_samples(error, r, optics_of(run)).values
         worst = values.min() if r.lower else values.max()
         assert row[columns.worst] == worst / columns.scale
     exceeding = [told[name]["exceeding"] for name in JUDGED]
@@ -198,7 +198,7 @@ def test_missing_windows_count_in_the_share(text: str, share: float) -> None:
 def test_rows_from_before_a_requirement_had_columns_are_computed_again(tmp_path: Path) -> None:
     """A folder of the same campaign with other columns is resumed, not refused."""
     pytest.importorskip("pyarrow")
-    now = tuple(f"{share}_effective" for share in SHARES)
+    now = tuple(f"{share}_{of_it}" for share in SHARES for of_it in ("effective", "unseen"))
     mine = telescope(tmp_path / "mine.toml", JUDGED)
     for file, own, kept in ((None, now, {0, 1}), (None, (), set()), (mine, now, set())):
         asked = Campaign.of(replace(base_of(file or ""), parameters=file), "uniform", 20, 1, "time", {"version": "1"})

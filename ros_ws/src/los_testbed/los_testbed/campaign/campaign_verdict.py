@@ -11,8 +11,9 @@ The worst instant, the quantile and the share above a limit are columns of the d
 those in place of instants. Under a lower limit the worst is the smallest, and what is below the limit counts.
 
 **Confidence.** Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`).
-The instants of a member count as its effective samples (:mod:`pointing_analysis.indices.exceedances`), and all of them
-together by their scatter from member to member. A temporal verdict has two steps, each at the
+The instants of a member count as its effective samples (:mod:`pointing_analysis.indices.exceedances`), those of all
+together as at most one for each member: what differs between telescopes is seen as often as there are members. A
+temporal verdict has two steps, each at the
 confidence of the requirement: on each member from its run, and on all telescopes from the members. A member counts as
 compliant only if its own run proves it. Members that are not random draws have no bounds, and all of them must be
 proven. A member that diverged, or whose metric is not known, exceeds every limit; one that failed for another reason is
@@ -198,18 +199,18 @@ def verdicts(
             return np.asarray(np.where(lost | np.isnan(values), instead, values)[keep])
 
         worst, own, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
-        effective = np.maximum(column(named.effective, 1.0), 1.0)
+        effective, unseen = np.maximum(column(named.effective, 1.0), 1.0), column(named.unseen, 1.0)
         own_status = [
-            "not compliant" if gone else status_of(requirement, s, s, n, len(share))
-            for gone, s, n in zip(lost[keep].tolist(), share.tolist(), effective.tolist())
+            "not compliant" if gone else status_of(requirement, s + more, s, n, len(share))
+            for gone, s, more, n in zip(lost[keep].tolist(), share.tolist(), unseen.tolist(), effective.tolist())
         ]
         temporal = replace(_temporal(requirement, own, own_status, random), column=named.quantile)
         if not random:
             found.append(temporal)
             continue
-        together = pooled_number(share.tolist(), effective.tolist())
+        together = pooled_number(effective, np.ones(len(share)))
         total = int(together + 1e-6)
-        above = min(math.ceil(float(np.average(share, weights=effective)) * together - 1e-6), total)
+        above = min(math.ceil(float(np.mean(share)) * together - 1e-6), total)
         of_all = _quantile(worst, requirement)
         ensemble = _decided("ensemble", requirement, _above(worst, requirement), len(worst), of_all)
         mixed = _decided("mixed", requirement, above, total, float(np.mean(own)))

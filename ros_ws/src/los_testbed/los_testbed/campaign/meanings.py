@@ -92,7 +92,7 @@ _COLUMN = re.compile(
     rf"(?P<index>{'|'.join(QUANTITIES)})(?P<rms>_window)?(?P<times>(?:_{_NUMBER}m?s)*)"
     rf"(?:_(?P<frequency>(?:{_NUMBER})?nyquist|{_NUMBER}cycles_per_[a-z]+))?(?:_(?P<axis>[xy]))?"
     rf"_(?P<what>max|min|p(?P<part>\d[\d.e+-]*)|(?P<side>above|below)_(?P<limit>{_NUMBER}))"
-    r"(?:_(?P<unit>mas|arcsec))?(?P<effective>_effective)?"
+    r"(?:_(?P<unit>mas|arcsec))?(?P<weight>_effective|_unseen)?"
 )
 
 _SOURCE = re.compile(r"source_(?P<name>\w+)_(?P<metric>ape_p997_arcsec|rpe_rms_mas)")
@@ -112,6 +112,8 @@ class RequirementColumns:
         Share of the samples that exceed the limit; missing ones are among them.
     effective : str
         Independent samples that those beyond the limit weigh as much as.
+    unseen : str
+        Share of the samples that larger clusters than those of the run may exceed.
     scale : float
         Radians per unit of the columns; 1 for numbers.
     unit : str
@@ -133,6 +135,7 @@ class RequirementColumns:
     quantile: str
     share: str
     effective: str
+    unseen: str
     scale: float
     unit: str
     lower: bool
@@ -151,6 +154,7 @@ class RequirementColumns:
             quantile=f"{stem}_p{part.removeprefix('0.')}{end}",
             share=share,
             effective=f"{share}_effective",
+            unseen=f"{share}_unseen",
             scale=scale,
             unit=unit,
             lower=lower,
@@ -158,8 +162,8 @@ class RequirementColumns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the four columns."""
-        return self.share, self.quantile, self.worst, self.effective
+        """Names of the columns."""
+        return self.share, self.quantile, self.worst, self.effective, self.unseen
 
     @property
     def values(self) -> tuple[str, str]:
@@ -217,7 +221,12 @@ def meaning(column: str) -> str:
     quantity = QUANTITIES[index] + _conditions(found)
     if found["limit"]:
         limit = f"{found['limit']} {found['unit'] or ''}".strip()
-        what = f"independent {samples} for the share" if found["effective"] else f"share of the {samples}"
+        share = f"share of the {samples}"
+        weights = {
+            "_effective": f"independent {samples} for the share",
+            "_unseen": f"further {share} in larger clusters,",
+        }
+        what = weights.get(found["weight"], share)
         return f"{quantity}: {what} {found['side']} {limit}"
     if found["part"]:
         part = float(found["part"] if "e" in found["part"] else f"0.{found['part']}")

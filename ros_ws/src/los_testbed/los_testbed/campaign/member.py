@@ -352,12 +352,13 @@ class _Samples:
         values = samples.values
         ordered = SortedValues(by_parts(lambda rows: sign * rows / named.scale, values))
         above = sum(np.count_nonzero(beyond_limit(values[part], requirement)) for part in parts(len(values)))
-        beyond = above + samples.missing
+        total, effective = len(values) + samples.missing, samples.effective(requirement)
         return {
-            named.share: float(beyond / (len(samples.values) + samples.missing)),
+            named.share: float((above + samples.missing) / total),
             named.quantile: sign * ordered.quantile(requirement.probability),
             named.worst: sign * float(ordered.at(ordered.size - 1)[0]),
-            named.effective: samples.effective(requirement),
+            named.effective: effective.number,
+            named.unseen: effective.unseen / total,
         }
 
 

@@ -1,0 +1,250 @@
+"""Rows of a record that tell something of the motion: not held, not interpolated, not stuck, not saturated.
+
+A record may have more rows than its sensor had samples, and rows in which the sensor saw nothing. Three signs are in
+the values themselves:
+
+- **held or interpolated**: each value is repeated, or the rows between two samples lie on a line, for a regular number
+  of rows. The samples behind them have a longer period; the rows between say nothing of the motion between.
+- **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
+  a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart.
+- **saturated**: more rows at one extreme value than a smooth distribution has there.
+
+A constant is a motion that does not change, and a motion without noise may rest at zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
+from pointing_analysis.indices.exceedances import period
+from pointing_analysis.read.mapped_arrays import PART, by_parts, parts
+
+
+@dataclass(frozen=True)
+class LiveRowSettings:
+    """Limits of what is a chance.
+
+    Attributes
+    ----------
+    fewest : rows of a record, and runs of a regular length, below which nothing is said
+    regular : share of the rows in runs of a regular length from which the record is a held or interpolated one
+    spread : part of the regular length by which a run may miss a multiple of it
+    single : share of steps of one quantum from which runs of equal values come from quantisation
+    fine : part of the typical step below which the quantum is that of the number format
+    chance : probability of a run of repeated rows, in the whole record, below which it is not one of chance
+    beside : times the rows just below the extreme value that may be at it
+    margin : rows more that may be there
+    band : part of the range that is just below the extreme value
+    rounding : part of the largest norm by which norms miss it in rounding
+    smooth : change of the typical step, a part of it, up to which a motion is one without noise
+    straight : part of the typical step by which a row may miss the line between its neighbours
+    """
+
+    fewest: int = 32
+    regular: float = 0.9
+    spread: float = 0.25
+    single: float = 0.95
+    fine: float = 1e-3
+    chance: float = 1e-3
+    beside: float = 3.0
+    margin: int = 8
+    band: float = 0.01
+    rounding: float = 1e-12
+    smooth: float = 0.7
+    straight: float = 1e-3
+
+
+SETTINGS = LiveRowSettings()
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Regular repetition of samples in a record.
+
+    Attributes
+    ----------
+    rows : of the record for each sample
+    starts : (m,) row at which each run begins
+    repeats : (m,) samples that a run stands for: two samples with equal values make one run
+    interpolated : whether the rows between two samples are on a line; else they repeat the first of them
+    """
+
+    rows: float
+    starts: IntArray
+    repeats: IntArray
+    interpolated: bool
+
+
+def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
+    """Regular repetition of samples in a record (n, 2); None where each row is a sample.
+
+    Examples
+    --------
+    >>> white = np.random.default_rng(1).standard_normal((50, 2))
+    >>> hold_of(np.repeat(white, 20, axis=0)).rows, hold_of(white)
+    (20.0, None)
+    >>> time, rows = np.arange(50.0), np.linspace(0.0, 49.0, 981)
+    >>> hold = hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T]))
+    >>> hold.rows, hold.interpolated
+    (20.0, True)
+    """
+    if len(e) < settings.fewest:
+        return None
+    changed = _marks(e, _moves)
+    begins = np.flatnonzero(changed[:PART])[1:]
+    if not changed[1:].any():
+        return None
+    if not _of_quantisation(e[begins] - e[begins - 1], settings) and (hold := _regular(changed, False, settings)):
+        return hold
+    # A corner of a piecewise linear motion is where the step changes. Neighbours of missing rows count as corners.
+    typical = np.nanmedian(np.abs(np.diff(e[:PART], axis=0)), axis=0)
+    allowed = settings.straight * typical
+    corner = _marks(e, lambda rows: ~(np.abs(rows[2:] - 2.0 * rows[1:-1] + rows[:-2]) <= allowed).all(axis=1))
+    return _regular(corner, True, settings) if typical.any() else None
+
+
+def _marks(e: FloatArray, function: Callable[[FloatArray], BoolArray]) -> BoolArray:
+    """Rows (n,) that a function of them with the row before and the row behind marks; the first one is marked."""
+    marks = np.ones(len(e), bool)
+    for part in parts(len(e) - 1):
+        rows = e[part.start : part.stop + 2]
+        rows = np.concatenate([rows, rows[-1:]]) if part.stop + 2 > len(e) else rows
+        marks[part.start + 1 : part.stop + 1] = function(rows)
+    return marks
+
+
+def _moves(rows: FloatArray) -> BoolArray:
+    """Whether a row differs from the one before; one that is missing differs from one that is not."""
+    before, row = rows[:-2], rows[1:-1]
+    both_missing = np.isnan(row).any(axis=1) & np.isnan(before).any(axis=1)
+    return np.asarray(~(row == before).all(axis=1) & ~both_missing)
+
+
+def _of_quantisation(steps: FloatArray, settings: LiveRowSettings) -> bool:
+    """Whether the steps (m, 2) between runs of equal rows are of one quantum, which also a smooth motion has."""
+    for column in np.abs(steps).T:
+        moving = column[column > 0.0]
+        if moving.size and np.mean(moving <= 1.001 * moving.min()) < settings.single:
+            return False
+    return True
+
+
+def _regular(begins: BoolArray, interpolated: bool, settings: LiveRowSettings) -> Hold | None:
+    """Runs between rows that begin one, where nearly all of them have a multiple of one length of two rows or more."""
+    starts = np.flatnonzero(begins)
+    lengths = np.diff(np.append(starts, len(begins)))
+    inner = lengths[1:-1]
+    if len(inner) < settings.fewest // 2:
+        return None
+    length = float(np.median(inner))
+    repeats = np.maximum(np.rint(inner / length), 1.0)
+    fits = np.abs(inner - repeats * length) <= settings.spread * length
+    if length < 2.0 or inner[fits].sum() < settings.regular * inner.sum():
+        return None
+    rows = float(inner[fits].sum() / repeats[fits].sum())
+    return Hold(rows, starts, np.maximum(np.rint(lengths / rows), 1.0).astype(np.int64), interpolated)
+
+
+def samples_behind(e: FloatArray, hold: Hold) -> FloatArray:
+    """Samples (m, 2) that a record repeats."""
+    return np.repeat(e[hold.starts], hold.repeats, axis=0)
+
+
+def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
+    """Which rows (n,) of a record (n, 2) repeat the one before, in an axis that moves, more often than by chance.
+
+    An axis at zero is at rest; where the other one repeats its value, too, only if what moves is smooth: then the
+    record is of a motion without noise.
+
+    Examples
+    --------
+    >>> e = np.random.default_rng(1).standard_normal((1000, 2))
+    >>> e[300:500, 0] = e[300, 0]
+    >>> int(stuck_rows(e).sum()), int(stuck_rows(np.round(e)).sum())
+    (199, 0)
+    """
+    stuck = np.zeros(len(e), bool)
+    if len(e) < settings.fewest:
+        return stuck
+    still = [_marks(e[:, k : k + 1], lambda rows: rows[1:-1, 0] == rows[:-2, 0]) for k in range(2)]
+    smooth = _is_smooth(e[~(still[0] & still[1])][:PART], settings)
+    for column, repeated in enumerate(still):
+        repeated[0] = False
+        if not repeated.any():
+            continue
+        by_chance = _chance_repeats(e[:, column], repeated, settings)
+        at_rest = (e[:, column] == 0.0) & (~still[1 - column] | smooth)
+        stuck |= repeated & ~by_chance & ~at_rest
+    return stuck
+
+
+def _is_smooth(moving: FloatArray, settings: LiveRowSettings) -> bool:
+    """Whether the steps of rows (n, 2) change less from row to row than those of noise, by 1.4 or 1.7 of themselves."""
+    step = np.diff(moving, axis=0)
+    sizes = [np.abs(one).sum(axis=1) for one in (step, np.diff(step, axis=0))]
+    typical, change = (float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0 for size in sizes)
+    return change <= settings.smooth * typical
+
+
+def _chance_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSettings) -> BoolArray:
+    """Which rows are in a run of equal values that quantisation explains; all of them in an axis that does not move."""
+    steps = np.abs(np.diff(x))
+    moving = steps[steps > 0.0]
+    if not moving.size:
+        return np.ones(len(x), bool)
+    starts = np.flatnonzero(~repeated)
+    lengths = np.diff(np.append(starts, len(x)))
+    into = np.append(0.0, steps)[starts]
+    edges = np.fmax(into, np.append(into[1:], 0.0))
+    quantum, typical = float(moving.min()), float(np.median(moving))
+    quantised = quantum >= settings.fine * typical
+    one = float(repeated.mean()) if quantised else quantum / typical  # probability of one row that repeats
+    longest = math.log(settings.chance / len(x)) / math.log(one)
+    still = 2.001 * quantum if quantised else settings.fine * typical  # step of a motion that hardly moves
+    return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still), lengths))
+
+
+def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
+    """Which rows (n,) of a record (n, 2) are at an extreme value that holds more of them than chance explains.
+
+    The extremes are those of each axis, and the largest norm.
+
+    Examples
+    --------
+    >>> e = np.random.default_rng(1).standard_normal((10_000, 2))
+    >>> [int(saturated_rows(x).sum()) for x in (e, np.round(e, 1), np.clip(e, -2.0, 2.0))]
+    [0, 0, 865]
+    """
+    saturated = np.zeros(len(e), bool)
+    if len(e) < settings.fewest:
+        return saturated
+    norm = by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
+    saturated |= _at_top(norm, settings, settings.rounding)
+    for axis in e.T:
+        saturated |= _at_top(axis, settings) | _at_top(by_parts(np.negative, axis), settings)
+    return saturated
+
+
+def _at_top(values: FloatArray, settings: LiveRowSettings, rounding: float = 0.0) -> BoolArray:
+    """Which of the values (n,) are the largest one, where these are more than chance explains; else none."""
+    none = np.zeros(len(values), bool)
+    top = max(float(np.nanmax(values[part], initial=-math.inf)) for part in parts(len(values)))
+    at_top = by_parts(lambda rows: rows >= top - rounding * top, values, dtype=bool)
+    count = int(at_top.sum())
+    if top == 0.0 or count <= settings.margin:
+        return none
+    below = values[~at_top & np.isfinite(values)]
+    next_level = float(below.max(initial=-math.inf))
+    if below.min(initial=math.inf) >= np.max(below, where=below < next_level, initial=-math.inf):
+        return none  # of fewer than four values no distribution is seen
+    band = max(top - next_level, settings.band * (top - float(below.min())))
+    if count <= settings.beside * int((below >= top - 1.0001 * band).sum()) + settings.margin:
+        return none
+    once = period(values, float(np.nanstd(values)))
+    repeats_itself = once < len(values) and int(at_top[:once].sum()) <= settings.margin
+    return none if repeats_itself else np.asarray(at_top)

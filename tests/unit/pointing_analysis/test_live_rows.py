@@ -1,0 +1,161 @@
+"""Records that do not show the motion: held, interpolated, stuck and clipped ones, and those that only look so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter, resample
+
+from pointing_analysis.arrays import FloatArray
+from pointing_analysis.indices.live_rows import hold_of, saturated_rows, stuck_rows
+from pointing_analysis.requirements.series_verdict import judge_series
+from pointing_analysis.requirements.summary import Summary
+
+N, DT = 60_000, 1e-3
+TIME = DT * np.arange(N)
+RPE = "prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence"
+APE = "prob(|APE| < 1000 mas) >= 0.997 at 95 % confidence"
+
+
+def white(sigma: float, rows: int = N) -> FloatArray:
+    """[mas], two axes."""
+    return sigma * np.random.default_rng(0).standard_normal((rows, 2))
+
+
+def tone(hertz: float, size: float) -> FloatArray:
+    phase = 2.0 * np.pi * hertz * TIME
+    return np.column_stack([size * np.cos(phase), 0.7 * size * np.sin(phase)])
+
+
+def judged(e: FloatArray) -> Summary:
+    return judge_series(TIME[: len(e)], e, unit="mas", requirements=[RPE, APE], transient=0.0)
+
+
+def interpolated(digits: int | None = None) -> FloatArray:
+    coarse, rows = white(300.0, N // 20 + 1), np.arange(N)
+    e = np.column_stack([np.interp(rows, 20.0 * np.arange(len(coarse)), axis) for axis in coarse.T])
+    return e if digits is None else np.round(e, digits)
+
+
+def irregular() -> FloatArray:
+    lengths = np.random.default_rng(1).integers(13, 19, 4000)
+    return np.repeat(white(300.0, 4000), lengths, axis=0)[:N]
+
+
+@pytest.mark.parametrize(
+    ("record", "rate"),
+    [
+        (lambda: np.repeat(white(300.0, N // 20), 20, axis=0), 50.0),
+        (lambda: white(300.0)[(0.03 * np.arange(N)).astype(int)], 30.0),
+        (lambda: np.round(np.repeat(white(300.0, N // 20), 20, axis=0) / 60.0) * 60.0, 50.0),
+        (irregular, 1000.0 / 15.5),
+        (interpolated, 50.0),
+        (lambda: interpolated(2), 50.0),
+    ],
+    ids=["50 Hz", "30 Hz", "50 Hz quantised", "jitter", "interpolated", "interpolated, two digits"],
+)
+def test_a_slower_sensor_is_not_judged_within_its_period(record: Callable[[], FloatArray], rate: float) -> None:
+    """A camera of 50 Hz in rows of 1 kHz: its RPE(20 ms) would be zero where the motion has 500 mas."""
+    summary = judged(record())
+    relative, absolute = summary.verdicts
+    assert relative.status == "not judged" and "window must last for two samples" in relative.note
+    assert absolute.status != "not judged" and absolute.samples == pytest.approx(rate * 60.0, rel=0.01)
+    remark = next(text for text in summary.problems if "each sample is" in text)
+    shown = re.search(r"a record of ([\d.]+) Hz, which shows no motion above ([\d.]+) Hz", remark)
+    assert shown and [float(x) for x in shown.groups()] == pytest.approx([rate, rate / 2.0], rel=0.01)
+
+
+@pytest.mark.parametrize("digits", [12, 3])
+def test_a_spectrum_that_ends_early_is_said(digits: int) -> None:
+    """50 Hz brought to 1 kHz by a Fourier series."""
+    e = np.round(resample(white(300.0)[::20], N), digits)
+    assert "above 25.2 Hz the record has only the rounding of its numbers: figures of motion below" in [
+        text.replace("25.1", "25.2") for text in judged(e).problems
+    ]
+
+
+def changed(e: FloatArray, change: Callable[[FloatArray], Any]) -> FloatArray:
+    change(e)
+    return e
+
+
+@pytest.mark.parametrize(
+    ("record", "what", "share"),
+    [
+        (lambda: np.clip(white(3000.0), -600.0, 600.0), "saturated", 0.975),
+        (lambda: np.clip(white(300.0), -900.0, 900.0), "saturated", 0.0054),
+        (lambda: np.clip(tone(0.37, 3000.0), -600.0, 600.0), "saturated", 1.0),
+        (lambda: np.clip(np.round(white(300.0) / 30.0) * 30.0, -600.0, 600.0), "saturated", 0.1),
+        (lambda: (e := white(3000.0)) * np.minimum(1.0, 600.0 / np.hypot(*e.T))[:, None], "saturated", 0.98),
+        (lambda: changed(white(10.0), lambda e: e.__setitem__(slice(20_000, 38_000), e[20_000])), "stuck", 0.3),
+        (lambda: changed(white(10.0), lambda e: e.__setitem__((slice(0, 18_000), 1), e[0, 1])), "stuck", 0.3),
+        (lambda: changed(white(10.0), lambda e: e.__setitem__(slice(42_000, None), e[42_000])), "stuck", 0.3),
+        (
+            lambda: changed(np.round(white(300.0), -1), lambda e: e.__setitem__(slice(20_000, 38_000), e[20_000])),
+            "stuck",
+            0.3,
+        ),
+    ],
+    ids=[
+        "clipped", "in the tail", "tone", "quantised", "norm", "stuck", "one axis", "to the end", "quantised and stuck",
+    ],
+)  # fmt: skip
+def test_what_the_sensor_did_not_see_is_not_judged(record: Callable[[], FloatArray], what: str, share: float) -> None:
+    verdicts = judged(record()).verdicts
+    for verdict in verdicts:
+        assert verdict.status == "not judged" and verdict.note.startswith(f"{what}: ")
+        assert float(verdict.note.split()[1]) / 100.0 == pytest.approx(share, rel=0.1)
+
+
+def test_a_few_stuck_samples_are_missing_ones() -> None:
+    """Fewer than the requirement allows to exceed: they count against the verdict, as lost ones do."""
+    e = changed(white(10.0), lambda e: e.__setitem__(slice(30_000, 30_051), e[30_000]))
+    loose = "prob(|APE| < 1000 mas) >= 0.99 at 95 % confidence"
+    (verdict,) = judge_series(TIME, e, unit="mas", requirements=loose, transient=0.0).verdicts
+    assert (verdict.status, verdict.missing, verdict.samples) == ("compliant", 50.0, N - 50)
+
+
+SEEN = {
+    "constant": lambda: np.full((N, 2), 5.0),
+    "zero": lambda: np.zeros((N, 2)),
+    "one axis": lambda: np.column_stack([white(10.0)[:, 0], np.zeros(N)]),
+    "quantised 1 %": lambda: np.round(white(10.0) / 10.0) * 10.0,
+    "quantised 5 %": lambda: np.round(white(100.0) / 50.0) * 50.0,
+    "quantised 20 %": lambda: np.round(white(300.0) / 200.0) * 200.0,
+    "quantised, two levels": lambda: np.round((white(40.0) + 130.0) / 200.0) * 200.0,
+    "quantised slow tone": lambda: np.round(tone(0.1, 900.0) / 200.0) * 200.0,
+    "quantised slow tone 1 %": lambda: np.round(tone(0.1, 900.0) / 10.0) * 10.0,
+    "quantised slow tone with noise": lambda: np.round((tone(0.1, 900.0) + white(3.0)) / 10.0) * 10.0,
+    "quantised drift": lambda: np.round(np.column_stack([15.0 * TIME, 0.0 * TIME]) / 10.0) * 10.0,
+    "tone of 60.19 Hz": lambda: tone(60.19, 30.0),
+    "tone of 8 samples": lambda: tone(125.0, 30.0),
+    "tone of 4 samples": lambda: tone(250.0, 30.0),
+    "slow tone": lambda: tone(0.01, 900.0),
+    "circle": lambda: np.column_stack([np.cos(20.0 * TIME), np.sin(20.0 * TIME)]),
+    "ramp": lambda: np.column_stack([10.0 * TIME, 0.0 * TIME]),
+    "step response": lambda: np.column_stack([100.0 * (1.0 - np.exp(-TIME / 1.5)), 0.0 * TIME]),
+    "impulse response": lambda: np.exp(-TIME / 2.0)[:, None] * tone(11.0, 500.0),
+    "first order": lambda: lfilter([1.0], [1.0, -0.99], white(10.0), axis=0),
+    "two digits": lambda: np.round(white(10.0), 2),
+    "float32": lambda: white(10.0).astype(np.float32).astype(float),
+}
+
+
+@pytest.mark.parametrize("kind", SEEN)
+def test_motions_that_repeat_values_by_chance_are_judged(kind: str) -> None:
+    e = np.asarray(SEEN[kind]())
+    assert hold_of(e) is None and not stuck_rows(e).any() and not saturated_rows(e).any()
+    assert "not judged" not in {verdict.status for verdict in judged(e).verdicts}
+
+
+def test_a_motion_without_noise_may_rest_at_zero() -> None:
+    """A simulation of an event: before and behind it nothing moves. With noise the zeros are those of a dead sensor."""
+    ringing = np.exp(-TIME / 0.5)[:, None] * tone(11.0, 500.0) * (TIME < 5.0)[:, None]
+    event = np.where((TIME < 20.0)[:, None], 0.0, np.roll(ringing, 20_000, axis=0))
+    assert not stuck_rows(event).any()
+    dead = judged(np.where((TIME < 20.0)[:, None], 0.0, white(10.0)))
+    assert [verdict.note for verdict in dead.verdicts] == ["stuck: 33.3 % of the samples"] * 2
