@@ -30,9 +30,9 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.spec import LOS_ROWS
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
-from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise, combined_level
 
 TURN = 2.0
 """Angle [rad] between neighbouring frequencies above which the return difference is not resolved."""
@@ -195,14 +195,25 @@ class MemberMetrics:
         return {name: _peak(self.model.omega[index], gain) for name, gain in gains.items()}
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
-        """:func:`titop_plant.telescope.error_budget.combined_level` of windows with a tone [rad/s], `least` or more."""
-        probability = self._probability
+        """:func:`titop_plant.telescope.window_noise.combined_level` of windows with a tone [rad/s], `least` or more.
+
+        The noise has the spectrum of the nominal member.
+        """
         turn = omega * self.telescope.weights.rpe_window
-        return combined_level(tone, noise, probability, turn=turn, least=least)
+        return combined_level(tone, self._window_noise.changed(noise), self._probability, turn, least=least)
 
     @cached_property
     def _probability(self) -> float:
         return self.telescope.window_probability
+
+    @cached_property
+    def _window_noise(self) -> WindowNoise:
+        if not np.isfinite(self.noise).all() or not self.nominal.any():
+            return WindowNoise(0.0)
+        omega, power = self.model.omega, self.nominal * self.seen**2
+        powers = 0.5 * (power[1:] + power[:-1]) * np.diff(omega)
+        turns = 0.5 * (omega[1:] + omega[:-1]) * self.telescope.weights.rpe_window
+        return WindowNoise.of_spectrum(self.noise[1], ON_AXIS, turns, powers)
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         ports = self.model.loop.ports

@@ -22,6 +22,7 @@ from pointing_analysis.indices.window_rows import window_rows, window_starts
 from titop_plant.interface import DT, FRAME_TICKS, PLATFORM
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import relative_error_weight
+from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise
 
 PLACES = 10
 """Places for each tick of a window that is no whole number of ticks."""
@@ -53,6 +54,24 @@ def noise_rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]
     """Root mean squares [rad, both axes] of :func:`noise_covariances`."""
     plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
     return plain, relative
+
+
+def loop_noise(
+    plant: System, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: Telescope, *, loop: str
+) -> tuple[WindowNoise, WindowNoise]:
+    """Noise of the line of sight [rad] at its instants, and as relative error in the windows of the requirements.
+
+    The arguments are those of :func:`noise_covariances`. The part on the axis of a tone is the largest along any axis,
+    and that of the budgets at least. The root mean squares are infinite if the loop is unstable.
+    """
+    sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports))
+    if closed.spectral_radius() >= 1.0:
+        return WindowNoise(np.inf), WindowNoise(np.inf)
+    both = covariances(closed, telescope, None)
+    (plain, relative), parts = noise_rms(both), [max(ON_AXIS, largest_part(one)) for one in both]
+    table = window_covariance(correlation(closed, ports.noise[: closed.noise_hold.shape[1]]), telescope)
+    return WindowNoise(plain, parts[0]), WindowNoise(relative, parts[1], table)
 
 
 def largest_part(covariance: FloatArray) -> float:
@@ -152,6 +171,22 @@ def correlation(loop: SampledLoop, sigma: FloatArray, unit: float = 1.0) -> Call
     return at
 
 
+def window_covariance(correlated: Callable[[int], FloatArray], telescope: Telescope) -> FloatArray:
+    """Covariance (n, n) between the ticks of a window of the line of sight less its mean there, the sum over both axes.
+
+    Parameters
+    ----------
+    correlated : callable
+        Of :func:`correlation`.
+    telescope : Telescope
+        Its window of the relative error, in whole ticks.
+    """
+    n = max(round(telescope.weights.rpe_window / DT), 2)
+    table = linalg.toeplitz([float(np.trace(correlated(lag))) for lag in range(n)])
+    rest = np.eye(n) - 1.0 / n
+    return np.asarray(rest @ table @ rest)
+
+
 def covariances_in_window(correlated: Callable[[int], FloatArray], ticks: float) -> FloatArray:
     """Covariance of the line of sight less its mean over a window, at places of equal shares of it: (places, 2, 2).
 
@@ -185,7 +220,9 @@ __all__ = [
     "covariances",
     "covariances_in_window",
     "largest_part",
+    "loop_noise",
     "noise_covariances",
     "noise_rms",
     "periodic_covariances",
+    "window_covariance",
 ]

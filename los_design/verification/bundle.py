@@ -50,7 +50,7 @@ from lftkit.proofs.trusted.stability import whole_axis
 from lftkit.support.atomic_output import atomic_file
 from los_design.synthesis.provenance import commit
 from los_design.verification.check_proof_texts import require_plain
-from los_design.verification.combined_bounds import error_sums
+from los_design.verification.combined_bounds import error_sums, in_few_bands
 from los_design.verification.error_sum import FAST, PART, ErrorSum, window_limit
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
@@ -484,7 +484,7 @@ def checked_noise(
         raise ProofError(f"{stage}, {NOISE}: noise needs that every member is stable, which was not proven")
     if checked.relative is None:
         raise ProofError(f"{stage}, {NOISE}: the telescope must have a window of the relative error, got {window} s")
-    return checked.absolute, checked.relative
+    return replace(checked.absolute, powers=()), in_few_bands(checked.relative)
 
 
 def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:

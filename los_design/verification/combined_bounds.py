@@ -1,18 +1,17 @@
 """What proven bounds of tones and of noise make together, in the form of the budgets.
 
-A tone of amplitude a along one axis and noise of r rms keep
-:func:`titop_plant.telescope.error_budget.combined_level` in the part of windows or instants that the requirement behind
-the stage's limit asks for; it grows with both, so that bounds of them give a bound. The part of the noise that can be
-on the axis of the tone is proven with the noise. A fast tone counts with the least angle that it turns in a window:
-that of the lower end of the part of the band that its bound is of.
+A tone of amplitude a along one axis and noise keep :func:`titop_plant.telescope.window_noise.combined_level` in the
+part of windows or instants that the requirement behind the stage's limit asks for; it grows with both, so that bounds
+of them give a bound. The part of the noise that can be on the axis of the tone, and its power in each band, are proven
+with the noise. A fast tone counts with the angles that it turns in a window in the part of the band that its bound is
+of: the largest level at :data:`TURNS` of them.
 
 Two things hold only for a required part of :data:`LEAST_PART` or more: a tone along one axis is worse than one whose
 line of sight goes round an ellipse, and more noise is worse than less. For a smaller part the level that this part
 keeps is the bound.
 
 Slow and fast tones at once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``,
-and random phases (:func:`titop_plant.telescope.error_budget.two_tone_level`). The largest level over the shares is the
-sum.
+and random phases. The largest level over the shares is the sum.
 
 Each of the 22 channels of the reference at its own weight has norm sqrt(22) in all, and bounds grow by that factor at
 most.
@@ -21,7 +20,8 @@ most.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import optimize
@@ -30,13 +30,18 @@ from lftkit.proofs.trusted.noise import NoiseBound
 from los_design.verification.error_sum import FAST, WITH_NOISE, ErrorSum, parts_of_band, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.error_budget import combined_level, two_tone_level
+from titop_plant.interface import DT
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.window_noise import WindowNoise, combined_level
 
 LEAST_PART = 0.9
 """Of the instants or windows: the least one for which sums are computed."""
 SHARES = 17
 """Shares of slow and fast tones between which the largest sum is searched."""
+TURNS = 5
+"""Frequencies of a part of the band, its ends among them, at which the level of its tones is computed."""
+BANDS, LOWEST = 60, 0.1
+"""Bands of the noise, in each of which it counts as of one frequency, and the edge of the lowest one [rad/s]."""
 
 
 def error_sums(
@@ -62,12 +67,13 @@ def error_sums(
     fast = fast_pieces(telescope, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
     found: list[tuple[str, float, float, str, float]] = []
     if noise is not None:
-        instants, windows = required_probabilities(telescope, stage)
-        wide, fine = _scaled(noise[0], RAD_PER_ARCSEC), _scaled(noise[1], RAD_PER_MAS)
-        alone = max((_level(bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
-        both = max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
+        instants, windows = (max(part, LEAST_PART) for part in required_probabilities(telescope, stage))
+        window = telescope.weights.rpe_window
+        wide, fine = window_noise(noise[0], RAD_PER_ARCSEC), window_noise(noise[1], RAD_PER_MAS, window)
+        alone, both = _largest(0.0, fast, fine, windows), _largest(slow, fast, fine, windows)
         values = (_level(absolute, wide, instants), _level(slow, fine, windows), alone, both)
-        limits = ((arcsec, "arcsec", instants), *((mas, "mas", windows),) * 3)
+        asked = required_probabilities(telescope, stage)
+        limits = ((arcsec, "arcsec", asked[0]), *((mas, "mas", asked[1]),) * 3)
         found = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
     sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
     inputs = telescope.channels
@@ -82,45 +88,75 @@ def error_sums(
 
 
 def fast_pieces(telescope: Telescope, tones: Mapping[str, float]) -> list[tuple[float, float]]:
-    """Least turn in a window [rad] and bound of each part of the fast tones' band; empty without a bound of all.
+    """Angles that fast tones turn in a window [rad], and their bounds; empty without a bound of all.
 
     Parts without a gap from the edge of the band on have bounds of their own where they are proven; above them the
     bound of the whole band counts.
     """
     if FAST not in tones:
         return []
-    window, pieces, end = telescope.weights.rpe_window, [], telescope.weights.band_edge
+    bands, end = [], telescope.weights.band_edge
     for name, (low, high) in parts_of_band(telescope).items():
         if name not in tones:
             break
-        pieces.append((low * window, min(tones[name], tones[FAST])))
+        bands.append((low, high, min(tones[name], tones[FAST])))
         end = high
-    return [*pieces, (end * window, tones[FAST])]
+    window = telescope.weights.rpe_window
+    bands.append((end, max(math.pi / DT, end), tones[FAST]))
+    return [(window * float(at), bound) for low, high, bound in bands for at in np.geomspace(low, high, TURNS)]
 
 
-def _scaled(bound: NoiseBound, unit: float) -> NoiseBound:
-    """In another unit; along each of both axes the power is at most that along any."""
-    return NoiseBound(min(bound.rms, math.sqrt(2.0) * bound.along) / unit, bound.along / unit)
+def window_noise(bound: NoiseBound, unit: float, window: float = 0.0) -> WindowNoise:
+    """Noise of a bound in another unit, its power in bands as proven; along each of both axes at most that along any.
+
+    Parameters
+    ----------
+    bound : NoiseBound
+    unit : float
+    window : float
+        Of the relative error [s]; zero: of the absolute error, whose instants have no shape.
+    """
+    scaled = NoiseBound(min(bound.rms, math.sqrt(2.0) * bound.along) / unit, bound.along / unit)
+    if not window or not bound.powers:
+        return WindowNoise(scaled.rms, scaled.on_axis)
+    low, high, power = np.array(bound.powers).T
+    turns = window * np.sqrt(np.maximum(low, 0.5 * high) * high)
+    return WindowNoise.of_spectrum(scaled.rms, scaled.on_axis, turns, power)
 
 
-def _level(tone: float, noise: NoiseBound, part: float, turn: float = 0.0) -> float:
-    if math.isnan(tone + part):
+def in_few_bands(bound: NoiseBound) -> NoiseBound:
+    """The same bound with at most :data:`BANDS` bands of its powers, of equal ratios."""
+    rows = np.array(bound.powers)
+    edges = np.geomspace(LOWEST, max(float(rows[-1, 1]), 2.0 * LOWEST), BANDS)
+    band = np.searchsorted(edges, rows[:, 1], side="left")
+    parts = [rows[band == k] for k in np.unique(band)]
+    merged = ((float(part[0, 0]), float(part[-1, 1]), math.fsum(part[:, 2])) for part in parts)
+    return replace(bound, powers=tuple(merged))
+
+
+def _level(tone: float, noise: WindowNoise, part: float) -> float:
+    return math.nan if math.isnan(tone + part) else combined_level(tone, noise, part)
+
+
+def _largest(slow: float, fast: Sequence[tuple[float, float]], noise: WindowNoise, part: float) -> float:
+    """Largest level of a fast tone, and of a slow one beside it where that is not zero, over the shares of both."""
+    if not fast or math.isnan(slow + part):
         return math.nan
-    return combined_level(tone, noise.rms, max(part, LEAST_PART), noise.on_axis, turn)
 
+    def level(turn: float, bound: float, angle: float, least: float = 0.0) -> float:
+        tone, beside = math.sin(angle) * bound, math.cos(angle) * slow
+        return combined_level(tone, noise, part, turn, slow=beside, least=least)
 
-def _both(slow: float, fast: float, noise: NoiseBound, part: float, turn: float) -> float:
-    """Largest level over the shares of both tones."""
-    if math.isnan(slow + part):
-        return math.nan
-    part = max(part, LEAST_PART)
-
-    def level(angle: float) -> float:
-        return two_tone_level(math.cos(angle) * slow, math.sin(angle) * fast, noise.rms, part, noise.on_axis, turn)
-
-    angles = np.linspace(0.0, 0.5 * math.pi, SHARES)
-    values = [level(float(angle)) for angle in angles]
-    k = int(np.argmax(values))
-    ends = float(angles[max(k - 1, 0)]), float(angles[min(k + 1, SHARES - 1)])
-    best = optimize.minimize_scalar(lambda angle: -level(float(angle)), bounds=ends, method="bounded")
-    return max(values[k], -float(best.fun))
+    most = 0.5 * math.pi
+    angles = np.linspace(0.0, most, SHARES).tolist() if slow else [most]
+    largest, at = 0.0, (0.0, 0.0, 0.0)
+    for turn, bound in fast:
+        for angle in angles:
+            if (value := level(turn, bound, angle, largest)) > largest:
+                largest, at = value, (turn, bound, angle)
+    if not slow:
+        return largest
+    turn, bound, angle = at
+    ends = max(angle - most / (SHARES - 1), 0.0), min(angle + most / (SHARES - 1), most)
+    best = optimize.minimize_scalar(lambda x: -level(turn, bound, float(x)), bounds=ends, method="bounded")
+    return max(largest, -float(best.fun))

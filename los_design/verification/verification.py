@@ -24,13 +24,14 @@ from los_estimator.problem import observer_plant
 from los_loop.figures_of_merit import figure, gain_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import GuaranteedMargins, delay_margins, rounded
-from los_loop.noise import largest_part, noise_covariances, noise_rms
+from los_loop.noise import loop_noise, noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.formatting.number_text import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
-from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.requirements import instant_probability, window_probability
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.window_noise import WindowNoise, combined_level
 
 ARCSEC = np.pi / 648000.0
 MAS = 1e-3 * ARCSEC
@@ -67,10 +68,8 @@ class ImplementedCheck:
     ----------
     checks : dict of str to StageCheck
         By stage: the mirror alone, and with the proof-mass actuators where the telescope has them.
-    noise : dict of str to (float, float)
-        By stage, at the nominal point: line of sight due to sensor noise [rad rms], plain and as relative error.
-    on_axis : dict of str to (float, float)
-        By stage, of both kinds: the largest part of the noise's power along one axis.
+    noise : dict of str to (WindowNoise, WindowNoise)
+        By stage, at the nominal point: line of sight due to sensor noise [rad], plain and as relative error.
     platform_noise : float
         Line of sight due to the platform's accelerometers with all controllers [rad rms], the paper's figure.
     delay : dict of str to float
@@ -80,8 +79,7 @@ class ImplementedCheck:
     """
 
     checks: dict[str, StageCheck]
-    noise: dict[str, tuple[float, float]]
-    on_axis: dict[str, tuple[float, float]]
+    noise: dict[str, tuple[WindowNoise, WindowNoise]]
     platform_noise: float
     delay: dict[str, float]
     telescope: Telescope
@@ -170,8 +168,8 @@ class ImplementedCheck:
     def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
         turn = omega * self.telescope.weights.rpe_window
         probability = window_probability(self.telescope.requirements)
-        on_axis = max(ON_AXIS, self.on_axis[stage][1])
-        return _level(tone, self.noise[stage][1] / MAS, probability, on_axis, turn, least)
+        noise = self.noise[stage][1]
+        return _level(tone, noise.changed(noise.rms / MAS), probability, turn, least)
 
     def total_together(self, stage: str) -> float:
         """The same beside a slow and a fast tone at once, of norm 1 in all [mas]: at most, whatever their shares."""
@@ -180,9 +178,8 @@ class ImplementedCheck:
     def total_ape(self, stage: str) -> float:
         """Line of sight that the required part of the instants keeps beside the tone that is worst for it [arcsec]."""
         limit = figure("APE").limit(self.telescope, stage) / ARCSEC
-        tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0] / ARCSEC
-        probability = instant_probability(self.telescope.requirements)
-        return _level(tone, noise, probability, max(ABSOLUTE_ON_AXIS, self.on_axis[stage][0]))
+        tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0]
+        return _level(tone, noise.changed(noise.rms / ARCSEC), instant_probability(self.telescope.requirements))
 
     @property
     def reduction(self) -> float:
@@ -252,8 +249,8 @@ class ImplementedCheck:
             },
             "noise": {
                 short: {
-                    "ape_arcsec_rms": rounded(self.noise[stage][0] / ARCSEC),
-                    "rpe_mas_rms": rounded(self.noise[stage][1] / MAS),
+                    "ape_arcsec_rms": rounded(self.noise[stage][0].rms / ARCSEC),
+                    "rpe_mas_rms": rounded(self.noise[stage][1].rms / MAS),
                 }
                 for short, stage in names.items()
             },
@@ -268,11 +265,9 @@ class ImplementedCheck:
         }
 
 
-def _level(
-    tone: float, noise: float, probability: float, on_axis: float, turn: float = 0.0, least: float = 0.0
-) -> float:
-    known = math.isfinite(tone + noise + least)
-    return combined_level(tone, noise, probability, on_axis, turn, least) if known else math.inf
+def _level(tone: float, noise: WindowNoise, probability: float, turn: float = 0.0, least: float = 0.0) -> float:
+    known = math.isfinite(tone + noise.rms + least)
+    return combined_level(tone, noise, probability, turn, least=least) if known else math.inf
 
 
 def check_implemented(
@@ -309,15 +304,12 @@ def check_implemented(
     stages = telescope.mirror_stages
     loops = [ImplementedLoop(open_loop, *pair, stage) for stage in stages]
     checks = dict(zip(stages, check_stages(loops, points, changes=changes, tick=tick, workers=workers)))
-    nominal, noise, on_axis = system.at({}), {}, {}
-    for stage in stages:
-        plain, relative = noise_covariances(nominal, *pair, telescope, loop=stage)
-        noise[stage] = noise_rms((plain, relative))
-        on_axis[stage] = largest_part(plain), largest_part(relative)
+    nominal = system.at({})
+    noise = {stage: loop_noise(nominal, *pair, telescope, loop=stage) for stage in stages}
     of_platform = noise_covariances(nominal, *pair, telescope, loop=stages[-1], sensors="platform")
     platform = noise_rms(of_platform)
     delay = _delays(open_loop, pair, points, stages)
-    return ImplementedCheck(checks, noise, on_axis, platform[0], delay, telescope)
+    return ImplementedCheck(checks, noise, platform[0], delay, telescope)
 
 
 def _delays(

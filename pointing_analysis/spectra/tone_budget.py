@@ -62,6 +62,7 @@ class ToneBudget:
     allowances : allowed values of the same parts; empty if not stated
     noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
     found : lines among the tones that the recording does not name
+    spectrum : frequencies [Hz] and powers of the noise in the relative error, both axes; None where it is not known
     """
 
     noise: float
@@ -71,6 +72,7 @@ class ToneBudget:
     allowances: Mapping[str, float]
     noise_error: float = math.nan
     found: tuple[FoundLine, ...] = ()
+    spectrum: tuple[FloatArray, FloatArray] | None = None
 
     def __str__(self) -> str:
         texts = []
@@ -128,7 +130,17 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
         math.sqrt(2.0 * sum(one for omega, one in powers if (omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
-    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found)
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found, _spectrum(rest, series.dt, window))
+
+
+def _spectrum(rest: FloatArray, dt: float, window: float) -> tuple[FloatArray, FloatArray] | None:
+    try:
+        spectrum = spectra.psd(rest, dt)
+    except ValueError:  # too short a record, or none without a gap
+        return None
+    hertz = spectrum.frequency[1:]
+    power = spectrum.density[1:].sum(axis=1) * weights.rpe_exact(2.0 * math.pi * hertz, window) ** 2
+    return (hertz, power) if power.any() else None
 
 
 def _as_row(line: FoundLine) -> dict[str, Any]:

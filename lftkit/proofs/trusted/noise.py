@@ -90,10 +90,13 @@ class NoiseBound:
         Root mean square of all rows together.
     along : float
         Root mean square along any axis.
+    powers : tuple of (float, float, float)
+        Of all rows together in each band, the band [rad/s] first: their sum is the square of `rms`.
     """
 
     rms: float
     along: float
+    powers: tuple[tuple[float, float, float], ...] = ()
 
     @property
     def on_axis(self) -> float:
@@ -168,18 +171,20 @@ def noise_bound(model: Loop, parts: Sequence[NoisePart], window: float) -> Noise
         band: math.sqrt(sum(min(level, known.get(((row,), band), level)) ** 2 for row in model.rows))
         for band, level in whole.items()
     }
-    rms, along = (math.sqrt(mean_square(model, levels, window)) * ROUNDING for levels in (trace, whole))
+    powers, along_axis = (band_powers(model, levels, window) for levels in (trace, whole))
+    rms, along = (math.sqrt(math.fsum(each.values())) * ROUNDING for each in (powers, along_axis))
     if not 0.0 < along < math.inf or not 0.0 < rms < math.inf:
         raise ArithmeticError(f"bounds of noise must be positive and finite, got {rms} and {along}")
-    return NoiseBound(rms, min(along, rms))
+    return NoiseBound(rms, min(along, rms), tuple((*band, power) for band, power in sorted(powers.items())))
 
 
-def mean_square(model: Loop, levels: Mapping[Interval, float], window: float) -> float:
-    """Bound of the mean square by the levels of bands, as relative error where `window` is not zero."""
-    total = math.fsum(
-        level**2 * (power_area(*band, window) if window else band[1] - band[0]) for band, level in levels.items()
-    )
-    return model.scale**2 * model.dt / math.pi * total * (1.0 + 1e-12)
+def band_powers(model: Loop, levels: Mapping[Interval, float], window: float) -> dict[Interval, float]:
+    """Bounds of the mean square in each band by its level, as relative error where `window` is not zero."""
+    factor = model.scale**2 * model.dt / math.pi * (1.0 + 1e-12)
+    return {
+        band: factor * level**2 * (power_area(*band, window) if window else band[1] - band[0])
+        for band, level in levels.items()
+    }
 
 
 def power_area(low: float, high: float, window: float) -> float:

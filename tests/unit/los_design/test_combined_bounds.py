@@ -10,19 +10,22 @@ import pytest
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.trusted.noise import NoiseBound
-from los_design.verification.combined_bounds import error_sums, fast_pieces
+from los_design.verification.combined_bounds import TURNS, error_sums, fast_pieces, in_few_bands
 from los_design.verification.error_sum import parts_of_band, required_probabilities
 from los_design.verification.figure_texts import bound_text, margin_text
 from los_design.verification.statements import SHIPPED, statement_of
 from los_design.verification.subject import Subject
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.window_noise import WindowNoise, combined_level, ramp
 
 TONES = {"APE": 6.9 * RAD_PER_ARCSEC, "slow": 19.0 * RAD_PER_MAS, "fast": 20.0 * RAD_PER_MAS}
 ALONG = math.sqrt(0.7)
-NOISE = tuple(NoiseBound(rms, ALONG * rms) for rms in (1.6 * RAD_PER_ARCSEC, 11.0 * RAD_PER_MAS))
+RMS = 1.6 * RAD_PER_ARCSEC, 11.0 * RAD_PER_MAS
+NOISE = tuple(NoiseBound(rms, ALONG * rms, ((0.0, 1.0, rms**2),)) for rms in RMS)
+"""Slow beside a window."""
+RAMPS = WindowNoise(11.0, 0.7, np.outer(ramp(64), ramp(64)))
 
 
 def sums(tones: dict[str, float], noise: tuple[NoiseBound, NoiseBound] | None) -> dict[str, float]:
@@ -66,16 +69,28 @@ def test_parts_near_the_edge_count_with_their_own_bounds() -> None:
     telescope = load_telescope()
     names = list(parts_of_band(load_telescope()))
     assert fast_pieces(telescope, {}) == []
-    assert fast_pieces(telescope, {"fast": 20.0}) == [(1.7, 20.0)]
-    assert fast_pieces(telescope, {"fast": 20.0, names[1]: 5.0}) == [(1.7, 20.0)]
+    whole = fast_pieces(telescope, {"fast": 20.0})
+    assert [bound for _, bound in whole] == [20.0] * TURNS
+    assert (whole[0][0], whole[-1][0]) == pytest.approx((1.7, 20.0 * math.pi)), "from the edge to half of the rate"
+    assert fast_pieces(telescope, {"fast": 20.0, names[1]: 5.0}) == whole
     levels = {"fast": 20.0, names[0]: 5.0, names[1]: 25.0}
-    assert fast_pieces(telescope, levels) == [(1.7, 5.0), (pytest.approx(2.52), 20.0), (2.57, 20.0)]
+    pieces = fast_pieces(telescope, levels)
+    assert [bound for _, bound in pieces] == [5.0] * TURNS + [20.0] * 2 * TURNS
+    assert [turn for turn, _ in pieces[::TURNS]] == pytest.approx([1.7, 2.52, 2.57])
     parts = sums(TONES | dict.fromkeys(names, 10.0 * RAD_PER_MAS), NOISE)["RPE, fast tone of norm 1 and noise"]
-    assert parts == pytest.approx(combined_level(20.0, 11.0, 0.997, 0.7, turn=4.0)), "from 200 rad/s on"
+    assert parts == pytest.approx(combined_level(20.0, RAMPS, 0.997, 4.0), rel=1e-5), "from 200 rad/s on"
+
+
+def test_a_bound_in_few_bands_is_the_same_bound() -> None:
+    rms = NOISE[1].rms
+    powers = tuple((low, low + 5.0, rms**2 / 400) for low in np.arange(0.0, 2000.0, 5.0).tolist())
+    few = in_few_bands(NoiseBound(rms, NOISE[1].along, powers))
+    assert len(few.powers) <= 60 and math.fsum(power for *_, power in few.powers) == pytest.approx(rms**2)
+    assert [low for low, _, _ in few.powers[1:]] == [high for _, high, _ in few.powers[:-1]]
 
 
 def test_more_noise_along_one_axis_is_a_larger_sum() -> None:
-    wide = tuple(NoiseBound(bound.rms, 0.95 * bound.rms) for bound in NOISE)
+    wide = tuple(NoiseBound(bound.rms, 0.95 * bound.rms, bound.powers) for bound in NOISE)
     for name, value in sums(TONES, (wide[0], wide[1])).items():
         assert value > sums(TONES, NOISE)[name] or "own weight" in name
 
@@ -117,7 +132,7 @@ def test_a_sum_is_of_the_requirement_that_its_limit_is_made_of() -> None:
     assert required_probabilities(parameters, "fsm+pma") == (0.997, 0.997)
     found = {row.name: row for row in error_sums(parameters, "fsm", TONES, NOISE)}
     slow = found["RPE, slow tone of norm 1 and noise"]
-    assert slow.value == pytest.approx(combined_level(19.0, 11.0, 0.99999999, 0.7, 0.0))
+    assert slow.value == pytest.approx(combined_level(19.0, RAMPS, 0.99999999), rel=1e-5)
     assert slow.probability == 0.99999999 and "of 100 mas with probability 0.99999999" in slow.text
     ape = found["APE, tone of norm 1 and noise"]
     assert ape.probability == 0.997 and ape.text.endswith(" of 10 arcsec with probability 0.997")
@@ -161,7 +176,8 @@ def test_a_sum_is_kept_by_tones_on_any_ellipse_and_any_less_noise(part: float) -
     """For half of the windows a round tone needs more than one along an axis: 1.56 times as much for 30 %."""
     tones = {"slow": RAD_PER_MAS, "fast": RAD_PER_MAS}
     for noise, on_axis in ((0.1, 0.5), (0.6, 1.0)):
-        bounds = (NoiseBound(noise * RAD_PER_MAS, math.sqrt(on_axis) * noise * RAD_PER_MAS),) * 2
+        rms = noise * RAD_PER_MAS
+        bounds = (NoiseBound(rms, math.sqrt(on_axis) * rms, ((0.0, 1.0, rms**2),)),) * 2
         parameters = asking_for(str(part))
         found = {row.name: row for row in error_sums(parameters, "fsm", tones, bounds)}
         for name, turn in (("slow", 0.05), ("fast", TURN)):
@@ -178,6 +194,6 @@ def test_little_noise_beside_a_tone_counts() -> None:
     rng = np.random.default_rng(5)
     phase, noise = rng.uniform(0.0, 2.0 * math.pi, 2_000_000), 1.99e-3
     errors = np.abs(np.cos(phase) + noise * rng.normal(size=phase.size))
-    level = combined_level(1.0, noise, 0.9999, 1.0)
+    level = combined_level(1.0, WindowNoise(noise, 1.0), 0.9999)
     assert level == pytest.approx(np.quantile(errors, 0.9999), rel=3e-4), "to the scatter of the simulation"
     assert combined_level(1.0, 0.0, 0.9999) < 1.0 < combined_level(1.0, 1e-9, 0.9999)

@@ -35,9 +35,9 @@ from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics
 from titop_plant.disturbances.wheel_and_drive_tones import rpe_weight
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import control_loop_plant
-from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import weight_amplitudes
+from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise, combined_level
 
 PAPER = Path(__file__).parents[3] / "examples" / "paper"
 POINTS = [{"stiffness": 0.5}, {"stiffness": 1.7}, {}]
@@ -131,27 +131,28 @@ def test_noise_is_that_of_the_nominal_point(three, telescope) -> None:
     found = three[0]
     for stage in ("fsm", "fsm+pma"):
         known = metrics({}, telescope, stage)
-        assert found.noise[stage] == pytest.approx((known.noise_ape, known.noise_rpe), rel=1e-12)
+        rms = [noise.rms for noise in found.noise[stage]]
+        assert rms == pytest.approx([known.noise_ape, known.noise_rpe], rel=1e-12)
     platform = metrics({}, telescope, "fsm+pma", sensors="platform")
     assert found.pma[2] == pytest.approx(platform.noise_ape / (10.0 * ARCSEC), rel=1e-12)
-    assert platform.noise_ape < 0.99 * found.noise["fsm+pma"][0]
+    assert platform.noise_ape < 0.99 * found.noise["fsm+pma"][0].rms
     shown = found.to_mapping()
-    assert shown["noise"]["pma"]["rpe_mas_rms"] == pytest.approx(found.noise["fsm+pma"][1] / ARCSEC * 1e3, rel=1e-4)
+    assert shown["noise"]["pma"]["rpe_mas_rms"] == pytest.approx(found.noise["fsm+pma"][1].rms / ARCSEC * 1e3, rel=1e-4)
     assert shown["fsm"] == pytest.approx(found.fsm, rel=1e-4)
     assert shown["pma"] == pytest.approx(found.pma, rel=1e-4)
     assert (shown["stable_samples"], shown["samples"]) == (3, 3)
-    ape, noise = 10.0 * found.gamma("fsm", "APE"), found.noise["fsm"][0] / ARCSEC
-    on_axis = max(ABSOLUTE_ON_AXIS, found.on_axis["fsm"][0])
-    assert found.total_ape("fsm") == pytest.approx(combined_level(ape, noise, 0.997, on_axis))
-    both = np.hypot(found.tone("fsm", "slow"), found.tone("fsm", "fast"))
-    relative = found.noise["fsm"][1] / ARCSEC * 1e3, 0.997, max(ON_AXIS, found.on_axis["fsm"][1])
-    assert shown["total_together_mas"]["fsm"] == pytest.approx(combined_level(float(both), *relative), rel=1e-4)
+    ape, (absolute, relative) = 10.0 * found.gamma("fsm", "APE"), found.noise["fsm"]
+    noise = WindowNoise(absolute.rms / ARCSEC, absolute.on_axis)
+    assert found.total_ape("fsm") == pytest.approx(combined_level(ape, noise, 0.997))
+    both = float(np.hypot(found.tone("fsm", "slow"), found.tone("fsm", "fast")))
+    noise = relative.changed(relative.rms / ARCSEC * 1e3)
+    assert shown["total_together_mas"]["fsm"] == pytest.approx(combined_level(both, noise, 0.997), rel=1e-4)
     assert shown["total_ape_arcsec"]["fsm"] == pytest.approx(found.total_ape("fsm"), rel=1e-4)
-    fast = found.alone.worst["fast"]
-    beside = combined_level(found.tone("fsm", "fast"), *relative, turn=0.02 * fast.omega)
-    assert max(beside, combined_level(found.tone("fsm", "slow"), *relative)) <= found.total("fsm") * (1.0 + 1e-9)
-    assert found.total("fsm") <= combined_level(found.tone("fsm", "fast"), *relative)
-    assert all(0.5 <= part <= 1.0 for parts in found.on_axis.values() for part in parts)
+    fast, slow = found.tone("fsm", "fast"), combined_level(found.tone("fsm", "slow"), noise, 0.997)
+    beside = combined_level(fast, noise, 0.997, 0.02 * found.alone.worst["fast"].omega)
+    assert max(beside, slow) <= found.total("fsm") * (1.0 + 1e-9)
+    assert found.total("fsm") <= combined_level(fast, noise, 0.997)
+    assert all(ON_AXIS <= one.on_axis <= 1.0 for pair in found.noise.values() for one in pair)
 
 
 @pytest.mark.further
@@ -161,7 +162,7 @@ def test_an_unstable_point_fails_and_makes_the_gammas_infinite(telescope) -> Non
     assert (found.stable, found.count, found.all_stable) == (2, 4, False)
     assert found.fsm == [np.inf] * 3
     assert [found.pma[0], found.pma[1], found.pma[3]] == [np.inf] * 3
-    assert np.isfinite(found.noise["fsm"][0])  # the nominal point is stable
+    assert np.isfinite(found.noise["fsm"][0].rms)  # the nominal point is stable
     assert failures({"mine": found}) == ["mine: unstable at 2 of 4 points"]
     shown = json.loads(json.dumps(found.to_mapping(), allow_nan=False))
     assert shown["fsm"] == ["inf"] * 3 and shown["stable_samples"] == 2

@@ -3,7 +3,7 @@
 For each index the run with the disturbance alone gives the measured amplitude of the tone, the model gives gamma times
 the limit, and the run with noise as well gives the noise and the quantile of its windows. What the limits of the RPE
 are compared with is the level that 99.7 % of the windows stay below with tone and noise
-(:func:`titop_plant.telescope.error_budget.combined_level`), from the tone and the noise of the record: the quantile of
+(:func:`titop_plant.telescope.window_noise.combined_level`), from the tone and the noise of the record: the quantile of
 its windows has the scatter of the few that are largest.
 """
 
@@ -25,8 +25,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.summary import Summary, exposure_of_run
 from titop_plant.interface import DT
-from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise, combined_level
 
 WORST_INDICES = ("APE", "slow", "fast")
 """Indices whose worst tones are compared; the worst RPE is that of a slow or of a fast tone."""
@@ -97,8 +97,11 @@ def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> fl
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
         return budget.noise + budget.slow + budget.fast
     scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
-    noise, turn = max(0.0, budget.noise + scatter), omega * summary.window
-    return combined_level(max(budget.slow, budget.fast), noise, SHOWN, turn=turn)
+    noise = WindowNoise(max(0.0, budget.noise + scatter))
+    if budget.spectrum is not None:
+        hertz, power = budget.spectrum
+        noise = WindowNoise.of_spectrum(noise.rms, ON_AXIS, 2.0 * math.pi * summary.window * hertz, power)
+    return combined_level(max(budget.slow, budget.fast), noise, SHOWN, omega * summary.window)
 
 
 def limits_met(summary: Summary, index: str, omega: float, requirements: Sequence[Requirement]) -> str:
