@@ -72,8 +72,8 @@ class FigureBounds:
     frequency : float
         Its frequency [rad/s].
     status : str
-        ``proven``, ``violated`` (the largest value found is above the level), ``open`` (parts are not covered),
-        ``unstable`` (the nominal loop was not proven stable; nothing else was tried).
+        ``proven``, ``violated`` (a member is above the limit, or above a level beyond it that was asked for), ``open``
+        (parts are not covered), ``unstable`` (the nominal loop was not proven stable; nothing else was tried).
     uncovered : list of (low, high)
         Frequencies [rad/s] of the parts that are not covered.
     stable : bool
@@ -112,17 +112,22 @@ class ProofLevel:
     Parameters
     ----------
     limit_fraction : float
-        Level over the limit of the figure.
+        Level over the limit of the figure. Where a larger value is known, the level is above it by `raised`, up to
+        the limit.
     gap : float, optional
         The level is above the largest value known by at most this fraction instead.
+    raised : float
     """
 
     limit_fraction: float = 1.0
     gap: float | None = None
+    raised: float = 0.01
 
     def above(self, known: float) -> float:
         """Level over the limit for the largest value known over the limit."""
-        return self.limit_fraction if self.gap is None else (1.0 + 0.95 * self.gap) * known
+        if self.gap is not None:
+            return (1.0 + 0.95 * self.gap) * known
+        return self.limit_fraction if known < self.limit_fraction else min((1.0 + self.raised) * known, 1.0)
 
 
 def parts_of(band: Interval) -> list[Interval]:
@@ -333,47 +338,44 @@ def certify_figure(
             gain = float(loop.gain(point.omega, metric, loop.point(dict(point.parameters)))[0])
             if gain > lower:
                 lower, omega, values = gain, point.omega, dict(point.parameters)
-    target = level.above(lower)
-    if not target > 0.0:
+    if not level.above(lower) > 0.0:
         raise InputError(f"a level, or a worst point of {name}, must be given")
-    if lower >= target:
-        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
-    if time.monotonic() > until:
-        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "open", [metric.band])
+
+    def bounds(status: str, uncovered: list[Interval], results: Sequence[PartResult] = ()) -> FigureBounds:
+        strips, windows = sum(len(r.strips) for r in results), sum(r.windows for r in results)
+        seconds = sum(r.seconds for r in results)
+        whole = loop.stage, name, lower, math.inf, values, omega, status, uncovered
+        return FigureBounds(*whole, strips=strips, windows=windows, seconds=seconds)
+
+    if level.above(lower) > lower and time.monotonic() > until:
+        return bounds("open", [metric.band])
     if not nominal_stable(loop):
-        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
-    parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)
-    found: list[PartResult] = []
-    for result in prove(parts):
-        found.append(result)
-        report(len(found), len(parts))
-        if result.lower > lower:
-            lower, omega, values = result.lower, result.omega, _values(loop, result.point)
-    uncovered = [(float(low), float(high)) for result in found for low, high in result.uncovered]
-    status = "violated" if lower >= target else "open" if uncovered else "proven"
-    strips = [strip for result in found for strip in result.strips]
-    bounds = FigureBounds(
-        loop.stage,
-        name,
-        lower,
-        math.inf,
-        values,
-        omega,
-        status,
-        uncovered,
-        strips=len(strips),
-        windows=sum(r.windows for r in found),
-        seconds=sum(r.seconds for r in found),
-    )
-    if status != "proven":
-        return bounds
+        return bounds("unstable", [metric.band])
+    results: list[PartResult] = []
+    # A member that the proof finds above the level raises it; parts that hold below the new one are not sought again.
+    while (target := level.above(lower)) > lower:
+        parts, results = _parts(model, box, target, until, folder / "parts", loop.stage, metric), []
+        for result in prove(parts):
+            results.append(result)
+            report(len(results), len(parts))
+            if result.lower > lower:
+                lower, omega, values = result.lower, result.omega, _values(loop, result.point)
+        if lower < target:
+            break
+    else:
+        return bounds("violated", [metric.band], results)
+    uncovered = [(float(low), float(high)) for result in results for low, high in result.uncovered]
+    if uncovered:
+        return bounds("open", uncovered, results)
+    strips = tuple(strip for result in results for strip in result.strips)
     about = {"stage": loop.stage, "figure": name, "limit": metric.limit}
     names = tuple(p.name for p in loop.system.parameters)
-    proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
+    proof = LoopProof(model, names, box, metric.band, target, strips, about)
     file = f"{loop.stage}-{name}.npz"
     with atomic_file(folder / file) as temporary:
         write_loop_proof(proof, temporary)
-    return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT) and stable_above(loop))
+    stable = whole_axis(metric.band, DT) and stable_above(loop)
+    return replace(bounds("proven", [], results), upper=target, proof=file, stable=stable)
 
 
 def _parts(

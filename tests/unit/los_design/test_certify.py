@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs
 from los_design.verification.certify import (
+    PartResult,
     ProofLevel,
     ProofPart,
     certify_figure,
@@ -218,7 +220,30 @@ def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_pat
         each = partial(workers.each, prove_part)
         found = certify_figure(loop, "fast", ProofLevel(), known, tmp_path, each, until, lambda done, total: None)
     assert found.status == "violated" and found.lower > 1.47 and math.isinf(found.upper)
-    assert not list(tmp_path.glob("*.npz"))
+    assert not list(tmp_path.glob("*.npz")), "above the limit: no part was tried"
+
+
+def test_a_member_above_the_level_raises_it(loop: ImplementedLoop, tmp_path: Path) -> None:
+    """A search has found too little: the figure is far from its limit, and nothing is violated."""
+    tries: list[float] = []
+
+    def prove(parts: Sequence[ProofPart]) -> list[PartResult]:
+        level = parts[0].level
+        tries.append(level)
+        gains = [0.3 if low > 100.0 else 0.2 for low, _ in (part.band for part in parts)]
+        covered = [gain < level for gain in gains]
+        return [
+            PartResult((), [] if fits else [part.band], gain, [0.0] * 7, part.band[0], 1, 0.0, True)
+            for part, gain, fits in zip(parts, gains, covered)
+        ]
+
+    zero = {p.name: p.nominal for p in loop.system.parameters}
+    known = [WorstPoint("fsm+pma", "fast", 0.1, 40.0, 300.0, zero, np.zeros(22), np.zeros(2))]
+    until = time.monotonic() + 600.0
+    for level, last in ((ProofLevel(gap=0.02), 1.019 * 0.3), (ProofLevel(0.25), 1.01 * 0.3), (ProofLevel(), 1.0)):
+        tries.clear()
+        found = certify_figure(loop, "fast", level, known, tmp_path, prove, until, lambda done, total: None)
+        assert (found.status, found.lower) == ("proven", 0.3) and found.upper == tries[-1] == pytest.approx(last)
 
 
 def test_no_part_is_proven_below_a_gain_that_is_reached(part: ProofPart, tmp_path: Path) -> None:

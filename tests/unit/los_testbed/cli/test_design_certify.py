@@ -103,13 +103,13 @@ def test_it_goes_on_after_any_end(tmp_path: Path) -> None:
     ],
 )
 def test_one_figure_is_chosen(tmp_path: Path, options: list[str], chosen: set[tuple[str, str]]) -> None:
-    """Below a value that is known the answer needs no proof."""
+    """Without time nothing is proven."""
     with pytest.raises(SystemExit) as stopped:
-        main(["design", "certify", f"--output={tmp_path}", "--level=0.1", "--workers=1", *options])
-    assert stopped.value.code == 7
+        main(["design", "certify", f"--output={tmp_path}", "--time-limit=1", "--workers=1", *options])
+    assert stopped.value.code == 8
     found = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
     assert {(entry["stage"], entry["figure"]) for entry in found} == chosen
-    assert {entry["status"] for entry in found} == {"violated"}
+    assert {entry["status"] for entry in found} == {"open"}
 
 
 def test_controllers_for_other_values_are_refused_before_the_work(
@@ -124,19 +124,19 @@ def test_controllers_for_other_values_are_refused_before_the_work(
         shutil.copyfile(design_file(kind), designs / name)
     (designs / "telescope.toml").write_text("[isolator]\nmass = 1.6\n")
     shutil.copy(Path(los_design.__file__).parent / "search" / "worst_points.json", designs)
-    options = ["--figure=slow", "--stage=fsm", "--level=0.1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
+    options = ["--figure=slow", "--stage=fsm", "--time-limit=1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
     line = refused(capsys, "design", "certify", f"--designs={designs}", f"--output={output}", *options)
     assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
     (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", "--designs", str(designs), f"--output={output}", *options[:-1]])
-    assert stopped.value.code == 7, "the table is the same as the option"
+    assert stopped.value.code == 8, "the table is the same as the option"
     shutil.rmtree(output)
     (designs / "telescope.toml").unlink()
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", "--designs", str(designs), f"--output={output}", *options])
-    assert stopped.value.code == 7, "violated: the level is below what is known"
-    assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "violated"
+    assert stopped.value.code == 8, "there was no time"
+    assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "open"
 
 
 Content = dict[str, Any]
