@@ -73,13 +73,14 @@ class FullOrderDesign:
     lower : float
         What no controller of any order can do better, numerically: the optimum of the Riccati equations or of linear
         matrix inequalities, where that is near to `value`, or the largest gain at a single frequency or zero that no
-        controller changes; minus infinity where there is none. With ``certify=True`` it is proven, or minus
-        infinity.
+        controller changes; minus infinity where there is none. With ``certify=True`` it is at least what `proof` proves.
     regularised : float
         Weight of commands and noise of measurements that was added, in units in which those of the plant, or its gains
         where it has none, are near to 1; 0 for none; of states, too, where that is better.
     proof : LowerBoundProof or None
-        Of `lower`, for :func:`~lftkit.proofs.check_proof`.
+        For :func:`~lftkit.proofs.check_proof`; no controller has a norm below its ``level``.
+    reason : str
+        Why there is no proof that was asked for; otherwise empty.
     """
 
     controller: System
@@ -88,6 +89,7 @@ class FullOrderDesign:
     lower: float
     regularised: float = 0.0
     proof: LowerBoundProof | None = field(default=None, repr=False)
+    reason: str = ""
 
     @property
     def gap(self) -> float:
@@ -110,7 +112,7 @@ def hinfsyn(
     level : float, optional
         A larger norm is enough: the central controller at this level, with slower poles than that of the least one.
     certify : bool
-        `lower` is proven (:func:`lower_bound_proof`), with its proof.
+        A lower bound is proven, too (:func:`lower_bound_proof`), with its proof, or the reason why there is none.
 
     Returns
     -------
@@ -141,7 +143,9 @@ def hinfsyn(
         design = _at_level(given, generalised, level)
     else:
         design = _least(given, generalised, proven)
-    return design if proven is None else replace(design, lower=proven.level, proof=proven.proof)
+    if proven is None:
+        return design
+    return replace(design, lower=max(design.lower, proven.level), proof=proven.proof, reason=proven.reason)
 
 
 def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerBound | None) -> FullOrderDesign:

@@ -19,6 +19,7 @@ from lftkit import Port, System, close_loop, hinf_norm, s
 from lftkit.proofs import CheckedLowerBound, ProofError, check_proof
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.synthesis import hinfsyn, lower_bound_proof
+from lftkit.synthesis.lower_bound import MAX_ORDER
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.tuning.published_plants import published_plant
 
@@ -74,8 +75,16 @@ def test_a_certified_design_has_its_proof(level: float | None) -> None:
     plant = random_plant(2, 3)
     design = hinfsyn(plant, "y", "u", level, certify=True)
     checked = check_proof(design.proof)
-    assert isinstance(checked, CheckedLowerBound) and checked.level == design.lower <= design.value
-    assert hinfsyn(plant, "y", "u", level).proof is None
+    without = hinfsyn(plant, "y", "u", level)
+    assert isinstance(checked, CheckedLowerBound) and without.proof is None and not design.reason
+    assert design.lower == max(checked.level, without.lower) and checked.level <= design.value
+
+
+def test_a_proof_that_fails_leaves_the_bound_that_is_known() -> None:
+    plant = random_plant(3, MAX_ORDER + 1)
+    without, design = hinfsyn(plant, "y", "u"), hinfsyn(plant, "y", "u", certify=True)
+    assert design.proof is None and f"more than {MAX_ORDER}" in design.reason
+    assert 0.0 < design.lower == without.lower
 
 
 @pytest.mark.further
