@@ -286,10 +286,11 @@ class SortedValues:
         No interpolation: a limit between two values is kept by as many values as the smaller one, so that only the
         values themselves agree with a verdict that counts.
         """
-        if not self.size:
-            return float("nan")
-        rank = math.ceil(probability * self.size - 1e-9) - 1
-        return float(self.at(min(max(rank, 0), self.size - 1))[0])
+        return float(self.at(self.rank(probability))[0]) if self.size else float("nan")
+
+    def rank(self, probability: float) -> int:
+        """Rank of the quantile."""
+        return min(max(math.ceil(probability * self.size - 1e-9) - 1, 0), self.size - 1)
 
 
 _TOP = np.uint64(1 << 63)

@@ -74,19 +74,27 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
         smallest = [one.limit / scale for one in own]
+        asked_for = sorted({one.probability for one in own})
         for i, (view, own_values) in enumerate(zip(views, values)):
             r = SortedValues(by_parts(lambda rows: rows / scale, own_values))
-            # Even steps in the logarithm of the share: the tail keeps all of its points.
-            pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
+            # Even steps in the logarithm of the share: the tail keeps all of its points. Between two samples the share
+            # is that of the larger one; the curve crosses each required share at the value of the verdict.
+            ranks = [r.rank(p) for p in asked_for]
+            pick = np.concatenate([r.size - np.geomspace(1, r.size, 400), ranks, np.add(ranks, 1)])
+            pick = np.unique(pick.astype(int).clip(0, r.size - 1))
             pick = pick[r.at(pick) > 0.0]
-            axis.loglog(r.at(pick), 1 - pick / r.size, label=view.label, **stroke(i, len(views)))
+            axis.loglog(r.at(pick), 1 - pick / r.size, ds="steps-pre", label=view.label, **stroke(i, len(views)))
+            value = [r.quantile(p) for p in asked_for]
+            axis.plot(value, np.subtract(1.0, asked_for), "o", mfc="none", **stroke(i, len(views)))
             smallest += [value for value in [r.quantile(1.0 - LEFT)] if value > 0.0]
+        if own:
+            axis.plot([], [], "o", mfc="none", color="#555555", label="value of the requirement")
         allowed = {(one.limit, one.probability): one for one in own}
         for limit, probability in sorted(allowed):
             text = f"limit {limit / scale:.6g} {unit} for {100 * probability:.6g} %"
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9)
             axis.plot(limit / scale, 1.0 - probability, "v", color=LIMIT, ms=6, label=text)
-        for share in sorted({1.0 - probability for _, probability in allowed}):
+        for share in sorted(1.0 - p for p in asked_for):
             axis.axhline(share, color="#555555", ls=":", lw=0.9, label=f"{100 * share:.4g} %")
         if smallest:
             axis.set_xlim(left=0.7 * min(smallest))

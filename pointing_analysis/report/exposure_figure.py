@@ -12,6 +12,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, _panels, legend_above, picture, stroke
 from pointing_analysis.requirements.requirement import Requirement
 
@@ -46,7 +47,7 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
     own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
     asked = sorted({(r.times[0], r.limit, r.probability) for r in own})
     wanted = sorted({r.probability for r in own} or {PROBABILITY}, reverse=True)
-    curves = [(i, view, *_curve(view, wanted)) for i, view in enumerate(views)]
+    curves = [(i, view, *_curve(view, wanted, [window for window, *_ in asked])) for i, view in enumerate(views)]
     curves = [curve for curve in curves if curve[2].size > 1]
     if not curves:
         return None
@@ -103,19 +104,21 @@ def _label_limits(axis: Axes, limits: Sequence[tuple[float, float]]) -> None:
         )
 
 
-def _curve(view: RunView, wanted: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _curve(view: RunView, wanted: Sequence[float], asked: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Lengths (m,) [s], rms (m,) and quantiles (m, k) [mas] over windows without missing samples.
 
-    Lengths without such windows are left out.
+    The windows [s] that are asked for are among the lengths, with the values by which they are judged. Lengths without
+    complete windows are left out.
     """
     n, dt = len(view.series.values), view.series.dt
-    if n < FEWEST * WINDOWS:
-        return np.empty(0), np.empty(0), np.empty((0, len(wanted)))
-    samples = np.unique(np.geomspace(FEWEST, n // WINDOWS, POINTS).round().astype(int))
+    counts = set[float](metrics.samples_in(window, dt) for window in asked if metrics.holds(window, dt))
+    if n >= FEWEST * WINDOWS:
+        counts |= set(np.geomspace(FEWEST, n // WINDOWS, POINTS).round().tolist())
     rows = []
-    for count in samples:
-        power = metrics.windows(view.series.values, dt, count * dt).variance.sum(axis=1) / RAD_PER_MAS**2
-        if power.size and power.max() > 0.0:
-            rows.append((count * dt, np.sqrt(power.mean()), *np.sqrt(np.quantile(power, wanted))))
+    for count in sorted(count for count in counts if count <= n):
+        rms = np.sqrt(metrics.windows(view.series.values, dt, count * dt).variance.sum(axis=1)) / RAD_PER_MAS
+        if rms.size and rms.max() > 0.0:
+            ranked = SortedValues(rms)
+            rows.append((count * dt, np.sqrt(np.square(rms).mean()), *map(ranked.quantile, wanted)))
     table = np.array(rows, dtype=float).reshape(-1, 2 + len(wanted))
     return table[:, 0], table[:, 1], table[:, 2:]

@@ -72,11 +72,14 @@ def test_a_curve_says_of_a_limit_what_the_table_says(
     value, share = (np.asarray(data, dtype=float) for data in curve.get_data())
     found = judge(requirement, [run])
     ((limit, _),) = marks(axis)
-    at = float(np.interp(limit, value, share, right=0.0))
+    steps = np.searchsorted(value, limit)  # between two samples the share is that of the larger one
+    at = share[steps] if steps < share.size else 0.0
     assert at == pytest.approx(found.exceeding, rel=0.03, abs=2.0 / found.samples)
     unit = requirement.limit / limit
-    kept = float(np.interp(1.0 - requirement.probability, share[::-1], value[::-1]))
-    assert kept == pytest.approx(found.quantile.value / unit, rel=0.06)
+    kept = value[share > 1.0 - requirement.probability + 1e-9][-1]
+    assert curve.get_drawstyle() == "steps-pre" and kept == pytest.approx(found.quantile.value / unit, rel=1e-12)
+    circles = [line.get_xydata() for line in axis.get_lines() if line.get_marker() == "o" and len(line.get_xdata())]
+    assert np.allclose(circles, [[[kept, 1.0 - requirement.probability]]], rtol=1e-12)
 
 
 def test_limits_over_the_exposure_are_on_the_curve_of_their_part(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,8 +92,24 @@ def test_limits_over_the_exposure_are_on_the_curve_of_their_part(run: Run, monke
     curves = [line for line in axis.get_lines() if len(line.get_xdata()) > 2]
     for requirement, curve in ((REQUIREMENTS[0], curves[0]), (REQUIREMENTS[1], curves[1])):
         xs, ys = (np.asarray(data, dtype=float) for data in curve.get_data())
-        at = float(np.interp(20.0, xs, ys))
-        assert at == pytest.approx(judge(requirement, [run]).quantile.value / RAD_PER_MAS, rel=0.05)
+        value = judge(requirement, [run]).quantile.value / RAD_PER_MAS
+        assert ys[np.isclose(xs, 20.0, rtol=1e-9)] == pytest.approx([value], rel=1e-12)
+
+
+def test_a_required_window_has_its_value_even_if_the_run_has_few_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No whole number of samples, and longer than a tenth of the run."""
+    los = 30.0 * RAD_PER_MAS * np.random.default_rng(1).standard_normal((1000, 2))
+    source = write_bag(tmp_path / "bag", {"truth/los": los}, parameters={"transient_s": 0})
+    short, requirement = Run.open(source), parse("prob(rms RPE(300.5 ms) < 40 mas) >= 0.9 at 95 % confidence")
+    made = drawn(
+        exposure_figure, lambda: exposure_figure.over_exposure([view(short, "run")], [requirement]), monkeypatch
+    )
+    (axis,) = made.values()
+    (curve,) = (line for line in axis.get_lines() if len(line.get_xdata()) > 2 and line.get_label() == "run")
+    value = judge(requirement, [short]).quantile.value / RAD_PER_MAS
+    assert curve.get_xdata()[-1] == pytest.approx(300.5) and curve.get_ydata()[-1] == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(
