@@ -14,6 +14,7 @@ from support import axe, headless_browser
 
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.total import evaluate
+from pointing_analysis.image.optics import with_optics
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import report
@@ -383,6 +384,18 @@ def test_the_dark_scheme_is_dark(chromium, page: Path, scheme: str) -> None:
     chromium.open(page, 1280)
     colour = chromium.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
     assert (sum(colour) < 150) == (scheme == "dark")
+
+
+@needs_browser
+def test_pictures_of_pixels_keep_their_colours(chromium, stages: list[Path], tmp_path: Path, scheme: str) -> None:
+    """A star is bright on a dark sky; curves are drawn for white paper and are inverted on a dark one."""
+    optics = {"aperture_diameter": 2.4, "wavelength": 550e-9, "pixel_mas": 38.0}
+    run = with_optics(Run.open(stages[-1]), optics)
+    chromium.open(write_report([run], tmp_path / "star.html"), 1280)
+    each = "s => [!!s.querySelector('image'), getComputedStyle(s).filter]"
+    pictures = chromium.value(f"[...document.querySelectorAll('figure svg')].map({each})")
+    assert {pixels for pixels, _ in pictures} == {True, False}
+    assert all((way == "none") == (pixels or scheme == "light") for pixels, way in pictures)
 
 
 @needs_browser
