@@ -97,11 +97,11 @@ class Bench:
     def stable(self, task, x, values=None):
         return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
 
-    def design(self, count: int = 5, job=None, points: int = 0, known=(), hidden=list, limit=np.inf):
+    def design(self, count: int = 5, job=None, points: int = 0, hidden=list, limit=np.inf):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
         self.hidden = hidden
-        task = ImplementedTask(self.samples, (BOTH,), (0, 1), 0, limit, known=known, sampled=no_controllers)
+        task = ImplementedTask(self.samples, (BOTH,), (0, 1), 0, limit, sampled=no_controllers)
         return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, job)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,6 +18,34 @@ FEWEST, MOST_BINS = 8, 20
 PER_BIN = 10
 MOST_CELLS = 8
 """Most bins of each parameter of a pair."""
+ROUNDING = 1e-9
+"""Share of the variance that may be rounding."""
+
+
+@dataclass(frozen=True)
+class ChanceSettings:
+    """How much of an influence there is by chance: of the metric's values in random order.
+
+    Parameters
+    ----------
+    orders : int
+        Random orders.
+    confidence : float
+        Part of them in which no parameter, or pair, reaches the level.
+    seed : int
+    """
+
+    orders: int = 400
+    confidence: float = 0.95
+    seed: int = 0
+
+    def level(self, metric: FloatArray, largest: Callable[[FloatArray], float]) -> float:
+        """What the `largest` influence on a metric (members,) does not exceed by chance."""
+        rng = np.random.default_rng(self.seed)
+        return float(np.quantile([largest(rng.permutation(metric)) for _ in range(self.orders)], self.confidence))
+
+
+CHANCE = ChanceSettings()
 
 
 @dataclass(frozen=True)
@@ -31,11 +60,20 @@ class Influence:
     first_order : float
         Share of the variance that the mean over this parameter explains (the first-order Sobol index, by bins with
         their own noise taken off); 0 to 1. NaN for few members.
+    chance_rank_correlation, chance_first_order : float
+        What the largest of all parameters does not exceed by chance, at 95 % confidence.
     """
 
     parameter: str
     rank_correlation: float
     first_order: float
+    chance_rank_correlation: float
+    chance_first_order: float
+
+    @property
+    def known(self) -> bool:
+        """Whether its share of the variance is more than chance makes."""
+        return self.first_order > self.chance_first_order
 
 
 def influences(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list[Influence]:
@@ -44,15 +82,31 @@ def influences(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list
 
     known = np.isfinite(metric)
     y = metric[known]
-    if len(y) < FEWEST or np.ptp(y) == 0.0:
+    if len(y) < FEWEST or np.ptp(y) == 0.0 or not parameters:
         return []
 
-    found = []
-    for name, column in parameters.items():
-        values = column[known]
-        rank = float(stats.spearmanr(values, y).statistic) if np.ptp(values) > 0.0 else 0.0
-        found.append(Influence(name, rank, first_order_index(values, y)))
+    columns = [column[known] for column in parameters.values()]
+    ranks = np.stack([_standard(stats.rankdata(column)) for column in columns])
+    correlations, order = ranks @ _standard(stats.rankdata(y)), stats.rankdata(y)
+    by_rank = CHANCE.level(order, lambda values: float(np.abs(ranks @ _standard(values)).max()))
+    shares = [first_order_index(column, y) for column in columns]
+    by_share = np.nan
+    if not np.isnan(shares).any():
+        groups = [bins_of(column, _bins(y)) for column in columns]
+        by_share = CHANCE.level(y, lambda values: max(_share(group, values) for group in groups))
+    found = [Influence(name, float(rank), share, by_rank, by_share)
+             for name, rank, share in zip(parameters, correlations, shares)]  # fmt: skip
     return sorted(found, key=lambda i: -max(abs(i.rank_correlation), 0.0 if np.isnan(i.first_order) else i.first_order))
+
+
+def _standard(values: FloatArray) -> FloatArray:
+    """Without their mean, of length 1; zeros for a constant."""
+    centred: FloatArray = np.asarray(values - values.mean())
+    return centred / (math.sqrt(centred @ centred) or 1.0)
+
+
+def _bins(metric: FloatArray) -> int:
+    return min(MOST_BINS, len(metric) // PER_BIN)
 
 
 def first_order_index(values: FloatArray, metric: FloatArray) -> float:
@@ -64,7 +118,7 @@ def first_order_index(values: FloatArray, metric: FloatArray) -> float:
     >>> [round(first_order_index(column, x[:, 0] ** 2 + 0.0 * x[:, 1]), 2) for column in x.T]
     [0.99, 0.0]
     """
-    bins = min(MOST_BINS, len(metric) // PER_BIN)
+    bins = _bins(metric)
     if bins < 3:
         return float("nan")
     if np.ptp(metric) == 0.0:
@@ -98,12 +152,19 @@ class PairEffect:
     ----------
     parameters : tuple of str
     share : float
-        Of the variance (the second-order Sobol index, by cells with their own noise taken off); zero where chance can
-        make as much.
+        Of the variance (the second-order Sobol index, by cells with their own noise taken off).
+    chance : float
+        Share that the largest of all pairs does not exceed by chance, at 95 % confidence.
     """
 
     parameters: tuple[str, str]
     share: float
+    chance: float
+
+    @property
+    def known(self) -> bool:
+        """Whether its share is more than chance makes."""
+        return self.share > self.chance
 
 
 def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list[PairEffect]:
@@ -122,23 +183,30 @@ def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> li
     bins = min(MOST_CELLS, int(np.sqrt(len(y) / PER_BIN)))
     if bins < 3 or np.ptp(y) == 0.0 or not names:
         return []
-    places = np.stack([bins_of(column[known], bins) for column in parameters.values()], axis=1)
-    alone = [_share(places[:, i], y) for i in range(len(names))]
-    chance = 2.0 * np.sqrt(2.0) / len(y)  # twice the scatter of a share of nothing, for a single cell
-    filled = 1.0 + places.max(axis=0)
-    found = []
-    for i, j in combinations(range(len(names)), 2):
-        both = _share(places[:, i] * bins + places[:, j], y)
-        share = both - alone[i] - alone[j]
-        found.append(
-            PairEffect((names[i], names[j]), share if share > chance * np.sqrt(filled[i] * filled[j]) else 0.0)
-        )
+    alone = [bins_of(column[known], bins) for column in parameters.values()]
+    pairs = list(combinations(range(len(names)), 2))
+    cells = [np.unique(alone[i] * bins + alone[j], return_inverse=True)[1] for i, j in pairs]
+    rest = y - sum(_means(group, y) for group in alone)  # without what each parameter explains alone
+    part = float(np.var(rest) / np.var(y))
+
+    def shares(values: FloatArray) -> FloatArray:
+        one = [_share(group, values) for group in alone]
+        return np.array([part * (_share(cell, values) - one[i] - one[j]) for cell, (i, j) in zip(cells, pairs)])
+
+    if not pairs or part < ROUNDING:
+        return [PairEffect((names[i], names[j]), 0.0, ROUNDING) for i, j in pairs]
+    chance = CHANCE.level(rest, lambda values: float(shares(values).max()))
+    found = [PairEffect((names[i], names[j]), float(share), chance) for (i, j), share in zip(pairs, shares(rest))]
     return sorted(found, key=lambda effect: -effect.share)
 
 
+def _means(group: IntArray, metric: FloatArray) -> FloatArray:
+    """Mean of the group of each member, about the mean of all."""
+    return np.asarray((np.bincount(group, weights=metric) / np.bincount(group))[group] - metric.mean())
+
+
 def _share(group: IntArray, metric: FloatArray) -> float:
-    """Share of the variance between groups, minus the chance level."""
-    _, group = np.unique(group, return_inverse=True)
+    """Share of the variance between groups, numbered without gaps, minus the chance level."""
     count = np.bincount(group)
     means = np.bincount(group, weights=metric) / count
     within = float(np.sum((metric - means[group]) ** 2))

@@ -55,8 +55,8 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
         "not_judged": [f"{requirement}: {why}" for requirement, why in _not_judged(campaign).items()],
         "scenario": scenario_text(campaign.base.scenario or "", campaign.depth, campaign.sources),
-        "pairs": [_shown(vars(e)) for e in _pairs(campaign, table)[:PAIRS]],
-        "influence": [_shown(vars(i)) for i in _influences(campaign, table)],
+        "pairs": [_shown({**vars(e), "known": e.known}) for e in _pairs(campaign, table)[:PAIRS]],
+        "influence": [_shown({**vars(i), "known": i.known}) for i in _influences(campaign, table)],
         "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
     }
 

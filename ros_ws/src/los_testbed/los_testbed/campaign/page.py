@@ -131,16 +131,16 @@ def _label(parameter: str) -> str:
 
 
 def _effects(summary: dict[str, Any]) -> Picture:
-    """Shares of the variance of parameters, pairs and the rest, the largest first."""
-    mains = [(_words(i["parameter"]), i["first_order"] or 0.0, COLOURS[0]) for i in summary["influence"]]
+    """Shares of the variance that are more than chance, of parameters and pairs, the largest first, and the rest."""
+    mains = [(_words(i["parameter"]), i["first_order"], COLOURS[0]) for i in summary["influence"] if i["known"]]
     pairs = [
         (" with ".join(map(_words, e["parameters"])), e["share"], COLOURS[1])
         for e in summary["pairs"]
-        if e["share"] >= SMALL
+        if e["known"] and e["share"] >= SMALL
     ]
     rows = sorted(mains + pairs, key=lambda row: -row[1])
     rest = max(1.0 - sum(share for _, share, _ in rows), 0.0)
-    rows.append(("the rest" if summary["depth"] == "model" else "noise, phases, the rest", rest, "#999999"))
+    rows.append(("not distinguishable from chance", rest, "#999999"))
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
