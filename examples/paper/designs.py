@@ -1,6 +1,7 @@
 """The four designs of the paper's problem on its telescope: nominal and robust K_FSM and K_PMA (`make paper-designs`).
 
-python examples/paper/designs.py [FOLDER] [--starts 8] [--seed 0] [--time-limit SECONDS] [--only nominal|robust]
+python examples/paper/designs.py [FOLDER] [--starts 8] [--seed 0] [--time-limit SECONDS] [--workers N]
+    [--only nominal|robust]
 
 The nominal designs are made as the paper makes them: K_FSM from the Kalman filter, K_PMA behind it from random starts.
 So is the robust K_FSM; then it is tuned further together with K_PMA, on the goals of both: of the observers that have
@@ -94,13 +95,16 @@ def main() -> int:
     parser.add_argument("folder", nargs="?", type=Path, default=HERE / "designs")
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--time-limit", type=float, default=3000.0, help="of each design [s]")
+    parser.add_argument("--time-limit", type=float, default=20000.0, help="of each design [s]")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the designs do not depend on them")
     parser.add_argument("--only", choices=("nominal", "robust"))
-    given = parser.parse_args()
-    options = DesignOptions(loop_delay=0.0, starts=given.starts, seed=given.seed, wall_limit=given.time_limit)
-    designs = Designs(given.folder, options)
+    args = parser.parse_args()
+    options = DesignOptions(
+        loop_delay=0.0, starts=args.starts, seed=args.seed, wall_limit=args.time_limit, workers=args.workers
+    )
+    designs = Designs(args.folder, options)
     with one_thread():
-        for name in ("nominal", "robust") if given.only is None else (given.only,):
+        for name in ("nominal", "robust") if args.only is None else (args.only,):
             getattr(designs, name)()
     return 0
 

@@ -56,11 +56,12 @@ class DesignFolder:
         make : callable
             Receives the job, whose record keeps the state between rounds, and gives the controllers.
         options : DesignOptions
-            They must be the same, but for the wall limit and the progress bar.
+            They must be the same, but for the wall limit, the processes and the progress bar.
         given : mapping of str to SampledSystem, optional
             Controllers that the design depends on.
         """
-        key: dict[str, Any] = {"telescope": self.telescope, **asdict(options), "wall_limit": 0.0, "progress": False}
+        key: dict[str, Any] = {"telescope": self.telescope, **asdict(options)}
+        key |= {"wall_limit": 0.0, "progress": False, "workers": 1}
         key |= {name: digest(system) for name, system in (given or {}).items()}
         paths = [self.folder / f"{name}.json" for name in names]
         job = Job("design", key, self.folder / "build" / f"{names[-1]}.json")

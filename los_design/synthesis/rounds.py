@@ -58,6 +58,8 @@ class Effort:
     rounds : int
     points : int
         Random parameter points of the first round: half of them corners.
+    ends : bool
+        Whether most parameters of the other half are at an end of their range; otherwise they are uniform in it.
     first, iterations : int
         Of the descent in the first and in the other rounds.
     target : float
@@ -74,6 +76,7 @@ class Effort:
     iterations: int
     target: float
     searches: tuple[SearchOptions, ...]
+    ends: bool = False
 
 
 def design_in_rounds(
@@ -207,7 +210,7 @@ def _begin(task: Task, start: Callable[[], FloatArray], effort: Effort, report: 
     """The state that is job, or a new one; its parameter points are sampled."""
     state = RoundState.load(job)
     if state is None:
-        state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
+        state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points, effort.ends))
         _begin_with_known(task, state)
     else:
         report(

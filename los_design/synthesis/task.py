@@ -12,7 +12,7 @@ from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import ControllerBlock, ResponseProblem
-from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.search.worst_case_search import Search, SearchOptions, points_with_ends
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import STAGE_NAMES, Samples, blocks, limits, pair_problem
 from los_loop.closing import sampled_loop
@@ -127,10 +127,14 @@ class ImplementedTask(Task):
         return all(sampled_loop(plant, one).spectral_radius() < 1.0 for one in laws)
 
 
-def first_points(task: Task, count: int) -> list[FloatArray]:
-    """The nominal point and `count` others of the box, the first half of them random corners."""
+def first_points(task: Task, count: int, ends: bool = False) -> list[FloatArray]:
+    """The nominal point and `count` others of the box, the first half of them random corners.
+
+    Most parameters of the second half are at an end of their range with `ends`, otherwise they are uniform in it.
+    """
     rng, loop = np.random.default_rng(task.seed), task.samples.open_loop
-    points = rng.uniform(size=(count, len(loop.names)))
+    size = len(loop.names)
+    points = points_with_ends(rng, count, size) if ends else rng.uniform(size=(count, size))
     points[: count // 2] = np.round(points[: count // 2])
     return [loop.point({}), *points]
 
