@@ -30,6 +30,7 @@ from los_design.search.worst_points import (
 )
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.provenance import digest
+from los_design.synthesis.start_choice import is_reference
 from los_design.synthesis.synthesis import design_pair
 from los_design.verification.verification import (
     ImplementedCheck,
@@ -163,15 +164,18 @@ def search_stages(
 ) -> dict[str, dict[str, list[WorstPoint]]]:
     """Worst points of all bands by stage and requirement: APE, slow and fast tones, and what else a stage has.
 
-    The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
+    The worst points that the design of these controllers found are climbed from, too, and on the reference telescope
+    those of the stored designs.
     """
     ports = telescope.loop_ports.used_by(k_fsm, k_pma)
     open_loops = {
         isolated: OpenLoop(loop_plant(telescope, ports, isolated=isolated), telescope, ports=ports)
         for isolated in {stage != STAGES[0] for stage in telescope.stages}
     }
-    known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
     stages = telescope.stages
+    known: dict[str, list[WorstPoint]] = {stage: [] for stage in stages}
+    if is_reference(telescope):
+        known |= {stage: [*points.values()] for stage, points in load_worst_points().items()}
     for stage, system in zip(telescope.mirror_stages, (k_fsm, k_pma)):
         known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
     return {

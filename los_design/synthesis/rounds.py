@@ -211,7 +211,6 @@ def _begin(task: Task, start: Callable[[], FloatArray], effort: Effort, report: 
     state = RoundState.load(job)
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points, effort.ends))
-        _begin_with_known(task, state)
     else:
         report(
             f"goes on after {state.number} rounds"
@@ -233,16 +232,6 @@ def _sample_again(task: Task, state: RoundState) -> None:
             sample_peaks(task, peaks)
         if number < len(state.added):
             sample_around(task, [*islice(around, state.added[number])])
-
-
-def _begin_with_known(task: Task, state: RoundState) -> None:
-    """Add the known worst points to a state without rounds."""
-    for point in task.known:
-        state.known.setdefault(named(point.requirement, _stage(point)), []).append(point)
-        at = np.clip(task.samples.open_loop.point(dict(point.parameters)), 0.0, 1.0)
-        at = stable_point(task, state.x, at)
-        if not any(np.allclose(at, other) for other in state.points):
-            state.points.append(at)
 
 
 def _searches(effort: Effort, done: int, last: bool, unfinished: bool) -> list[tuple[int, SearchOptions, bool]]:

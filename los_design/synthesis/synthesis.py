@@ -23,7 +23,6 @@ from lftkit.support.job import Job
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
-from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import (
     ACTUATORS,
@@ -40,7 +39,7 @@ from los_design.synthesis.paper_start import choose_paper_start
 from los_design.synthesis.provenance import digest
 from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
-from los_design.synthesis.start_choice import choose_start, is_reference
+from los_design.synthesis.start_choice import choose_start
 from los_design.synthesis.starts import zero_controller
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports, matrices_of
 from los_design.synthesis.task import ImplementedTask, Task
@@ -297,12 +296,7 @@ class _Synthesis:
             return k_fsm, k_pma
 
         samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports=ports), options.workers)
-        known: tuple[WorstPoint, ...] = ()
-        if not (options.nominal or is_reference(telescope)):
-            names = [STAGE_NAMES[stage] for stage in stages]
-            known = tuple(point for name in names for point in load_worst_points()[name].values())
-        common = options.seed, options.wall_limit, workers, known
-        return ImplementedTask(samples, stages, tuned, *common, sampled=pair)
+        return ImplementedTask(samples, stages, tuned, options.seed, options.wall_limit, workers, sampled=pair)
 
 
 def _effort_of(options: DesignOptions) -> Effort:

@@ -13,7 +13,6 @@ from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import ControllerBlock, ResponseProblem
 from los_design.search.worst_case_search import Search, SearchOptions, points_with_ends
-from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import STAGE_NAMES, Samples, blocks, limits, pair_problem
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
@@ -39,8 +38,6 @@ class Task(ABC):
         Of the whole design [s].
     workers : Workers
         Processes of the searches; the result does not depend on them.
-    known : tuple of WorstPoint
-        Of another telescope's design: their parameters are among the first points, the first search climbs from them.
     """
 
     samples: Samples
@@ -49,7 +46,6 @@ class Task(ABC):
     seed: int = 0
     wall_limit: float = np.inf
     workers: Workers = field(default_factory=Workers)
-    known: tuple[WorstPoint, ...] = ()
 
     @property
     @abstractmethod
