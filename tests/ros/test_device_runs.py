@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from los_testbed.config.exit_codes import ExitCode
+from los_testbed.parts.device_contract import ASKED, CONFIRMED, NOT_ZERO
 from ros_runs import private_domain
 from simple_telescope import write_controllers
 
@@ -91,7 +92,7 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
     done, said, bag = fly(tmp_path, 20, "--fault=frozen", "--fault-at=0.8")
     assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
     line = done.stderr.splitlines()[-1]
-    assert f"device {DRIVER}: " in line and "frozen for 200 samples; mirror and forces were set to zero" in line
+    assert f"device {DRIVER}: " in line and f"frozen for 200 samples; {CONFIRMED}" in line
     assert [event for event in said if event["event"] == "closed"][-1]["applied"] == 0.0
     run = Run.open(bag)
     assert not run.problems and len(run["fsm/command"]) > 100

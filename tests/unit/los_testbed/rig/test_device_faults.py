@@ -114,7 +114,7 @@ def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig)
     ages = [time.monotonic_ns() - sample.acquired_ns for sample in frames[-1:]]
     assert 0 < ages[0] < 5e9, "times of acquisition are on the clock of this host"
     supervisor.end()
-    assert supervisor.state == FINALIZED
+    assert supervisor.state == FINALIZED, supervisor.statistics()
     assert rig.until("safe")["why"] == "asked"
     assert rig.until("closed")["applied"] == 0.0
 
