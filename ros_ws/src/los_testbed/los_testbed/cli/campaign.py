@@ -153,7 +153,7 @@ def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: froze
     """The missing chunks, with a progress bar."""
     from los_testbed.campaign.execution import run_campaign
 
-    with Progress("members") as bar:
+    with Progress("members", equal=True) as bar:
         before = finished = _count(asked, done)
         start = time.monotonic()
 

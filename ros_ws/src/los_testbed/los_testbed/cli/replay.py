@@ -114,7 +114,7 @@ def _through(
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)
-    with Progress("replay [ticks]") as bar:
+    with Progress("replay [ticks]", equal=True) as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
     found = replay_run.metrics(run, replayed, transient)
@@ -135,7 +135,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     from los_testbed.nodes.sensor_player import play
     from pointing_analysis.requirements.summary import METADATA as REQUIREMENTS
 
-    with Progress("sensors to ROS [ticks]") as bar:
+    with Progress("sensors to ROS [ticks]", equal=True) as bar:
         played = play(run, domain, timeout, bar.report)
     for warning in played.warnings:
         say(console, warning, "warning")

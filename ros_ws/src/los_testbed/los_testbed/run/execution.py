@@ -99,7 +99,7 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
         sys.stderr.write(f"telescope: {line}\n")
     if config.mode == "inprocess" and config.mode_choice:
         sys.stderr.write(f"{config.mode_choice}: run in one process\n")
-    with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
+    with Progress(f"{config.loop}, {config.mode} [ticks]", equal=True) as bar:
 
         def progress(ticks: int) -> None:
             bar.report(ticks, config.ticks)
