@@ -26,7 +26,8 @@ REQUIREMENT = parse("prob(|APE| < 10 arcsec) >= 0.9 at 90 % confidence")
 
 def oscillator(command: Array) -> Array:
     """Angles at the end of each sample of held commands, by the sampled transfer function."""
-    num, den, _ = signal.cont2discrete(([FREQUENCY**2], [1.0, 2.0 * DAMPING * FREQUENCY, FREQUENCY**2]), DT)
+    plant = np.array([FREQUENCY**2]), np.array([1.0, 2.0 * DAMPING * FREQUENCY, FREQUENCY**2])
+    num, den, _ = signal.cont2discrete(plant, DT)
     return np.asarray(signal.lfilter(np.append(num[0, 1:], 0.0), den, command, axis=0))
 
 

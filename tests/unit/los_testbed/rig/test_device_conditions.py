@@ -143,7 +143,7 @@ def test_a_command_that_stays_at_its_limit_ends_the_run(wave):
 def test_a_driver_that_returns_no_samples_is_at_fault(given):
     device = Reporting()
     usual = device.read
-    device.read = lambda now_ns: given if device.tick > 50 and not device.asked else usual(now_ns)
+    device.read = lambda now_ns: given if device.tick > 50 and not device.asked else usual(now_ns)  # type: ignore[method-assign]
     assert "read must " in fly(device)[1]
 
 
@@ -159,7 +159,7 @@ def test_a_call_that_does_not_return_is_interrupted_and_mirror_and_forces_are_as
             pass
         return usual(now_ns)
 
-    device.read = read
+    device.read = read  # type: ignore[method-assign]
     tick, error = fly(device, settings=replace(SETTINGS, call=0.05))
     assert tick == 101 and "read failed: TimeoutError: it did not return within 0.05 s" in error
     assert error.endswith(CONFIRMED) and device.called[-1] == "close"

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import os
+import socket
 import ssl
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -103,6 +104,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
 
     Dask itself waits for a silent server without a timeout.
     """
+    from distributed.comm import get_address_host_port
     from distributed.core import rpc
 
     async def identity_there() -> dict[str, Any]:
@@ -111,6 +113,8 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
             return found
 
     try:
+        if scheduler.startswith(("tcp:", SCHEME)):  # Dask would try a port that nobody has, too, until the time is over
+            socket.create_connection(get_address_host_port(scheduler, strict=True), CONNECT).close()
         kind = asyncio.run(asyncio.wait_for(identity_there(), CONNECT + 1.0)).get("type")
     except asyncio.TimeoutError:
         reason = f"no answer within {CONNECT:g} s"

@@ -38,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def body(context: NodeContext) -> int:
         if not context.config.device:
             raise InputError("device must be MODULE:NAME or an entry point, got none")
+        device = Supervisor(make_device(context.config), context.config)
         others = OtherPlants(context)
         context.event("alone")
-        device = Supervisor(make_device(context.config), context.config)
         device.open()
         try:
             return DeviceLoop(context, device).run(others)

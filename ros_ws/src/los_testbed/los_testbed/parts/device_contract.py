@@ -74,9 +74,10 @@ class Device(Protocol):
     immediately: `read` returns the samples since the last call, possibly none. Between `open` and the run only `read`
     is called, every 20 ms. **Signs and units are those of :mod:`titop_plant.interface`.**
 
-    Three further methods are optional. ``notes()`` returns the device's own names and texts for the statistics; it is
+    Further methods are optional. ``notes()`` returns the device's own names and texts for the statistics; it is
     called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run. ``report()`` returns a
-    `RigReport`, or None before the first one: without it, nothing confirms that mirror and forces are at zero.
+    `RigReport`, or None before the first one: without it, nothing confirms that mirror and forces are at zero. A fourth
+    one, ``check(config)``, raises an exception for settings with which it cannot be opened, before anything is started.
     """
 
     def open(self, config: RunConfig) -> None:
@@ -101,7 +102,7 @@ def make_device(config: RunConfig) -> Any:
     Raises
     ------
     ValueError
-        It cannot be made, or lacks a method.
+        It cannot be made, lacks a method, or refuses its settings.
     """
     device = make(config, "device")
     for name in METHODS:
@@ -111,4 +112,12 @@ def make_device(config: RunConfig) -> Any:
             raise InputError(f"device {config.device} must have methods, got {in_one_line(error)}") from error
         if not callable(method):
             raise InputError(f"device {config.device}: {name} must be a method, got {method!r}")
+    if callable(check := getattr(device, "check", None)):
+        try:
+            check(config)
+        except InputError:
+            raise
+        except RAISED as error:
+            text = in_one_line(error)
+            raise InputError(f"device {config.device} must be one that can be opened, got {text}") from error
     return device

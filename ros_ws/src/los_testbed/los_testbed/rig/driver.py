@@ -9,7 +9,7 @@ import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -119,13 +119,22 @@ class PacketRig:
         self._unanswered = False
         self._report: RigReport | None = None
 
-    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
-        """The line to the rig, and the key that opens the rig."""
+    def settings(self, config: RunConfig) -> tuple[Any, bytes]:
+        """Address of the rig, and the key that opens it; ValueError: no such ones."""
         raise NotImplementedError
+
+    def connect(self, address: Any) -> PacketLine:
+        """The line to the rig."""
+        raise NotImplementedError
+
+    def check(self, config: RunConfig) -> None:
+        """Refuse an address or a key that cannot be one."""
+        self.settings(config)
 
     def open(self, config: RunConfig) -> None:
         """Connect, agree on the key, learn the rig's clock."""
-        self._line, secret = self.connect(config)
+        address, secret = self.settings(config)
+        self._line = self.connect(address)
         name = self._line.name
         words = np.array(struct.unpack("<II", self.key), float)
         end = time.monotonic() + OPEN_S
