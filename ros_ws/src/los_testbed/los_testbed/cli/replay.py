@@ -14,9 +14,9 @@ from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say, warn
 from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
