@@ -8,6 +8,7 @@ where the blocks that deviate, less those since the first of them that do not, l
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,10 @@ from pointing_analysis.read.topic import NANO, on_grid
 
 COMMAND, GAUGE = "fsm/command", "fsm/strain_gauge"
 """Topics of the commanded and of the measured angles."""
+SETTLED = 12.0
+"""Time constants after which the response to a command is over."""
+LEAST_DAMPING = 0.01
+"""Damping ratio of a mirror whose data have less: without any its response would never be over."""
 
 
 @dataclass(frozen=True)
@@ -83,21 +88,19 @@ class MirrorFollowing:
         self, frequency: float, damping: float, noise: float, settings: FollowingSettings, dt: float, fade: int
     ) -> None:
         self.settings, self._noise, self.limit = settings, noise, fade + settings.patience
+        damping = max(damping, LEAST_DAMPING)
         rows = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2.0 * damping * frequency, frequency**2], [0.0, 0.0, 0.0]])
         held = linalg.expm(rows * dt)
-        powers = [np.eye(2)]
-        for _ in range(settings.block):
-            powers.append(held[:2, :2] @ powers[-1])
-        self._free: FloatArray = np.array(powers[1:])
-        self._impulse: FloatArray = np.array([power @ held[:2, 2] for power in powers[:-1]])
-        self._forced = linalg.toeplitz(self._impulse[:, 0], np.zeros(settings.block))
+        state, taps = held[:2, 2], []
+        for _ in range(math.ceil(SETTLED / (damping * frequency * dt))):
+            taps.append(state[0])
+            state = held[:2, :2] @ state
+        self._taps: FloatArray = np.array(taps)
         self.reset()
 
     def reset(self) -> None:
         """Begin another record, in the steady state of its first command."""
-        self._state: FloatArray | None = None  # angle and rate (2, axes) before the next block
-        self._past: FloatArray = np.zeros((self.settings.lag, 2))  # responses before the next block
-        self._held: FloatArray = np.zeros(2)  # last command that was known
+        self._past: FloatArray | None = None  # commands of which the next responses depend
         self._lasting = 0
 
     def lasting(self, deviates: BoolArray) -> IntArray:
@@ -115,39 +118,29 @@ class MirrorFollowing:
     def deviates(self, command: FloatArray, angle: FloatArray) -> BoolArray:
         """Whether the mirror deviates from its command in each of the blocks that continue the last ones, (m,).
 
-        A block of which less than half of the commands or of the angles are known does not.
+        A block of which less than half of the angles are known does not.
 
         Parameters
         ----------
         command : (m block, 2)
-            Held from each sample to the next [rad]; NaN: not known, the last one is assumed.
+            Held from each sample to the next [rad].
         angle : (m block, 2)
-            Measured at the end of that time, or up to `lag` samples later [rad]; NaN: no sample.
+            Measured at the end of that time, or up to `lag` samples later [rad]; NaN: not known.
         """
         settings, size = self.settings, self.settings.block
-        given = np.isfinite(command).all(axis=1)
-        latest = np.maximum.accumulate(np.where(given, np.arange(len(command)), -1))
-        filled = np.where((latest >= 0)[:, None], command[latest], self._held)
-        self._held, blocks = filled[-1], filled.reshape(-1, size, 2)
-        if self._state is None:
-            self._state, self._past = np.array([filled[0], [0.0, 0.0]]), np.tile(filled[0], (settings.lag, 1))
-        response = np.einsum("jk,mka->mja", self._forced, blocks)
-        for k, drive in enumerate(np.einsum("ks,mka->msa", self._impulse[::-1], blocks)):
-            response[k] += self._free[:, 0] @ self._state
-            self._state = self._free[-1] @ self._state + drive
-        course = np.concatenate([self._past, response.reshape(-1, 2)])
-        self._past = course[len(course) - settings.lag :]
+        past = np.tile(command[0], (len(self._taps) - 1 + settings.lag, 1)) if self._past is None else self._past
+        commands = np.concatenate([past, command])
+        self._past = commands[len(command) :]
+        course = np.column_stack([np.convolve(axis, self._taps, "valid") for axis in commands.T])
         seen = angle.reshape(-1, size, 2)
         known = np.isfinite(seen).all(axis=2)
-        rest = np.full(len(seen), np.inf)
-        for lag in range(settings.lag + 1):
-            delayed = course[settings.lag - lag : len(course) - lag].reshape(-1, size, 2)
-            squares = np.where(known, np.square(seen - delayed).sum(axis=2), 0.0).sum(axis=1)
-            rest = np.minimum(rest, np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
-        moved = np.sqrt(np.square(response).sum(axis=2).mean(axis=1))
-        tolerance = settings.share * moved + settings.noise * np.sqrt(2.0) * self._noise + settings.floor
-        judged = (2 * known.sum(axis=1) >= size) & (2 * given.reshape(-1, size).sum(axis=1) >= size)
-        return np.asarray((rest > tolerance) & judged)
+        count = known.sum(axis=1)
+        lags = [course[settings.lag - lag : len(course) - lag].reshape(seen.shape) for lag in range(settings.lag + 1)]
+        squares = [np.where(known, np.square(seen - delayed).sum(axis=2), 0.0).sum(axis=1) for delayed in lags]
+        rest = np.sqrt(np.min(squares, axis=0) / np.maximum(count, 1))
+        moved = np.sqrt(np.square(lags[0]).sum(axis=2).mean(axis=1))
+        tolerance = settings.share * moved + settings.noise * math.sqrt(2.0) * self._noise + settings.floor
+        return np.asarray((rest > tolerance) & (2 * count >= size))
 
 
 def not_followed(run: Recording, settings: FollowingSettings | None = None) -> tuple[tuple[float, float], ...]:
@@ -184,14 +177,18 @@ def not_followed(run: Recording, settings: FollowingSettings | None = None) -> t
     fade = sum(int(ticks) for ticks in waits if is_number(ticks))
     watch = MirrorFollowing(frequency, damping, max(noise, default=0.0), settings, dt, fade)
     authority = telescope_value(run, "fsm_authority")
-    size, deviates = settings.block, []
+    size, held, deviates = settings.block, np.zeros(2), []
     for begin in range(0, len(angle) - size + 1, 1000 * size):
         rows = np.arange(begin, begin + min(1000, (len(angle) - begin) // size) * size)
-        asked = np.full((len(rows), 2), np.nan)
         there = (rows >= first) & (rows < first + len(command))
+        asked: FloatArray = np.full((len(rows), 2), np.nan)
+        seen = np.array(angle[rows, :2])
         asked[there] = command[rows[there] - first, :2]
-        asked[~(np.abs(asked) <= authority * (1.0 + 1e-9))] = np.nan  # not applied
-        deviates.append(watch.deviates(asked, angle[rows, :2]))
+        applied = (np.abs(asked) <= authority * (1.0 + 1e-9)).all(axis=1)
+        latest = np.maximum.accumulate(np.where(applied, np.arange(len(rows)), -1))
+        asked = np.where(latest[:, None] < 0, held, asked[latest])
+        held, seen[~applied] = asked[-1], np.nan
+        deviates.append(watch.deviates(asked, seen))
     odd = np.concatenate([[False], *deviates])
     counts = watch.lasting(odd)
     begins, ends = np.flatnonzero(np.diff(np.concatenate([[0], counts > 0, [0]]))).reshape(-1, 2).T

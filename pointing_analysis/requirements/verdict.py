@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -22,6 +22,7 @@ from pointing_analysis.indices.mirror_following import COMMAND, GAUGE, not_follo
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run_end import statistics_of
 from pointing_analysis.requirements.conditions import NEVER, START_UP
 from pointing_analysis.requirements.image_samples import finite, image_samples
 from pointing_analysis.requirements.requirement import Requirement, from_entries, load, parse
@@ -383,12 +384,11 @@ def _unusable(run: Recording) -> str:
     if periods := not_followed(run):
         more = f" and {counted(len(periods) - 1, 'more time')}" if periods[1:] else ""
         return f"the mirror did not follow its command from {periods[0][0]:.2f} to {periods[0][1]:.2f} s{more}{cut}"
-    statistics = run.parameters.get("statistics")
-    plant = statistics.get("plant") if isinstance(statistics, Mapping) else None
-    fault, stamp = (plant.get(name) if isinstance(plant, Mapping) else None for name in (FAULT, FAULT_STAMP))
-    since = int(str(stamp)) if str(stamp).isdecimal() else 0
-    if fault and any(len(run[name]) and run[name].stamp[-1] >= since for name in (COMMAND, GAUGE) if name in run):
-        return f"the device failed: {fault}{cut}"
+    plant = statistics_of(run.parameters, "plant")
+    stamp = str(plant.get(FAULT_STAMP))
+    since = int(stamp) if stamp.isdecimal() else 0
+    if FAULT in plant and any((run[name].stamp[-1:] >= since).any() for name in (COMMAND, GAUGE) if name in run):
+        return f"the device failed: {plant[FAULT]}{cut}"
     return ""
 
 

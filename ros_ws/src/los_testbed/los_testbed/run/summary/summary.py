@@ -245,10 +245,8 @@ def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[s
 
 def _statistics(run: Recording, node: str) -> dict[str, float]:
     """Statistics of a node as the bag has them; what is no number is left out."""
-    statistics = run.parameters.get("statistics", {})
-    found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
     numbers: dict[str, float] = {}
-    for name, text in found.items() if isinstance(found, dict) else ():
+    for name, text in run_end.statistics_of(run.parameters, node).items():
         with contextlib.suppress(ValueError, TypeError, OverflowError):
             numbers[name] = float(text)
     whole = ("ticks", "missed_ticks", "lost_periods", "samples_lost")
