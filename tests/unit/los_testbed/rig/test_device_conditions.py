@@ -127,7 +127,7 @@ def test_frames_beyond_the_range_of_the_camera_are_not_used_and_end_the_run():
     device = Reporting()
     samples(300, 10_000, **{CAMERA_PORT: FAR})(device)
     tick, error = fly(device)
-    assert "camera_los beyond range for 25 samples" in error
+    assert "camera_los beyond range for 500 ms" in error
     assert tick == pytest.approx(300 + SETTINGS.frozen_frames * FRAME, abs=FRAME)
 
 

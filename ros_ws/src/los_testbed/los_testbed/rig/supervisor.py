@@ -97,9 +97,9 @@ class SupervisorSettings:
         Equal samples after which a sensor is frozen: each has noise of more than a bit. The true line of sight may be
         without noise, and at rest: of it only samples count before which the mirror was given another command.
     frozen_frames : int
-        The same of a slower sensor, and frames beyond its range, half a second of the usual camera. With noise (rms) of
-        half a step of its rounding or more, both values are as before in less than half of the frames at rest, and in
-        25 in a row once in 1e8.
+        The same of a slower sensor, half a second of the usual camera, and how long its frames may be refused. With
+        noise (rms) of half a step of its rounding or more, both values are as before in less than half of the frames
+        at rest, and in 25 in a row once in 1e8.
     spare : int
         Ticks after which an unused sample in reserve for a tick without one is dropped.
     first : float
@@ -190,7 +190,6 @@ class Supervisor:
         """Why the last sample of a port was refused, since the last one that was used."""
         self._written_ns = self.acquired_ns = 0
         self._equal = dict.fromkeys((*MEASURED, TRUTH_PORT), 0)
-        self._beyond = dict.fromkeys(FRAMED, 0)
         self._last: dict[str, bytes] = {}
         self._queues: dict[str, deque[Sample]] = {port: deque() for port in (*EVERY_TICK, TRUTH_PORT)}
         self._unused = dict.fromkeys((*EVERY_TICK, TRUTH_PORT), 0)
@@ -262,7 +261,6 @@ class Supervisor:
                 absent.append(port)
                 self.counts[f"absent_{port}"] += 1
                 continue
-            self._refused.pop(port, None)
             self.measurement[COLUMNS[port]] = newest.values
             self.age.add(max(0, now_ns - newest.acquired_ns))
             self.acquired_ns = min(self.acquired_ns, newest.acquired_ns)
@@ -310,17 +308,17 @@ class Supervisor:
                 return True
             self._refuse(NOT_FINITE, port)
             return False
-        if beyond := bool(np.abs(values).max() > self._range[port]):
+        if np.abs(values).max() > self._range[port]:
             self._refuse(BEYOND_RANGE, port)
-        if port in FRAMED:
-            self._beyond[port] = self._beyond[port] + 1 if beyond else 0
+            return False
+        self._refused.pop(port, None)
         data = values.tobytes()
         if data != self._last.get(port):
             self._equal[port] = 0
         elif self._moved or port != TRUTH_PORT:
             self._equal[port] += 1
         self._last[port] = data
-        return not beyond
+        return True
 
     def _refuse(self, reason: str, port: str) -> None:
         self.counts[f"{reason}{port}"] += 1
@@ -329,7 +327,7 @@ class Supervisor:
     def _watch(self, absent: Sequence[str], now_ns: int) -> None:
         """Raise where what must not last has lasted for too long; `absent` are the ports without a sample."""
         settings, size, report = self.settings, self.settings.following.block, self._report()
-        states = {port: port in absent for port in EVERY_TICK}
+        states = {port: port in (absent if port in EVERY_TICK else self._refused) for port in MEASURED}
         states |= {SAFE: report.safe, LIMITED: report.limited, UNANSWERED: report.unanswered}
         states[SATURATED] = self._unsaturated <= self._config.hold_ticks
         for name, holds in states.items():
@@ -342,27 +340,26 @@ class Supervisor:
             self._last_for(NOT_FOLLOWING, count, now_ns)
             self._block = []
         limits: dict[str, float] = dict.fromkeys(self._lasting, self._mirror.limit)
-        limits[SATURATED] = settings.saturated
+        limits |= {SATURATED: settings.saturated, **dict.fromkeys(FRAMED, settings.frozen_frames * self.frame_ticks)}
         if len(absent) == len(EVERY_TICK):  # of a line without samples that is all to say
             limits[UNANSWERED] = math.inf
         if over := [since for name, (count, since) in self._lasting.items() if count > limits[name]]:
             groups: dict[str, list[str]] = {}
             for name, (count, _) in self._lasting.items():
                 if count > self._config.hold_ticks + self._config.fade_ticks:
-                    why = f"{self._refused.get(name, 'silent')} " if name in EVERY_TICK else ""
+                    why = f"{self._refused.get(name, 'silent')} " if name in MEASURED else ""
                     groups.setdefault(f"{why}for {min(count, limits[name])} ms", []).append(name)
             text = ", ".join(f"{', '.join(names)} {rest}" for rest, names in groups.items())
             if groups.get(f"silent for {self._mirror.limit} ms") == [*EVERY_TICK]:
                 text = f"no sample for {self._mirror.limit} ms"
             raise self.failed(text, min(over))
-        for ports, most, counts, how in (
-            ((*EVERY_TICK, TRUTH_PORT), settings.frozen_samples, self._equal, "frozen"),
-            (FRAMED, settings.frozen_frames, self._equal, "frozen"),
-            (FRAMED, settings.frozen_frames, self._beyond, "beyond range"),
+        for ports, most, period in (
+            ((*EVERY_TICK, TRUTH_PORT), settings.frozen_samples, 1),
+            (FRAMED, settings.frozen_frames, self.frame_ticks),
         ):
-            if odd := [port for port in ports if counts[port] > most]:
-                ticks = most * (self.frame_ticks if ports == FRAMED else 1)
-                raise self.failed(f"{', '.join(odd)} {how} for {most} samples", now_ns - ticks * TICK_NS)
+            if frozen := [port for port in ports if self._equal[port] > most]:
+                since = now_ns - most * period * TICK_NS
+                raise self.failed(f"{', '.join(frozen)} frozen for {most} samples", since)
 
     def _last_for(self, name: str, count: int, now_ns: int) -> None:
         """Note for how many ticks up to a time of the steady clock [ns] a condition lasts; 0: it does not hold."""
