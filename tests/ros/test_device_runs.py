@@ -101,7 +101,7 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
     line = done.stderr.splitlines()[-1]
     assert f"device {DRIVER}: " in line
     # the rig says that it is at zero; its gauges may be frozen elsewhere
-    assert re.search(f"frozen for 200 samples; ({ASKED}|{CONFIRMED})", line)
+    assert re.search(f"frozen for 200 ms; ({ASKED}|{CONFIRMED})", line)
     assert [event for event in said if event["event"] == "closed"][-1]["applied"] == 0.0
     run = Run.open(bag)
     assert not run.problems and len(run["fsm/command"]) > 100

@@ -97,7 +97,7 @@ STUCK = lambda sample: replace(sample, values=0.0 * sample.values)  # noqa: E731
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        (lambda first, last: reports(first, last, safe=True), "safe state while commanded for 140 ms"),
+        (lambda first, last: reports(first, last, safe=True), "rig in its safe state while commanded for 140 ms"),
         (lambda first, last: reports(first, last, unanswered=True), "clock requests unanswered for 140 ms"),
         (lambda first, last: reports(first, last, limited=True), "commands limited by the rig for 140 ms"),
         (

@@ -154,7 +154,7 @@ def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_n
     ("rig", "text"),
     [
         (("--fault=silent", "--fault-at=0.2"), "no sample for 2100 ms"),
-        (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 samples"),
+        (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 ms"),
         pytest.param(
             ("--fault=not_finite", "--fault-at=0.2"), "accel_Ip not finite for 2100 ms", marks=pytest.mark.slow
         ),

@@ -72,9 +72,13 @@ REASONS = {
 }
 """The same in messages."""
 
-SAFE, LIMITED, UNANSWERED = "safe state while commanded", "commands limited by the rig", "clock requests unanswered"
-SATURATED, NOT_FOLLOWING = "command at its limit", "mirror not following its command"
-"""Conditions that must not last, besides those of the sensors, which have the names of their ports."""
+Condition = tuple[str, str]
+"""What must not last: who is concerned, and how."""
+SAFE, LIMITED = ("rig", "in its safe state while commanded"), ("commands", "limited by the rig")
+UNANSWERED, SATURATED = ("clock requests", "unanswered"), ("command", "at its limit")
+NOT_FOLLOWING = "mirror", "not following its command"
+ABSENT, FROZEN = "absent", "frozen"
+"""Conditions of a sensor, which is concerned by the name of its port."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +173,11 @@ class Supervisor:
         self._range |= {GAUGE_PORT: settings.stroke * angle, TRUTH_PORT: math.inf}
         self._handler: Any = None
         """Of SIGALRM, while the device is open."""
+        self._period = {port: self.frame_ticks if port in FRAMED else 1 for port in (*MEASURED, TRUTH_PORT)}
+        of_frames = settings.frozen_frames * self.frame_ticks
+        self._limits: dict[Condition, float] = {(port, FROZEN): settings.frozen_samples for port in self._period}
+        self._limits |= {(port, how): of_frames for port in FRAMED for how in (ABSENT, FROZEN)}
+        self._limits[SATURATED] = settings.saturated
         self._ended = False
         self._failures: dict[str, str] = {}
         self._notes: Mapping[str, Any] = {}
@@ -184,7 +193,7 @@ class Supervisor:
         self.delay = LatencyHistogram()
         self.measurement = np.full(MEASUREMENTS, np.nan)
         self.frames: list[Sample] = []
-        self._lasting: dict[str, tuple[int, int]] = {}
+        self._lasting: dict[Condition, tuple[int, int]] = {}
         """Ticks and begin (steady clock [ns]) of each condition that lasts."""
         self._refused: dict[str, str] = {}
         """Why the last sample of a port was refused, since the last one that was used."""
@@ -195,6 +204,7 @@ class Supervisor:
         self._unused = dict.fromkeys((*EVERY_TICK, TRUTH_PORT), 0)
         self._unsaturated = self._config.hold_ticks + 1
         self._block: list[tuple[FloatArray, FloatArray]] = []
+        self._deviating = 0
         self._mirror.reset()
 
     def reset(self) -> None:
@@ -326,48 +336,37 @@ class Supervisor:
 
     def _watch(self, absent: Sequence[str], now_ns: int) -> None:
         """Raise where what must not last has lasted for too long; `absent` are the ports without a sample."""
-        settings, size, report = self.settings, self.settings.following.block, self._report()
-        states = {port: port in (absent if port in EVERY_TICK else self._refused) for port in MEASURED}
-        states |= {SAFE: report.safe, LIMITED: report.limited, UNANSWERED: report.unanswered}
-        states[SATURATED] = self._unsaturated <= self._config.hold_ticks
-        for name, holds in states.items():
-            self._last_for(name, self._lasting[name][0] + 1 if holds and name in self._lasting else int(holds), now_ns)
+        report, lasting = self._report(), self._lasting
+        saturated = self._unsaturated <= self._config.hold_ticks
+        states = (SAFE, report.safe), (LIMITED, report.limited), (UNANSWERED, report.unanswered), (SATURATED, saturated)
+        present = [(port, ABSENT) for port in (*absent, *(port for port in FRAMED if port in self._refused))]
+        present += [name for name, holds in states if holds]
+        counts = {name: lasting[name][0] + 1 if name in lasting else 1 for name in present}
+        counts |= {(port, FROZEN): equal * self._period[port] for port, equal in self._equal.items() if equal}
         angle = np.full(2, np.nan) if GAUGE_PORT in absent else self.measurement[FSM_ANGLE].copy()
         self._block.append((self._command[MIRROR].copy(), angle))
-        if len(self._block) == size:
+        if len(self._block) == self.settings.following.block:
             command, seen = (np.array(rows) for rows in zip(*self._block))
-            (count,) = self._mirror.lasting(self._mirror.deviates(command, seen)).tolist()
-            self._last_for(NOT_FOLLOWING, count, now_ns)
-            self._block = []
-        limits: dict[str, float] = dict.fromkeys(self._lasting, self._mirror.limit)
-        limits |= {SATURATED: settings.saturated, **dict.fromkeys(FRAMED, settings.frozen_frames * self.frame_ticks)}
+            self._deviating, self._block = int(self._mirror.lasting(self._mirror.deviates(command, seen))[0]), []
+        if self._deviating:
+            counts[NOT_FOLLOWING] = self._deviating
+        self._lasting = {
+            name: (n, lasting[name][1] if name in lasting else now_ns - (n - 1) * TICK_NS) for name, n in counts.items()
+        }
+        limits = {name: self._limits.get(name, self._mirror.limit) for name in counts}
         if len(absent) == len(EVERY_TICK):  # of a line without samples that is all to say
             limits[UNANSWERED] = math.inf
         if over := [since for name, (count, since) in self._lasting.items() if count > limits[name]]:
+            notable = self._config.hold_ticks + self._config.fade_ticks
             groups: dict[str, list[str]] = {}
-            for name, (count, _) in self._lasting.items():
-                if count > self._config.hold_ticks + self._config.fade_ticks:
-                    why = f"{self._refused.get(name, 'silent')} " if name in MEASURED else ""
-                    groups.setdefault(f"{why}for {min(count, limits[name])} ms", []).append(name)
-            text = ", ".join(f"{', '.join(names)} {rest}" for rest, names in groups.items())
+            for (subject, what), count in counts.items():
+                if count > min(notable, limits[subject, what]):
+                    how = self._refused.get(subject, "silent") if what == ABSENT else what
+                    groups.setdefault(f"{how} for {min(count, limits[subject, what])} ms", []).append(subject)
+            text = ", ".join(f"{', '.join(subjects)} {rest}" for rest, subjects in groups.items())
             if groups.get(f"silent for {self._mirror.limit} ms") == [*EVERY_TICK]:
                 text = f"no sample for {self._mirror.limit} ms"
             raise self.failed(text, min(over))
-        for ports, most, period in (
-            ((*EVERY_TICK, TRUTH_PORT), settings.frozen_samples, 1),
-            (FRAMED, settings.frozen_frames, self.frame_ticks),
-        ):
-            if frozen := [port for port in ports if self._equal[port] > most]:
-                since = now_ns - most * period * TICK_NS
-                raise self.failed(f"{', '.join(frozen)} frozen for {most} samples", since)
-
-    def _last_for(self, name: str, count: int, now_ns: int) -> None:
-        """Note for how many ticks up to a time of the steady clock [ns] a condition lasts; 0: it does not hold."""
-        if count:
-            self._lasting.setdefault(name, (0, now_ns - (count - 1) * TICK_NS))
-            self._lasting[name] = count, self._lasting[name][1]
-        else:
-            self._lasting.pop(name, None)
 
     def _report(self) -> RigReport:
         """What the rig says of itself, nothing where its driver has no such method or before it does."""
