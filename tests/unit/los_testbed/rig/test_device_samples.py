@@ -84,6 +84,18 @@ def test_a_sensor_without_finite_values_and_one_without_samples_are_told_apart(o
         supervisor.read(time.monotonic_ns())
 
 
+def test_a_sensor_that_falls_silent_after_a_late_sample_is_silent():
+    device = PlainRig()
+    supervisor = watched(device)
+    supervisor.read(time.monotonic_ns())
+    late = [Sample(port, time.monotonic_ns() - 10 * TICK_NS, device.noise(port)) for port in EVERY_TICK]
+    device.read = lambda now_ns: late.copy() if not supervisor.counts["absent_accel_Ip"] else []  # type: ignore[method-assign]
+    for _ in range(140):
+        supervisor.read(time.monotonic_ns())
+    with pytest.raises(DeviceError, match="my:Rig: no sample for 140 ms; "):
+        supervisor.read(time.monotonic_ns())
+
+
 def without_lines(error):
     """A message without the places in the driver."""
     return re.sub(r" \(out, [^)]*\)", "", str(error))

@@ -195,8 +195,8 @@ class Supervisor:
         self.frames: list[Sample] = []
         self._lasting: dict[Condition, tuple[int, int]] = {}
         """Ticks and begin (steady clock [ns]) of each condition that lasts."""
-        self._refused: dict[str, str] = {}
-        """Why the last sample of a port was refused, since the last one that was used."""
+        self._refused: dict[str, tuple[str, int]] = {}
+        """Why the last sample of a port was refused, and how many since the last one that could be used."""
         self._written_ns = self.acquired_ns = 0
         self._equal = dict.fromkeys((*MEASURED, TRUTH_PORT), 0)
         self._last: dict[str, bytes] = {}
@@ -271,6 +271,7 @@ class Supervisor:
                 absent.append(port)
                 self.counts[f"absent_{port}"] += 1
                 continue
+            self._refused.pop(port, None)
             self.measurement[COLUMNS[port]] = newest.values
             self.age.add(max(0, now_ns - newest.acquired_ns))
             self.acquired_ns = min(self.acquired_ns, newest.acquired_ns)
@@ -321,7 +322,8 @@ class Supervisor:
         if np.abs(values).max() > self._range[port]:
             self._refuse(BEYOND_RANGE, port)
             return False
-        self._refused.pop(port, None)
+        if port in FRAMED:  # others when they are used
+            self._refused.pop(port, None)
         data = values.tobytes()
         if data != self._last.get(port):
             self._equal[port] = 0
@@ -332,16 +334,17 @@ class Supervisor:
 
     def _refuse(self, reason: str, port: str) -> None:
         self.counts[f"{reason}{port}"] += 1
-        self._refused[port] = REASONS[reason]
+        self._refused[port] = REASONS[reason], self._refused.get(port, ("", 0))[1] + 1
 
     def _watch(self, absent: Sequence[str], now_ns: int) -> None:
         """Raise where what must not last has lasted for too long; `absent` are the ports without a sample."""
         report, lasting = self._report(), self._lasting
         saturated = self._unsaturated <= self._config.hold_ticks
         states = (SAFE, report.safe), (LIMITED, report.limited), (UNANSWERED, report.unanswered), (SATURATED, saturated)
-        present = [(port, ABSENT) for port in (*absent, *(port for port in FRAMED if port in self._refused))]
-        present += [name for name, holds in states if holds]
+        present = [*((port, ABSENT) for port in absent), *(name for name, holds in states if holds)]
         counts = {name: lasting[name][0] + 1 if name in lasting else 1 for name in present}
+        frames = {port: self._refused[port][1] for port in FRAMED if port in self._refused}
+        counts |= {(port, ABSENT): refused * self.frame_ticks for port, refused in frames.items()}
         counts |= {(port, FROZEN): equal * self._period[port] for port, equal in self._equal.items() if equal}
         angle = np.full(2, np.nan) if GAUGE_PORT in absent else self.measurement[FSM_ANGLE].copy()
         self._block.append((self._command[MIRROR].copy(), angle))
@@ -361,7 +364,10 @@ class Supervisor:
             groups: dict[str, list[str]] = {}
             for (subject, what), count in counts.items():
                 if count > min(notable, limits[subject, what]):
-                    how = self._refused.get(subject, "silent") if what == ABSENT else what
+                    how = what
+                    if what == ABSENT:
+                        reason, refused = self._refused.get(subject, ("", 0))
+                        how = reason if 2 * refused * self._period[subject] > count else "silent"
                     groups.setdefault(f"{how} for {min(count, limits[subject, what])} ms", []).append(subject)
             text = ", ".join(f"{', '.join(subjects)} {rest}" for rest, subjects in groups.items())
             if groups.get(f"silent for {self._mirror.limit} ms") == [*EVERY_TICK]:
