@@ -114,6 +114,18 @@ def drained(made, stamp, *senders):
     return made._another_run()
 
 
+def test_answers_in_flight_are_not_lost_before_the_run_is_over():
+    """The report comes when the tick that it follows is there and its answers are not."""
+    made, plant, followers = recorder()
+    made.parts, made.context = SimpleNamespace(topics=TOPICS), SimpleNamespace(config=SimpleNamespace(device=None))
+    made.watch, made._late, made.statistics = SimpleNamespace(statistics=dict), None, {}
+    made.reports = {"plant": SimpleNamespace(path="plant", stamp=9 * TICK_NS, unreadable=0, foreign=0)}
+    for tick in range(1, 10):
+        drained(made, tick * TICK_NS, *plant, *(followers if tick not in (4, 9) else ()))
+    assert made.own_statistics(over=False)["samples_lost"] == str(len(followers)), "of tick 4"
+    assert made.own_statistics()["samples_lost"] == str(2 * len(followers)), "and of tick 9"
+
+
 def test_a_plant_that_holds_after_its_run_is_another_run():
     made, plant, followers = recorder()
     for tick in range(1, 4):
