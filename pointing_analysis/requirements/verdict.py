@@ -48,6 +48,8 @@ ROUNDING = 1e-9
 """Rounding tolerance of a computed count of samples."""
 FAULT, FAULT_STAMP = "device_fault", "device_fault_stamp"
 """Statistics of a plant that is a device: why it failed, and the stamp [ns] of the tick from which it did."""
+NOT_JUDGED = "not_judged"
+"""Key of a replay whose recording is not judged: why, :func:`not_judged_by`."""
 Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
@@ -351,7 +353,7 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
         return not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
-    if reasons := [text for run in runs if (text := _unusable(run))]:
+    if reasons := [text for run in runs if (text := not_judged_by(run))]:
         return not_judged(requirement, reasons[0])
     try:
         collected = _collect(requirement, runs, transient)
@@ -376,8 +378,10 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, sign * v.quantile.value))
 
 
-def _unusable(run: Recording) -> str:
+def not_judged_by(run: Recording) -> str:
     """Why nothing is judged by a recording; empty where it can be."""
+    if reason := run.parameters.get(NOT_JUDGED):
+        return str(reason)
     if run.contradictions:
         return f"the recording contradicts its own digests: {run.contradictions[0]}"
     cut = "; report --from, --to judge the rest"

@@ -142,7 +142,7 @@ class Track:
         While the run is not `over`, those of which a later one has come.
         """
         if not self.first:
-            return (last - first) // self.period_ns + 1 if over else 0
+            return last // self.period_ns - (first - 1) // self.period_ns if over else 0
         missing = self._gone + sum(stamp <= last for stamp in self._missing)
         before = max(min(self.first, last) - first, 0) // self.period_ns
         behind = max(last - self.last, 0) // self.period_ns if over else 0
