@@ -181,11 +181,12 @@ class PacketRig:
         return not -SET_BACK_NS < newest.acquired_ns - time.monotonic_ns() <= TICK_NS
 
     def report(self) -> RigReport | None:
-        """What the flags of the newest packet with samples say, and whether a request to the clock is unanswered."""
+        """What the flags of the last packet of every tick say, and whether a request to the clock is unanswered."""
         return None if self._report is None else replace(self._report, unanswered=self._unanswered)
 
     def _samples(self, packet: Packet, received: int) -> list[Sample]:
-        self._report = RigReport(received, bool(packet.flags & SAFE), bool(packet.flags & LIMITED))
+        if packet.kind == Kind.FAST:
+            self._report = RigReport(received, bool(packet.flags & SAFE), bool(packet.flags & LIMITED))
         if packet.flags:
             for flag, name in ((SAFE, "safe"), (LIMITED, "limited"), (RESTARTED, "restarted")):
                 self.counts[f"rig_{name}"] += bool(packet.flags & flag)
