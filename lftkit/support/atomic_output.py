@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -65,8 +66,11 @@ def _check(path: Path, what: str, new: bool, folder: bool) -> None:
         raise InputError(
             f"the folder of {what} must exist, got {parent}{' is not a folder' if parent.exists() else ''}"
         )
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(f"{what} must be in a folder that may be written to, got {parent}")
+    try:  # permissions do not tell of a file system that takes no files
+        with tempfile.TemporaryFile(dir=path if path.is_dir() else parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
 
 
 def _check_kind(path: Path, what: str) -> None:

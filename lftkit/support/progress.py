@@ -65,7 +65,7 @@ def write_log(line: str) -> None:
 
 
 class Progress:
-    """Context that shows done, total, elapsed and remaining time of a computation on the error output.
+    """Context that shows done, total and elapsed time of a computation on the error output.
 
     On a terminal it is a bar (without the package rich, which is optional, lines as elsewhere); elsewhere a line after
     :data:`FIRST_S` and then one every ten seconds (:func:`choose_output`), also where contexts follow each other sooner
@@ -77,6 +77,8 @@ class Progress:
         What is computed, before the numbers.
     shown : bool
         Whether anything is shown.
+    equal : bool
+        Whether its parts take equal times. Only then is the remaining time shown: of others it is not known.
 
     Examples
     --------
@@ -84,8 +86,8 @@ class Progress:
     ...     bar.report(1, 3, best=0.97)
     """
 
-    def __init__(self, what: str, shown: bool = True) -> None:
-        self._what, self._text, self._shown = what, what, shown
+    def __init__(self, what: str, shown: bool = True, equal: bool = False) -> None:
+        self._what, self._text, self._shown, self._equal = what, what, shown, equal
         self._done, self._total = 0.0, 0.0
         self._first = (0.0, 0.0)  # time and amount from which the rate is counted
         self._bar: Any = None
@@ -133,7 +135,7 @@ class Progress:
             sys.stderr.flush()
 
     def _show(self) -> None:
-        drawn = None if _output.quiet else _bar(sys.stderr)
+        drawn = None if _output.quiet else _bar(sys.stderr, self._equal)
         if drawn is not None:
             drawn.add_task(self._text, total=self._total or None, completed=self._done)
             drawn.start()
@@ -169,13 +171,13 @@ class Progress:
             return f"{self._text}: {elapsed:.0f} s"
         since, before = self._first
         passed, left = time.monotonic() - since, ""
-        if self._done > before:
+        if self._equal and self._done > before:
             left = f", about {passed * (self._total - self._done) / (self._done - before):.0f} s left"
         return f"{self._text}: {self._done:.0f} of {self._total:.0f}, {elapsed:.0f} s{left}"
 
 
-def _bar(stream: TextIO) -> Any:
-    """The bar; None without rich or where there is no terminal."""
+def _bar(stream: TextIO, equal: bool) -> Any:
+    """The bar, with the remaining time of `equal` parts; None without rich or where there is no terminal."""
     try:
         from rich import progress
         from rich.console import Console
@@ -189,7 +191,7 @@ def _bar(stream: TextIO) -> Any:
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
+        *([progress.TimeRemainingColumn()] if equal else []),
         console=console,
         transient=True,
     )

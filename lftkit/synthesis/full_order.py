@@ -73,7 +73,8 @@ class FullOrderDesign:
     lower : float
         What no controller of any order can do better, numerically: the optimum of the Riccati equations or of linear
         matrix inequalities, where that is near to `value`, or the largest gain at a single frequency or zero that no
-        controller changes; minus infinity where there is none. With ``certify=True`` it is at least what `proof` proves.
+        controller changes; minus infinity where there is none. With ``certify=True`` it is at least the proven
+        level.
     regularised : float
         Weight of commands and noise of measurements that was added, in units in which those of the plant, or its gains
         where it has none, are near to 1; 0 for none; of states, too, where that is better.

@@ -147,9 +147,13 @@ def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) ->
         needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
         if needed > MOST_DRAWS:
             most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
-            raise InputError(f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}')
+            raise InputError(
+                f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement.exact_text}'
+            )
         if draws < needed:
-            raise InputError(f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}")
+            raise InputError(
+                f"{file}: draws must be {math.ceil(needed)} or more for {requirement.exact_text}, got {draws}"
+            )
 
 
 def testbed_table(table: Entry) -> Entry | None:

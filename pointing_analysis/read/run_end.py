@@ -61,6 +61,13 @@ class RunEnd:
         return None not in (self.planned, self.done, self.covered) and not self.text
 
 
+def statistics_of(parameters: Mapping[str, Any], node: str) -> Mapping[str, Any]:
+    """Last statistics of a node in what the recorder wrote about a run; empty if there are none, or another type."""
+    statistics = parameters.get("statistics")
+    found = statistics.get(node) if isinstance(statistics, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
+
+
 def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd:
     """End of a run.
 
@@ -81,11 +88,9 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
     >>> run_end(known, covered=7500).text
     "the run's record says that it ended by its plan, after 10000 ticks, but the messages cover 7500 of them"
     """
-    statistics = parameters.get("statistics")
-    if not isinstance(statistics, dict):
+    if not isinstance(parameters.get("statistics"), Mapping):
         return RunEnd(None, None, None, covered)
-    plant = statistics.get("plant")
-    counts = plant if isinstance(plant, dict) else {}
+    counts = statistics_of(parameters, "plant")
     done, planned = _count(counts.get("ticks")), _count(counts.get(PLANNED))
     if planned is None:
         planned = _by_duration(parameters.get("duration"), parameters.get("rate_hz"))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, IntArray
+from pointing_analysis.read.run_end import statistics_of
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
@@ -32,9 +33,7 @@ def unsent(run: Recording, name: str) -> int:
     name : str
         Topic without the namespace.
     """
-    statistics = run.parameters.get("statistics")
-    recorder = statistics.get("recorder") if isinstance(statistics, dict) else None
-    found = recorder.items() if isinstance(recorder, dict) else ()
+    found = statistics_of(run.parameters, "recorder").items()
     texts = [str(text) for key, text in found if str(key).startswith(UNSENT) and str(key).endswith(f"/{name}")]
     return sum(int(text) for text in texts if text.isascii() and text.isdecimal() and len(text) < 16)
 

@@ -35,7 +35,8 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,7 @@ class Requirement:
     loops : loop stages it applies to; empty for all
     of_windows : of RPE and RKE whether each window has one value, its rms, instead of one at every instant
     frequency : of the MTF
+    source : text that it was read from
     """
 
     index: str
@@ -155,6 +157,7 @@ class Requirement:
     loops: tuple[str, ...] = ()
     of_windows: bool = False
     frequency: SpatialFrequency | None = None
+    source: str = field(default="", repr=False, compare=False)
 
     @property
     def scale(self) -> float:
@@ -193,18 +196,28 @@ class Requirement:
 
     @property
     def exact_text(self) -> str:
-        """Text that `parse` reads as bit-identical limit and times."""
+        """Text that `parse` reads as the same requirement, bit for bit: that of its author unless it was changed since.
+
+        Messages quote it.
+        """
+        if self.source and parse(self.source, self.name, self.loops) == self:
+            return self.source
         value, wanted = self.limit / self.scale, self.limit
         near = (float(f"{value:g}"), value, math.nextafter(value, 0.0), math.nextafter(value, math.inf))
         shown = next((f"{x:g}" if x == near[0] else repr(x) for x in near if x * self.scale == wanted), "")
         times = ", ".join(_exact_time(t) for t in self.times)
-        return self._text(f"{shown} {self.unit}".strip() if shown else f"{wanted!r} rad", self._quantity(times))
+        limit = f"{shown} {self.unit}".strip() if shown else f"{wanted!r} rad"
+        return self._text(limit, self._quantity(times), exact=True)
 
-    def _text(self, limit: str, quantity: str) -> str:
+    def _text(self, limit: str, quantity: str, exact: bool = False) -> str:
         tail = "" if self.interpretation == "temporal" else f", {self.interpretation}"
         sign = ">" if self.lower else "<"
-        asked = f"{self.probability:.10g} at {100 * self.confidence:.10g} % confidence"
-        return f"prob({quantity} {sign} {limit}) >= {asked}{tail}"
+        part, sure = f"{self.probability:.10g}", f"{100 * self.confidence:.10g} %"
+        if part == "1" or (exact and float(part) != self.probability):
+            part = format(Decimal(repr(self.probability)), "f")
+        if sure == "100 %" or (exact and float(sure[:-2]) / 100 != self.confidence):
+            sure = format(Decimal(repr(self.confidence)), "f")
+        return f"prob({quantity} {sign} {limit}) >= {part} at {sure} confidence{tail}"
 
 
 def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
@@ -265,6 +278,7 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
         tuple(loops),
         of_windows,
         frequency,
+        " ".join(text.split()),
     )
 
 
@@ -395,7 +409,7 @@ def entries(requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
     --------
     >>> limit = parse("prob(|APE| < 4.848e-6 rad) >= 0.997 at 95 % confidence", "APE", ["fsm"])
     >>> entries([limit])
-    [{'name': 'APE', 'text': 'prob(|APE| < 4.848e-06 rad) >= 0.997 at 95 % confidence', 'loop': ['fsm']}]
+    [{'name': 'APE', 'text': 'prob(|APE| < 4.848e-6 rad) >= 0.997 at 95 % confidence', 'loop': ['fsm']}]
     """
     return [
         {"name": r.name, "text": r.exact_text, **({"loop": list(r.loops)} if r.loops else {})} for r in requirements

@@ -32,7 +32,7 @@ from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import missed_share, run_end
+from pointing_analysis.read.run_end import missed_share, run_end, statistics_of
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
@@ -335,7 +335,7 @@ def beside_of(run: Recording, requirement: Requirement) -> Beside:
 def _disturbed(run: Recording) -> str:
     """Ticks that were missed in real time, where they were more than the run permits; empty elsewhere."""
     try:
-        share = missed_share(_plant_statistics(run))
+        share = missed_share(statistics_of(run.parameters, "plant"))
         most = float(run.parameters.get("max_missed", math.inf))
     except (TypeError, ValueError):
         return ""
@@ -379,8 +379,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if state.nan and name not in cameras:
             problems.append(f"{shown}: {counted(state.nan, message)} {empty}")
     _add_ends(lost, problems, stamps)
-    failure = _failure(run)
-    if failure:
+    if failure := str(statistics_of(run.parameters, "plant").get("failure", "")):
         problems.append(f"the run failed: {failure}")
     elif early := run_end(run.parameters, run.covered_ticks if isinstance(run, Run) else None).text:
         problems.append(early)
@@ -393,21 +392,10 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     return {k: v for k, v in lost.items() if v}, problems, sum(dropped.values())
 
 
-def _plant_statistics(run: Recording) -> dict[str, Any]:
-    statistics = run.parameters.get("statistics")
-    plant = statistics.get("plant") if isinstance(statistics, dict) else None
-    return plant if isinstance(plant, dict) else {}
-
-
-def _failure(run: Recording) -> str:
-    """Failure of a run from the recorded statistics; empty without one."""
-    return str(_plant_statistics(run).get("failure", ""))
-
-
 def _frames_without_angles(run: Recording) -> str:
     """Reasons and counts of a camera that takes images; empty for others."""
     first = "frames_"
-    found = {key: value for key, value in _plant_statistics(run).items() if key.startswith(first)}
+    found = {key: value for key, value in statistics_of(run.parameters, "plant").items() if key.startswith(first)}
     return ", ".join(f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(found.items()))
 
 

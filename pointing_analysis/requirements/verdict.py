@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.image.motion_blur import exposure_parts
@@ -19,9 +20,11 @@ from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.confidence import EffectiveSamples
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, pooled_number
+from pointing_analysis.indices.mirror_following import COMMAND, GAUGE, not_followed
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run_end import statistics_of
 from pointing_analysis.requirements.conditions import NEVER, START_UP
 from pointing_analysis.requirements.image_samples import finite, image_samples
 from pointing_analysis.requirements.requirement import Requirement, from_entries, load, parse
@@ -45,6 +48,10 @@ __all__ = [
 
 ROUNDING = 1e-9
 """Rounding tolerance of a computed count of samples."""
+FAULT, FAULT_STAMP = "device_fault", "device_fault_stamp"
+"""Statistics of a plant that is a device: why it failed, and the stamp [ns] of the tick from which it did."""
+NOT_JUDGED = "not_judged"
+"""Key of a replay whose recording is not judged: why, :func:`not_judged_by`."""
 Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
@@ -367,8 +374,9 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     With the temporal interpretation every run must comply and the worst verdict counts (of m runs each is refuted at a
     confidence of 1 - (1 - c) / m); the ensemble one takes the
     worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
-    puts the samples of all runs together. Recordings that contradict their own digests are not judged. Nor is one of
-    a loop that is known to be unstable while it is within the limit.
+    puts the samples of all runs together. Recordings that contradict their own digests are not judged, nor are those
+    of a device while it failed or its mirror did not follow its command. Nor is one of a loop that is known to be
+    unstable while it is within the limit.
     """
     verdict = _judged(requirement, runs, transient)
     if verdict.within_limit and any(run.parameters.get(START_UP) == NEVER for run in runs):
@@ -380,9 +388,8 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
         return not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
-    contradictions = [text for run in runs for text in run.contradictions]
-    if contradictions:
-        return not_judged(requirement, f"the recording contradicts its own digests: {contradictions[0]}")
+    if reasons := [text for run in runs if (text := not_judged_by(run))]:
+        return not_judged(requirement, reasons[0])
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:
@@ -404,6 +411,24 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2}
     sign = 1.0 if requirement.lower else -1.0
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, sign * v.quantile.value))
+
+
+def not_judged_by(run: Recording) -> str:
+    """Why nothing is judged by a recording; empty where it can be."""
+    if reason := run.parameters.get(NOT_JUDGED):
+        return str(reason)
+    if run.contradictions:
+        return f"the recording contradicts its own digests: {run.contradictions[0]}"
+    cut = "; report --from, --to judge the rest"
+    if periods := not_followed(run):
+        more = f" and {counted(len(periods) - 1, 'more time')}" if periods[1:] else ""
+        return f"the mirror did not follow its command from {periods[0][0]:.2f} to {periods[0][1]:.2f} s{more}{cut}"
+    plant = statistics_of(run.parameters, "plant")
+    stamp = str(plant.get(FAULT_STAMP))
+    since = int(stamp) if stamp.isdecimal() else 0
+    if FAULT in plant and any((run[name].stamp[-1:] >= since).any() for name in (COMMAND, GAUGE) if name in run):
+        return f"the device failed: {plant[FAULT]}{cut}"
+    return ""
 
 
 def _of_all(requirement: Requirement, runs: Sequence[IndexSamples]) -> EffectiveSamples:

@@ -121,6 +121,21 @@ def law_with_devices() -> SampledSystem:
     return SampledSystem(A, B, C, D, (*K_PMA_INPUTS, AT_ROOT), (*K_PMA_OUTPUTS, SHAKER), DT)
 
 
+@pytest.mark.parametrize(
+    ("changed", "still"),
+    [
+        ({"loop": "isolator"}, "actuators shaker, idle"),
+        ({"loop": "fsm", "k_pma": "laws_with_devices:Shaking"}, "actuators shaker, idle"),
+        ({"k_pma": "laws_with_devices:Shaking"}, "actuator idle"),
+    ],
+)
+def test_an_actuator_that_nothing_drives_in_the_stage_is_named_before_the_work(
+    base: RunConfig, changed: dict[str, str], still: str
+) -> None:
+    lines = [line for line in RunParts(replace(base, **changed)).check() if "do not use" in line]
+    assert len(lines) == 1 and f" and {still} of the telescope's file" in lines[0]
+
+
 def test_a_bag_has_the_sensors_by_their_names(base: RunConfig, tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(
         TELESCOPE.replace('place = "A1"\naxes', 'place = "A1"\nrange = 1e-3\naxes') + SINE

@@ -130,7 +130,7 @@ def test_diagnostics_come_once_a_second_from_each_node(seen):
     assert set(by_name) == {f"telescope: {n}" for n in NODES}
     reports = [{entry.key: entry.value for entry in status.values} for status in by_name["telescope: plant"]]
     ticks = [int(values["ticks"]) for values in reports]
-    faded = ["set to zero" in status.message for status in by_name["telescope: plant"]]
+    faded = ["fade to zero" in status.message for status in by_name["telescope: plant"]]
     changes = sum(before != after for before, after in itertools.pairwise(faded))  # each is told at once
     assert ticks[0] > 300 and len(ticks) <= 2 + changes + 2 * (ticks[-1] - ticks[0]) / 1000
     assert float(reports[-1]["latency_median_us"]) > 0

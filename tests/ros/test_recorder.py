@@ -38,13 +38,13 @@ class Queue:
         return OURS
 
 
-def lost(ticks, last):
+def lost(ticks, last, over=True):
     source = Queue(FSM_COMMAND)
     for tick in ticks:
         source.send(tick * TICK_NS)
     track = Track("fsm/command", source, TICK_NS, codec_for(FSM_COMMAND))
     track.drain()
-    return track.lost(START * TICK_NS, last * TICK_NS)
+    return track.lost(START * TICK_NS, last * TICK_NS, over)
 
 
 @pytest.mark.parametrize(
@@ -61,6 +61,33 @@ def lost(ticks, last):
 )
 def test_late_samples_are_not_lost(ticks, last, expected):
     assert lost(ticks, last) == expected
+
+
+@pytest.mark.parametrize(
+    ("ticks", "last", "expected"),
+    [
+        ([], START + 9, 0),
+        (range(START, START + 5), START + 9, 0),
+        ([START, START + 1, START + 3], START + 9, 1),
+        ([START + 2, START + 3], START + 9, 2),
+        ([START, START + 1, START + 3, START + 7], START + 4, 2),
+        ([START, START + 3, START + 1], START + 9, 1),
+    ],
+    ids=["nothing yet", "in flight", "a gap", "the beginning", "after what the plant has reported", "one came late"],
+)
+def test_during_a_run_a_sample_is_lost_when_a_later_one_has_come(ticks, last, expected):
+    assert lost(ticks, last, over=False) == expected
+
+
+def test_a_clock_that_drifts_loses_no_sample():
+    """Frames of a camera whose clock is 500 ppm slow: after 40 s they are a period behind the grid of the first."""
+    source = Queue(FSM_COMMAND)
+    track = Track("camera", source, 20 * TICK_NS, codec_for(FSM_COMMAND))
+    stamps = [round(k * 20.01 * TICK_NS) for k in range(1, 5000)]
+    for stamp in stamps:
+        source.send(stamp)
+    track.drain()
+    assert track.lost(stamps[0], stamps[-1]) == 0 and track.distinct == len(stamps)
 
 
 def test_a_sample_that_is_later_than_the_limit_stays_lost():
@@ -85,6 +112,18 @@ def drained(made, stamp, *senders):
     for track in made.tracks:
         track.drain()
     return made._another_run()
+
+
+def test_answers_in_flight_are_not_lost_before_the_run_is_over():
+    """The report comes when the tick that it follows is there and its answers are not."""
+    made, plant, followers = recorder()
+    made.parts, made.context = SimpleNamespace(topics=TOPICS), SimpleNamespace(config=SimpleNamespace(device=None))
+    made.watch, made._late, made.statistics = SimpleNamespace(statistics=dict), None, {}
+    made.reports = {"plant": SimpleNamespace(path="plant", stamp=9 * TICK_NS, unreadable=0, foreign=0)}
+    for tick in range(1, 10):
+        drained(made, tick * TICK_NS, *plant, *(followers if tick not in (4, 9) else ()))
+    assert made.own_statistics(over=False)["samples_lost"] == str(len(followers)), "of tick 4"
+    assert made.own_statistics()["samples_lost"] == str(2 * len(followers)), "and of tick 9"
 
 
 def test_a_plant_that_holds_after_its_run_is_another_run():

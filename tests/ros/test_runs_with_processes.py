@@ -15,6 +15,7 @@ import simple_telescope
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
+from ros_faults import diagnostics
 from ros_runs import (
     PLANT,
     assert_gaps_are_counted,
@@ -54,6 +55,12 @@ def test_every_sample_of_every_topic_is_in_the_bag(real_time):
     assert seen == sorted(seen)
     if judged_at_pace(run, "how often the plant tells of its progress"):
         assert len(seen) > 1100 / 200  # one for 100 ticks that are sent, where nothing else waits
+
+
+def test_reports_of_a_run_that_has_lost_no_sample_do_not_say_that_it_has(real_time):
+    _, results, _ = real_time
+    texts = [text for _, _, text in diagnostics(results.bag, "recorder")]
+    assert texts and ("samples lost" in texts) <= (results.statistics["recorder"]["samples_lost"] != "0")
 
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):

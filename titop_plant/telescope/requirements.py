@@ -106,7 +106,8 @@ def with_limits(
             changed = _changed(found[i], key, value)
             if found[i].name in names and not _same(found[i], changed):
                 raise file.error(
-                    f"weights.{key}", f"must agree with the requirement {found[i].name!r}, {found[i]}, got {value:g}"
+                    f"weights.{key}",
+                    f"must agree with the requirement {found[i].name!r}, {found[i].exact_text}, got {value:g}",
                 )
             found[i] = changed
     return {**content, "requirement": entries(found), "weights": {**content["weights"], **limits, **given}}

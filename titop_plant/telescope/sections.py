@@ -6,6 +6,7 @@ A table and the object made of it have the same name, :attr:`titop_plant.telesco
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
@@ -119,6 +120,13 @@ class MirrorTable:
     damping: float
     los_sensitivity: float
     authority: float
+
+    @property
+    def dynamics(self) -> tuple[float, float]:
+        """Natural frequency [rad/s] and damping ratio on its joint, with the mean inertia of both axes."""
+        inertia = (self.inertia[0] + self.inertia[1]) / 2.0
+        frequency = math.sqrt(self.stiffness / inertia)
+        return frequency, self.damping / (2.0 * frequency * inertia)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,9 @@ import pytest
 from los_testbed.api import analyse, campaign, run
 from support.command_line import call_command
 
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.indices.errors import performance_error
+from titop_plant.interface import DT, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 SMALL = Path(__file__).parents[3] / "examples" / "spacecraft" / "small_telescope.toml"
 
@@ -35,6 +37,36 @@ def test_a_run_and_its_analysis_are_those_of_the_commands(tmp_path: Path, capsys
     again = analyse(tmp_path / "command")
     assert again.verdict == result.verdict and again.requirements == result.requirements
     assert f"{result.summary.rows[0].limit_text}" in result._repr_html_()
+
+
+class WorkError(Exception):
+    """What is checked before the work is over."""
+
+
+@pytest.mark.parametrize("by", ["api", "command"])
+def test_a_campaign_says_of_its_controllers_what_its_command_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, by: str
+) -> None:
+    """For another telescope than theirs, and with nothing for the proof-mass actuators to do."""
+
+    def work(*arguments: Any) -> None:
+        raise WorkError
+
+    still = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    (tmp_path / "k_pma.json").write_text(still.to_json())
+    (tmp_path / "mine.toml").write_text("[isolator]\nmass = 1.6\n")
+    monkeypatch.setattr("los_testbed.campaign.execution.check_cluster", work)
+    files = {"parameters": str(tmp_path / "mine.toml"), "k_pma": str(tmp_path / "k_pma.json")}
+    if by == "api":
+        with pytest.raises(WorkError):
+            campaign(tmp_path / "rows", samples=2, **files)
+        said = capsys.readouterr().err
+    else:
+        words = [f"--{name.replace('_', '-')}={file}" for name, file in files.items()]
+        _, _, said = call_command(capsys, "campaign", "--samples=2", f"--output={tmp_path / 'rows'}", *words)
+    lines = [line for line in said.splitlines() if line.startswith("warning: ")]
+    assert len(lines) == 2 and " was designed for parameters_hash" in lines[0]
+    assert lines[1] == "warning: in the stage fsm+pma nothing drives the proof-mass actuators"
 
 
 @pytest.mark.further

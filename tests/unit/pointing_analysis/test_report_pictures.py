@@ -109,7 +109,8 @@ def test_a_required_window_has_its_value_even_if_the_run_has_few_of_them(
     (axis,) = made.values()
     (curve,) = (line for line in axis.get_lines() if len(line.get_xdata()) > 2 and line.get_label() == "run")
     value = judge(requirement, [short]).quantile.value / RAD_PER_MAS
-    assert curve.get_xdata()[-1] == pytest.approx(300.5) and curve.get_ydata()[-1] == pytest.approx(value, rel=1e-12)
+    xs, ys = (np.asarray(data, dtype=float) for data in curve.get_data())
+    assert xs[-1] == pytest.approx(300.5) and ys[-1] == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -98,22 +98,22 @@ def random_requirement(rng: np.random.Generator) -> Requirement:
     )
 
 
-def same_but_for(one: Requirement, other: Requirement, *names: str) -> bool:
-    """Whether two are equal but for the attributes of these names and the last bits of the two probabilities."""
-    for name in ("probability", "confidence"):
-        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9)
-    changed = {name: getattr(other, name) for name in (*names, "probability", "confidence")}
-    return dataclasses.replace(one, **changed) == other
-
-
 def test_the_exact_text_is_read_as_the_same_limit_and_times() -> None:
     rng = np.random.default_rng(2)
     for _ in range(300):
         wanted = random_requirement(rng)
         found = parse(wanted.exact_text, wanted.name, wanted.loops)
-        assert same_but_for(found, wanted, "unit")
+        assert dataclasses.replace(found, unit=wanted.unit) == wanted
         assert found.unit in (wanted.unit, "rad")
         assert from_entries(entries([found]), "here") == (found,)
+
+
+def test_the_text_of_its_author_is_quoted_until_the_requirement_is_changed() -> None:
+    own = "prob( rms rpe(0.02 s) <= 4.0e1 mas ) >= 99.9999999999 % at 95.0 % confidence"
+    made = parse(f"  {own}\n", "fine", ["fsm"])
+    assert made.exact_text == own and entries([made])[0]["text"] == own
+    changed = dataclasses.replace(made, limit=2 * made.limit)
+    assert "4.0e1" not in changed.exact_text and parse(changed.exact_text, "fine", ["fsm"]).limit == changed.limit
 
 
 @pytest.mark.parametrize("shown", ["20 ms", "999 ms", "1 s", "90 s", "0.001 ms", "2.5 s", "33.3 ms"])

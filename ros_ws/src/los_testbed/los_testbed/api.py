@@ -137,10 +137,13 @@ class CampaignResult:
         Folder of the results.
     summary : mapping
         Quantiles, verdicts, influence of the parameters and the worst members, as the JSON object of the command line.
+    warnings : tuple of str
+        Of the controllers.
     """
 
     path: Path
     summary: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
     def to_pandas(self) -> pd.DataFrame:
         """One row per member: parameters, metrics, status (needs pandas)."""
@@ -284,24 +287,18 @@ def campaign(
     ValueError
         Settings that do not fit, a folder that exists, or another campaign in it.
     """
-    from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_workers, cluster, run_campaign
+    from los_testbed.campaign.dataset import ResultFolder
+    from los_testbed.campaign.execution import CampaignOptions, evaluate_campaign
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.config.run_config import RunConfig
-    from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run.identity import identity
 
     designs = settings.pop("designs", None)
     given = layered({"mode": "inprocess"}, of_designs("" if designs is None else str(designs)), _plain(settings))
     base = with_scenario(RunConfig.from_mapping(with_stage(given)), usual="unit_norm")
     folder = ResultFolder(Path(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"))
-    folder.check(resume)
-    RunParts(base).check()
-    asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
-    with cluster("", workers) as client:
-        check_workers(asked, client)
-        run_campaign(asked, folder, client, folder.open(asked, resume))
-    return CampaignResult(folder.path, campaign_summary(asked, folder))
+    options = CampaignOptions(samples, seed, sampling, depth, resume, workers)
+    asked, warnings = evaluate_campaign(base, folder, options)
+    return CampaignResult(folder.path, campaign_summary(asked, folder), warnings)
 
 
 def design(

@@ -12,11 +12,13 @@ from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from scipy.io import savemat
 from simple_telescope import SimpleTelescope, write_controllers
+from support.forged_bags import with_metadata
 
 from lftkit.systems.mat_files import write_mat
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.system import System
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -53,6 +55,15 @@ def changed(recorded, path, places, change):
     files = {name: ("application/json", data) for name, data in run.attachments.items()}
     with BagWriter(path, {"los_testbed": given}, files) as bag:
         write_signals(bag, signals)
+
+
+def test_a_replay_of_a_recording_that_is_not_judged_is_not_either(call, recorded, tmp_path) -> None:
+    """Its commands are others, so that its signals do not tell that the mirror ignored the recorded ones."""
+    changed(recorded, tmp_path / "faulty", {"fsm/strain_gauge": slice(1000, None)}, lambda angles: 0.0 * angles)
+    with_metadata(tmp_path / "faulty", device="my:Rig", mode="realtime")
+    call(tmp_path / "faulty", "--output", tmp_path / "replayed")
+    (verdict, *_) = summarise(Run.open(tmp_path / "replayed")).verdicts
+    assert verdict.status == "not judged" and verdict.note.startswith("the mirror did not follow its command from 1.")
 
 
 def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:

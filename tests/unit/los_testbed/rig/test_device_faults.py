@@ -114,7 +114,7 @@ def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig)
     ages = [time.monotonic_ns() - sample.acquired_ns for sample in frames[-1:]]
     assert 0 < ages[0] < 5e9, "times of acquisition are on the clock of this host"
     supervisor.end()
-    assert supervisor.state == FINALIZED
+    assert supervisor.state == FINALIZED, supervisor.statistics()
     assert rig.until("safe")["why"] == "asked"
     assert rig.until("closed")["applied"] == 0.0
 
@@ -154,7 +154,7 @@ def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_n
     ("rig", "text"),
     [
         (("--fault=silent", "--fault-at=0.2"), "no sample for 2100 ms"),
-        (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 samples"),
+        (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 ms"),
         pytest.param(
             ("--fault=not_finite", "--fault-at=0.2"), "accel_Ip not finite for 2100 ms", marks=pytest.mark.slow
         ),

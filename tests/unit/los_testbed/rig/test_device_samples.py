@@ -2,52 +2,32 @@
 
 import math
 import re
-import sys
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.device_contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
-from los_testbed.rig.supervisor import EVERY_TICK, FROZEN_FRAMES, FROZEN_TICKS, Supervisor, refused_in_words
+from los_testbed.parts.device_contract import (
+    ASKED,
+    ERROR,
+    FINALIZED,
+    NOT_ZERO,
+    TRUTH_PORT,
+    DeviceError,
+    Sample,
+)
+from los_testbed.rig.supervisor import EVERY_TICK, Supervisor, SupervisorSettings, refused_in_words
 from los_testbed.rig.wire import Kind, Reader, encode
+from plain_rig import PlainRig
 
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
 CONFIG = RunConfig(device="my:Rig", start="rest")
-ZERO = "mirror and forces were set to zero"
-NOT_ZERO = "mirror and forces could NOT be set to zero"
+SETTINGS = SupervisorSettings()
 
 
-class Rig:
-    """Noise of all sensors of every tick; what else comes in a read is in `more`."""
-
-    def __init__(self):
-        self.rng = np.random.default_rng(1)
-        self.more = []
-        self.called = []
-
-    def open(self, config):
-        self.called.append("open")
-
-    def read(self, now_ns):
-        found = [Sample(port, now_ns, self.noise(port)) for port in EVERY_TICK]
-        more, self.more = self.more, []
-        return [*found, *more]
-
-    def noise(self, port):
-        return self.rng.normal(size=COLUMNS[port].stop - COLUMNS[port].start)
-
-    def write(self, command, now_ns):
-        self.called.append("write")
-
-    def safe(self):
-        self.called.append("safe")
-
-    def close(self):
-        self.called.append("close")
+pytestmark = pytest.mark.usefixtures("still_clock")
 
 
 def watched(device):
@@ -56,23 +36,14 @@ def watched(device):
     return supervisor
 
 
-@pytest.fixture(autouse=True)
-def clock(monkeypatch):
-    """It stands still: nothing depends on how long a machine takes for a test."""
-    now = time.monotonic_ns()
-    still = SimpleNamespace(monotonic_ns=lambda: now)
-    monkeypatch.setattr("los_testbed.rig.supervisor.time", still)
-    monkeypatch.setattr(sys.modules[__name__], "time", still)
-
-
 DAY, YEAR = 86_400 * 10**9, 365 * 86_400 * 10**9
-OLD = 2 * 10**9
-"""Age of an old sample [ns]; the clock counts from the start of the machine, which may be a few seconds ago."""
+OLD = 3 * TICK_NS
+"""Age of an old sample that is used [ns]."""
 
 
 @pytest.mark.parametrize("shift", [20 * YEAR, DAY, 5 * TICK_NS, -20 * YEAR, math.inf, -math.inf, math.nan])
 def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift):
-    device = Rig()
+    device = PlainRig()
     supervisor = watched(device)
     now = time.monotonic_ns()
     for port in (CAMERA_PORT, TRUTH_PORT, EVERY_TICK[0]):
@@ -92,13 +63,13 @@ def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift):
     ("odd", "quiet", "said"),
     [
         (EVERY_TICK[:2], (), "accel_Ip, accel_M1 not finite for 140 ms"),
-        (EVERY_TICK[:1], EVERY_TICK[1:2], "accel_Ip not finite, accel_M1 silent for 140 ms"),
+        (EVERY_TICK[:1], EVERY_TICK[1:2], "accel_Ip not finite for 140 ms, accel_M1 silent for 140 ms"),
         (EVERY_TICK, (), "accel_Ip, accel_M1, accel_M2, fsm_angle not finite for 140 ms"),
         ((), EVERY_TICK, "no sample for 140 ms"),
     ],
 )
 def test_a_sensor_without_finite_values_and_one_without_samples_are_told_apart(odd, quiet, said):
-    device = Rig()
+    device = PlainRig()
     supervisor = watched(device)
     assert supervisor.read(time.monotonic_ns())
 
@@ -113,6 +84,18 @@ def test_a_sensor_without_finite_values_and_one_without_samples_are_told_apart(o
         supervisor.read(time.monotonic_ns())
 
 
+def test_a_sensor_that_falls_silent_after_a_late_sample_is_silent():
+    device = PlainRig()
+    supervisor = watched(device)
+    supervisor.read(time.monotonic_ns())
+    late = [Sample(port, time.monotonic_ns() - 10 * TICK_NS, device.noise(port)) for port in EVERY_TICK]
+    device.read = lambda now_ns: late.copy() if not supervisor.counts["absent_accel_Ip"] else []  # type: ignore[method-assign]
+    for _ in range(140):
+        supervisor.read(time.monotonic_ns())
+    with pytest.raises(DeviceError, match="my:Rig: no sample for 140 ms; "):
+        supervisor.read(time.monotonic_ns())
+
+
 def without_lines(error):
     """A message without the places in the driver."""
     return re.sub(r" \(out, [^)]*\)", "", str(error))
@@ -124,13 +107,13 @@ def without_lines(error):
         ((), False, None),
         (("safe",), False, f"my:Rig: {NOT_ZERO}: safe failed: OSError: cable"),
         (("write", "safe"), False, f"my:Rig: {NOT_ZERO}: write failed: OSError: cable, safe failed: OSError: cable"),
-        (("close",), False, f"my:Rig: close failed: OSError: cable; {ZERO}"),
-        ((), True, f"my:Rig: read failed: OSError: cable; {ZERO}"),
+        (("close",), False, f"my:Rig: close failed: OSError: cable; {ASKED}"),
+        ((), True, f"my:Rig: read failed: OSError: cable; {ASKED}"),
         (("safe",), True, f"my:Rig: read failed: OSError: cable; {NOT_ZERO}: safe failed: OSError: cable"),
     ],
 )
 def test_the_end_says_whether_mirror_and_forces_are_at_zero(failing, reading, said):
-    device = Rig()
+    device = PlainRig()
 
     def out(*arguments):
         raise OSError("cable")
@@ -173,23 +156,23 @@ def ticks_until_frozen(device, port, values, command=lambda k: 0.0, ticks=1000):
 
 def test_a_frozen_camera_ends_the_run_and_one_without_a_star_or_with_rounded_noise_does_not():
     same, rng = np.array([1e-8, -1e-8]), np.random.default_rng(5)
-    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: same) == FROZEN_FRAMES + 2
-    dropouts = ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.full(2, np.nan) if k % 2 else same)
-    assert dropouts == 2 * FROZEN_FRAMES + 3, "frames without values are no sign of life"
-    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.full(2, np.nan)) is None
-    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.round(rng.normal(0.0, 0.5, 2))) is None
+    assert ticks_until_frozen(PlainRig(), CAMERA_PORT, lambda k: same) == SETTINGS.frozen_frames + 2
+    dropouts = ticks_until_frozen(PlainRig(), CAMERA_PORT, lambda k: np.full(2, np.nan) if k % 2 else same)
+    assert dropouts == 2 * SETTINGS.frozen_frames + 3, "frames without values are no sign of life"
+    assert ticks_until_frozen(PlainRig(), CAMERA_PORT, lambda k: np.full(2, np.nan)) is None
+    assert ticks_until_frozen(PlainRig(), CAMERA_PORT, lambda k: 1e-8 * np.round(rng.normal(0.0, 0.5, 2))) is None
 
 
 def test_a_frozen_truth_ends_the_run_and_one_at_rest_without_noise_does_not():
     same = np.array([1e-8, 2e-8])
-    moved = ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same, command=lambda k: 1e-6 * k)
-    assert moved == pytest.approx(FROZEN_TICKS, abs=3), "the mirror is moved and it sees nothing"
-    assert ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same) is None, "nothing moves"
-    assert ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same + k, command=lambda k: 1e-6 * k) is None
+    moved = ticks_until_frozen(PlainRig(), TRUTH_PORT, lambda k: same, command=lambda k: 1e-6 * k)
+    assert moved == pytest.approx(SETTINGS.frozen_samples, abs=3), "the mirror is moved and it sees nothing"
+    assert ticks_until_frozen(PlainRig(), TRUTH_PORT, lambda k: same) is None, "nothing moves"
+    assert ticks_until_frozen(PlainRig(), TRUTH_PORT, lambda k: same + 1e-8 * k, command=lambda k: 1e-6 * k) is None
 
 
 def test_a_run_begins_with_counts_of_zero_and_its_own_samples():
-    class Counting(Rig):
+    class Counting(PlainRig):
         runs = 0
 
         def begin_counts(self):
@@ -214,7 +197,7 @@ def test_a_run_begins_with_counts_of_zero_and_its_own_samples():
     now = time.monotonic_ns()
     assert supervisor.read(now)
     assert supervisor.acquired_ns == now, "no sample of the run before is left"
-    assert supervisor.age.maximum_us < 1e6
+    assert supervisor.age.maximum_us < OLD / 1000
 
 
 def test_packets_of_before_the_run_that_come_late_are_in_no_count():
@@ -232,7 +215,10 @@ def test_packets_of_before_the_run_that_come_late_are_in_no_count():
     assert reader.statistics() == {"packets_lost": "1", "packets_reordered": "1"}
 
 
-class Beating(Rig):
+STEP = 2.0**-30
+
+
+class Beating(PlainRig):
     """Samples that come at about the deadline: two in one tick, none in the next; then one in each."""
 
     def __init__(self):
@@ -246,7 +232,7 @@ class Beating(Rig):
             self.number += 1
             for port in EVERY_TICK:
                 size = COLUMNS[port].stop - COLUMNS[port].start
-                found.append(Sample(port, self.number, np.full(size, float(self.number))))
+                found.append(Sample(port, self.number, np.full(size, STEP * self.number)))
         return found
 
 
@@ -259,5 +245,5 @@ def test_a_tick_without_a_sample_gets_the_one_that_came_with_another():
     for _ in range(300):
         assert supervisor.read(1000)
         used.append(supervisor.measurement[0])
-    assert set(np.diff(used)) <= {1.0, 2.0}, "in order, none twice"
-    assert used[-1] == device.number, "a sample that is not needed is given up: the newest is used again"
+    assert set(np.diff(used)) <= {STEP, 2 * STEP}, "in order, none twice"
+    assert used[-1] == STEP * device.number, "a sample that is not needed is given up: the newest is used again"

@@ -20,7 +20,7 @@ from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
-from pointing_analysis.read.run_end import run_end
+from pointing_analysis.read.run_end import run_end, statistics_of
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -270,9 +270,7 @@ def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Ma
         read = contents.files[number] if number < len(contents.files) else {}
         if info.statistics is not None:
             found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
-    statistics = known.get("statistics")
-    recorder = statistics.get("recorder") if isinstance(statistics, dict) else None
-    stated = str(recorder.get("messages")) if isinstance(recorder, dict) else ""
+    stated = str(statistics_of(known, "recorder").get("messages"))
     if stated.isascii() and stated.isdecimal() and len(stated) < 16:
         recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
         found.append(_Source("the run's record", int(stated), None, recorded, at_least=True))

@@ -6,22 +6,30 @@ import asyncio
 import contextlib
 import json
 import os
+import socket
 import ssl
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
 from lftkit.errors import InputError
-from lftkit.support.workers import processors
+from lftkit.support.progress import Progress
+from lftkit.support.workers import Workers, processors
 from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.portable import base_of, portable
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import identity
+from los_testbed.run.summary.screen import warn
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
@@ -103,6 +111,7 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
 
     Dask itself waits for a silent server without a timeout.
     """
+    from distributed.comm import get_address_host_port
     from distributed.core import rpc
 
     async def identity_there() -> dict[str, Any]:
@@ -111,6 +120,8 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
             return found
 
     try:
+        if scheduler.startswith(("tcp:", SCHEME)):  # Dask would try a port that nobody has, too, until the time is over
+            socket.create_connection(get_address_host_port(scheduler, strict=True), CONNECT).close()
         kind = asyncio.run(asyncio.wait_for(identity_there(), CONNECT + 1.0)).get("type")
     except asyncio.TimeoutError:
         reason = f"no answer within {CONNECT:g} s"
@@ -141,6 +152,95 @@ def _first_cause(error: BaseException, scheduler: str) -> str:
 
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
+
+
+@dataclass(frozen=True)
+class CampaignOptions:
+    """What is asked of a campaign beside the settings of its members' runs.
+
+    Parameters
+    ----------
+    samples, seed, sampling, depth
+        As of :class:`los_testbed.campaign.dataset.Campaign`.
+    resume : bool
+        Continue in the folder.
+    workers : int
+        Processes of a local cluster; 0 for one each processor.
+    scheduler, tls
+        As of :func:`cluster`.
+    """
+
+    samples: int = 100
+    seed: int = 1
+    sampling: str = "uniform"
+    depth: str = "time"
+    resume: bool = False
+    workers: int = 0
+    scheduler: str = ""
+    tls: TlsFiles | None = None
+
+
+def evaluate_campaign(
+    base: RunConfig,
+    folder: ResultFolder,
+    options: CampaignOptions,
+    searching: AbstractContextManager[Workers | None] | None = None,
+    evaluating: AbstractContextManager[None] | None = None,
+) -> tuple[Campaign, tuple[str, ...]]:
+    """Check a campaign, write warnings and progress to the error output, and compute the rows that are missing.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Settings that all members share.
+    folder : ResultFolder
+    options : CampaignOptions
+    searching : context manager, optional
+        Of the workers of a search for adversarial members; default: none.
+    evaluating : context manager, optional
+        Around the computation of the rows.
+
+    Returns
+    -------
+    campaign : Campaign
+    warnings : tuple of str
+        Of the controllers, see :meth:`los_testbed.parts.run_parts.RunParts.check`.
+
+    Raises
+    ------
+    ValueError
+        Settings that do not fit, a folder that exists, or another campaign in it; what :func:`cluster` and
+        :func:`check_workers` refuse.
+    """
+    folder.check(options.resume)
+    warnings = RunParts(base).check()
+    warn(warnings)
+    check_cluster(options.scheduler, options.tls)  # before a search for adversarial members, which takes minutes
+    with Progress("parameters of the members"), searching or nullcontext() as pool:
+        sampling = options.sampling, options.samples, options.seed, options.depth
+        campaign = Campaign.of(base, *sampling, identity(base), pool)
+    if options.resume:
+        folder.compare(campaign)
+    with contextlib.ExitStack() as stack:
+        with Progress("workers"):
+            client = stack.enter_context(cluster(options.scheduler, options.workers, options.tls))
+            check_workers(campaign, client)
+            done = folder.open(campaign, options.resume)
+        if client.dashboard_link:
+            sys.stderr.write(f"dashboard  {client.dashboard_link}\n")
+        stack.enter_context(evaluating or nullcontext())
+        bar = stack.enter_context(Progress("members", equal=True))
+        finished = campaign.samples - sum(len(members) for _, members in campaign.chunks(done))
+        before, start = finished, time.monotonic()
+
+        def progress(members: int) -> None:
+            nonlocal finished
+            finished += members
+            rate = (finished - before) / max(time.monotonic() - start, 1e-9)
+            bar.report(finished, campaign.samples, what=f"members, {rate:.3g} per second")
+
+        run_campaign(campaign, folder, client, done, progress)
+    return campaign, warnings
 
 
 def check_workers(campaign: Campaign, client: Any) -> None:

@@ -53,7 +53,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "rows_hash": folder.rows_hash(),
         "ranked_by": RANKED[campaign.depth],
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
-        "not_judged": [f"{requirement}: {why}" for requirement, why in _not_judged(campaign).items()],
+        "not_judged": [f"{requirement.exact_text}: {why}" for requirement, why in _not_judged(campaign).items()],
         "scenario": scenario_text(campaign.base.scenario or "", campaign.depth, campaign.sources),
         "pairs": [_shown({**vars(e), "known": e.known}) for e in _pairs(campaign, table)[:PAIRS]],
         "influence": [_shown({**vars(i), "known": i.known}) for i in _influences(campaign, table)],

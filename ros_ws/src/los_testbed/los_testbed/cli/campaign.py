@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
-from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -27,14 +25,11 @@ from los_testbed.cli.options.cluster_options import (
     processes,
 )
 from los_testbed.cli.options.options import Designs, Gate, Json, NewFolder, chosen, with_settings
-from los_testbed.cli.output import MET, leave_by_gate, number, print_json, warn
+from los_testbed.cli.output import MET, leave_by_gate, number, print_json
 from los_testbed.config.run_settings import SIMULATED
 from los_testbed.run.summary.screen import Screen, on_screen
 
 if TYPE_CHECKING:
-    from distributed import Client
-
-    from lftkit.support.workers import Workers
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.config.run_config import RunConfig
 
@@ -91,14 +86,12 @@ def campaign(
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.cluster.tls_files import TlsFiles
-    from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_cluster, check_workers, cluster
+    from los_testbed.campaign.dataset import ResultFolder
+    from los_testbed.campaign.execution import CampaignOptions, evaluate_campaign
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config.run_config import RunConfig
     from los_testbed.config.run_settings import with_scenario, with_stage
-    from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run.identity import identity
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)
@@ -114,24 +107,12 @@ def campaign(
         return
     tls = TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
     folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
-    folder.check(resume)
-    warn(RunParts(base).check())
-    check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
-    searched = Cluster(workers or processes(0), scheduler, tls)
-    with Progress("parameters of the members"), _searching(searched, sampling) as pool:
-        asked = Campaign.of(base, sampling, samples, seed, depth, identity(base), pool)
-    if resume:
-        folder.compare(asked)
+    # an adversarial sampling is a search, the others need no workers
+    searched = Cluster(workers or processes(0), scheduler, tls).workers() if sampling == "adversarial" else None
+    options = CampaignOptions(samples, seed, sampling, depth, resume, workers, scheduler, tls)
+    evaluating = resume_hint("the rows so far", folder.path, further=("--resume",))
+    asked, _ = evaluate_campaign(base, folder, options, searched, evaluating)
     console = Screen(stderr=json_)
-    with ExitStack() as stack:
-        with Progress("workers"):
-            client = stack.enter_context(cluster(scheduler, workers, tls))
-            check_workers(asked, client)
-            done = folder.open(asked, resume)
-        if client.dashboard_link:
-            console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
-        with resume_hint("the rows so far", folder.path, further=("--resume",)):
-            _evaluate(asked, folder, client, done)
     with resume_hint("all rows", folder.path, further=("--resume",)), Progress("summary and report"):
         summary = campaign_summary(asked, folder, max(keep, 5))
         summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
@@ -142,28 +123,6 @@ def campaign(
     if gate:
         found = [(f"{v['requirement']} ({v['interpretation']})", MET.get(v["status"])) for v in summary["verdicts"]]
         leave_by_gate([*found, *((text, None) for text in summary["not_judged"])])
-
-
-def _searching(cluster: Cluster, sampling: str) -> AbstractContextManager[Workers | None]:
-    """Workers for the search of an adversarial sampling; the others need none."""
-    return cluster.workers() if sampling == "adversarial" else nullcontext()
-
-
-def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: frozenset[int]) -> None:
-    """The missing chunks, with a progress bar."""
-    from los_testbed.campaign.execution import run_campaign
-
-    with Progress("members") as bar:
-        before = finished = _count(asked, done)
-        start = time.monotonic()
-
-        def progress(members: int) -> None:
-            nonlocal finished
-            finished += members
-            rate = (finished - before) / max(time.monotonic() - start, 1e-9)
-            bar.report(finished, asked.samples, what=f"members, {rate:.3g} per second")
-
-        run_campaign(asked, folder, client, done, progress)
 
 
 def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> None:
@@ -179,11 +138,6 @@ def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> No
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)
     console.print(f"report     {summary['report']}", soft_wrap=True)
-
-
-def _count(asked: Campaign, done: frozenset[int]) -> int:
-    """Members in the chunks that are there."""
-    return asked.samples - sum(len(members) for _, members in asked.chunks(done))
 
 
 def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:

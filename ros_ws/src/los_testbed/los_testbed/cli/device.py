@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from los_testbed.cli.options.options import Json, TelescopeFile, option
-from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say, warn
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 

@@ -27,11 +27,6 @@ def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
     sys.stdout.flush()
 
 
-def warn(lines: Iterable[str]) -> None:
-    """Write warnings to the error output, one line each."""
-    sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)
-
-
 def leave_if_contradicted(contradictions: Iterable[str]) -> None:
     """End the command with its exit code if there is a contradiction."""
     if any(contradictions):

@@ -14,9 +14,9 @@ from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say, warn
 from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
@@ -114,7 +114,7 @@ def _through(
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)
-    with Progress("replay [ticks]") as bar:
+    with Progress("replay [ticks]", equal=True) as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
     found = replay_run.metrics(run, replayed, transient)
@@ -135,7 +135,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     from los_testbed.nodes.sensor_player import play
     from pointing_analysis.requirements.summary import METADATA as REQUIREMENTS
 
-    with Progress("sensors to ROS [ticks]") as bar:
+    with Progress("sensors to ROS [ticks]", equal=True) as bar:
         played = play(run, domain, timeout, bar.report)
     for warning in played.warnings:
         say(console, warning, "warning")

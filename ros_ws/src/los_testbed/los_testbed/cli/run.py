@@ -236,7 +236,7 @@ def _run_and_tell(
     except ValueError as error:  # not a user error that is detected before the run
         code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
         raise RunError(f"not evaluated: {error}", code) from None
-    print_summary(console, summaries)
+    print_summary(console, summaries, told=[parts.idle_devices])
     if json_:
         print_json(summaries.runs[0])
     if ended is not None:

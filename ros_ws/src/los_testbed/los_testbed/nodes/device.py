@@ -20,6 +20,7 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.parts.device_contract import TRUTH_PORT, DeviceError, make_device
 from los_testbed.rig.supervisor import Supervisor, as_stamp, refused_in_words
 from pointing_analysis.read.unsent import UNSENT
+from pointing_analysis.requirements.verdict import FAULT_STAMP
 from titop_plant.interface import TICK_NS
 
 FIRST_NS, DRAIN_NS = 2 * TICK_NS, 5 * TICK_NS
@@ -37,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def body(context: NodeContext) -> int:
         if not context.config.device:
             raise InputError("device must be MODULE:NAME or an entry point, got none")
+        device = Supervisor(make_device(context.config), context.config)
         others = OtherPlants(context)
         context.event("alone")
-        device = Supervisor(make_device(context.config), context.config)
         device.open()
         try:
             return DeviceLoop(context, device).run(others)
@@ -80,6 +81,7 @@ class DeviceLoop(PlantLoop):
             self.device.finish()
 
     def _run_once(self) -> None:
+        self.device.await_first()
         try:
             super()._run_once()
         finally:
@@ -124,7 +126,8 @@ class DeviceLoop(PlantLoop):
             frames = {
                 sample.port: (as_stamp(sample.acquired_ns, clock.first, start), sample.values)
                 for sample in device.frames
-                if sample.acquired_ns >= clock.first  # samples acquired before the run are not recorded
+                # frames acquired before the run are not recorded; the truth has the stamp of its tick
+                if sample.port == TRUTH_PORT or sample.acquired_ns >= clock.first
             }
             io.publish_samples(now, device.measurement if complete else None, frames, TRUTH_PORT)
             self._frames += len(frames.keys() - {TRUTH_PORT})
@@ -164,7 +167,9 @@ class DeviceLoop(PlantLoop):
         missing = self.ticks // self.device.frame_ticks - self._frames
         frames = {f"{UNSENT}{CAMERA_LOS.name}": str(missing)} if missing > 0 else {}
         held = {HELD_WITHOUT: str(self._unanswerable)} if self._unanswerable else {}
-        return {**super().statistics(), **held, **frames, **self.device.statistics()}
+        since = as_stamp(self.device.fault_ns, self.clock.first, self.io.start)
+        fault = {FAULT_STAMP: str(since)} if self.device.fault else {}
+        return {**super().statistics(), **held, **frames, **self.device.statistics(), **fault}
 
 
 if __name__ == "__main__":

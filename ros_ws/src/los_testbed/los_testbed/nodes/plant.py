@@ -428,7 +428,7 @@ class PlantLoop:
         level, message, values = self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         self._faded = self.io.fading()
         if self._faded:
-            level, message = ERROR, "no valid commands: actuators set to zero"
+            level, message = ERROR, "no valid commands: the last ones fade to zero"
         elif self._second:
             level, message, self._second = ERROR, self._second, ""
         elif news[1]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lftkit.errors import InputError
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.config.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
+from los_testbed.config.topics import NODES, PROGRESS_TOPIC, REPORT_DEADLINE_S, UNSENT_TICKS
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
@@ -222,13 +222,15 @@ class Recorder:
             bag.write(self._sent_as.get(track.path, track.path), log[start:stop], sent[start:stop], block)
         track.data, track.received, track.sent = [], [], []
 
-    def own_statistics(self) -> dict[str, str]:
-        """Messages and losses so far."""
+    def own_statistics(self, over: bool = True) -> dict[str, str]:
+        """Messages and losses; while the run is not over, those up to the plant's last report on what it has sent."""
         started = [track for track in self.tracks if track.first]
         first = min((track.first for track in started), default=0)
         last = max((track.last for track in started), default=0)
         device = self.context.config.device  # a rig need not know the truth
-        missing = {t.path: t.lost(first, last) if t.first or not device else 0 for t in self.tracks} if started else {}
+        known = last if over else max(self.reports["plant"].stamp, last - round(1e9 * REPORT_DEADLINE_S))
+        there = [t for t in self.tracks if t.first or not device] if started else []
+        missing = dict.fromkeys((t.path for t in self.tracks), 0) | {t.path: t.lost(first, known, over) for t in there}
         unsent = self._unsent(missing, (last - first) // TICK_NS + 1)
         lost = {name: count - unsent.get(name, 0) for name, count in missing.items()}
         unreadable = {t.path: t.unreadable for t in (*self.tracks, *self.reports.values())}
@@ -263,7 +265,7 @@ class Recorder:
         if self._late is not None and self._moving:  # after the last sample no report is due
             self._late.look()
         self._moving = False
-        values = self.own_statistics()
+        values = self.own_statistics(over=False)
         news = {name: int(values[name]) - self._reported.get(name, 0) for name in ("messages", "samples_lost")}
         self._reported = {name: int(values[name]) for name in news}
         self.context.plot(lambda: dict(news))

@@ -20,10 +20,12 @@ from rclpy.parameter import Parameter
 
 from lftkit.errors import InputError
 from los_testbed.nodes.support.parameters import FAULT
-from los_testbed.nodes.support.transport.middleware import choose_middleware
+from los_testbed.nodes.support.transport.middleware import LOCALHOST_PROFILE, choose_middleware
 from los_testbed.run.loop.changes import ALIASES, owner_of
+from los_testbed.run.processes.domains import require_participants
 from los_testbed.run.processes.enclaves import CONTROL
-from los_testbed.run.processes.node_launch import RANGE_VARIABLE, enclave_arguments
+from los_testbed.run.processes.node_launch import PROFILE_VARIABLES, RANGE_VARIABLE, enclave_arguments
+from los_testbed.run.processes.ros_variables import domain_of
 
 TRANSITIONS = {"activate": Transition.TRANSITION_ACTIVATE, "deactivate": Transition.TRANSITION_DEACTIVATE}
 
@@ -119,10 +121,18 @@ class RemoteControl:
 
 @contextmanager
 def remote_control(domain: int | None, namespace: str, timeout: float) -> Iterator[RemoteControl]:
-    """Clients in a process of their own; `domain` None is that of the environment."""
+    """Clients in a process of their own; `domain` None is that of the environment.
+
+    Raises
+    ------
+    ValueError
+        Discovery ends at this machine, which has no run on the domain.
+    """
     os.environ.setdefault(RANGE_VARIABLE, "LOCALHOST")
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
     choose_middleware(os.environ)
+    if os.environ.get(PROFILE_VARIABLES[0]) == str(LOCALHOST_PROFILE):
+        require_participants(domain_of(os.environ) if domain is None else domain, namespace)
     context = Context()
     rclpy.init(args=["--ros-args", *enclave_arguments(CONTROL, namespace)], context=context, domain_id=domain)
     node = Node(f"control_{os.getpid()}", context=context)

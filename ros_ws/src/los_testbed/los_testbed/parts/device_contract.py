@@ -15,6 +15,11 @@ from los_testbed.config.run_config import RunConfig
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED, ERROR = "unconfigured", "inactive", "active", "finalized", "error"
 """States of a device, named as in the life cycle of a ROS 2 node."""
 
+CONFIRMED = "mirror and forces are at zero, confirmed by the rig"
+ASKED = "mirror and forces were asked to go to zero, not confirmed by the rig"
+NOT_ZERO = "mirror and forces could NOT be set to zero"
+"""States of mirror and forces at the end of a run."""
+
 METHODS = ("open", "read", "write", "safe", "close")
 
 TRUTH_PORT = "los_controlled"
@@ -43,6 +48,24 @@ class Sample:
     values: FloatArray
 
 
+@dataclass(frozen=True)
+class RigReport:
+    """The latest that a rig has said of itself.
+
+    Attributes
+    ----------
+    received_ns : time of arrival on the steady clock of this host
+    safe : whether it holds mirror and forces at zero, whatever is commanded
+    limited : whether it applies less than the last command
+    unanswered : whether a request to it has had no answer yet
+    """
+
+    received_ns: int
+    safe: bool = False
+    limited: bool = False
+    unanswered: bool = False
+
+
 class Device(Protocol):
     """A rig.
 
@@ -51,8 +74,10 @@ class Device(Protocol):
     immediately: `read` returns the samples since the last call, possibly none. Between `open` and the run only `read`
     is called, every 20 ms. **Signs and units are those of :mod:`titop_plant.interface`.**
 
-    Two further methods are optional. ``notes()`` returns the device's own names and texts for the statistics; it is
-    called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run.
+    Further methods are optional. ``notes()`` returns the device's own names and texts for the statistics; it is
+    called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run. ``report()`` returns a
+    `RigReport`, or None before the first one: without it, nothing confirms that mirror and forces are at zero. A fourth
+    one, ``check(config)``, raises an exception for settings with which it cannot be opened, before anything is started.
     """
 
     def open(self, config: RunConfig) -> None:
@@ -77,7 +102,7 @@ def make_device(config: RunConfig) -> Any:
     Raises
     ------
     ValueError
-        It cannot be made, or lacks a method.
+        It cannot be made, lacks a method, or refuses its settings.
     """
     device = make(config, "device")
     for name in METHODS:
@@ -87,4 +112,12 @@ def make_device(config: RunConfig) -> Any:
             raise InputError(f"device {config.device} must have methods, got {in_one_line(error)}") from error
         if not callable(method):
             raise InputError(f"device {config.device}: {name} must be a method, got {method!r}")
+    if callable(check := getattr(device, "check", None)):
+        try:
+            check(config)
+        except InputError:
+            raise
+        except RAISED as error:
+            text = in_one_line(error)
+            raise InputError(f"device {config.device} must be one that can be opened, got {text}") from error
     return device

@@ -30,7 +30,15 @@ from los_testbed.parts.image_camera import ImageCamera
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, make_law, read_law, with_further_ports
-from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.interface import (
+    COMMANDS,
+    ESTIMATES,
+    FORCE_STAGES,
+    FORCES,
+    MIRROR_STAGES,
+    DesignBasis,
+    design_warnings,
+)
 from titop_plant.simulation.plant_config import PlantConfig, motion
 from titop_plant.telescope.guide_camera import star_camera
 from titop_plant.telescope.load import load_telescope
@@ -252,7 +260,7 @@ class RunParts:
         return with_tones(self.settings, self.start) if needs_tone(self.config) else self.settings
 
     def check(self) -> tuple[str, ...]:
-        """Refuse controllers that cannot be used; one line for each made for other parameters or limits than the run's.
+        """Refuse controllers that cannot be used; lines on those made for other parameters or limits, on idle devices.
 
         Raises
         ------
@@ -264,7 +272,7 @@ class RunParts:
             LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
         assemble_controller(self.controllers, self.basis, self.config.loop, ports=self._used("k_pma"))
         self._check_commanded()
-        return self.compare()
+        return (*self.compare(), *([self.idle_devices] if self.idle_devices else []))
 
     def _check_commanded(self) -> None:
         """Reject an actuator that a source drives and a controller commands."""
@@ -282,10 +290,23 @@ class RunParts:
 
     @property
     def idle_devices(self) -> str:
-        """A line on further sensors that no controller reads and further actuators that nothing drives, if any."""
+        """A line on further sensors that no controller reads and actuators that nothing drives, if any.
+
+        Actuators of the loop are those of the stage; of a controller without a model it is not known what it drives.
+        """
         used = [port.name for name, ports in self.used.items() if self.acts(name) for port in ports.further]
         sources = [source.place for source in self.sources] if self.ports.further_actuators else []
-        return self.ports.idle([*used, *sources])
+        idle, loop = self.ports.idle([*used, *sources]), self.config.loop
+        driven = {"mirror": ("k_fsm", MIRROR_STAGES), "proof-mass actuators": ("k_pma", FORCE_STAGES)}
+        still = [what for what, (name, stages) in driven.items() if loop in stages and self._drives_nothing(name)]
+        lines = [f"in the stage {loop} nothing drives the {' and the '.join(still)}"] if still else []
+        return "; ".join([*lines, *([idle] if idle else [])])
+
+    def _drives_nothing(self, name: str) -> bool:
+        """Whether the outputs of a controller to the loop are zero whatever it measures."""
+        law = self._model_of(name)
+        size = {"k_fsm": ESTIMATES, "k_pma": COMMANDS - FORCES.start}[name]
+        return law is not None and not (law.C[:size].any() or law.D[:size].any())
 
     @property
     def states(self) -> LoopStart | None:

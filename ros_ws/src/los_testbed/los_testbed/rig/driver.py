@@ -8,7 +8,8 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SECRET
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.device_contract import TRUTH_PORT, Sample
+from los_testbed.parts.device_contract import TRUTH_PORT, RigReport, Sample
 from los_testbed.rig.clock_map import ClockMap
 from los_testbed.rig.supervisor import EVERY_TICK
 from los_testbed.rig.wire import KEY_BYTES, LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
@@ -41,7 +42,8 @@ LAYOUTS = {
 """Parts of the packets with samples, by kind and number of values: the true line of sight may be behind the others."""
 
 OPEN_S = 5.0
-SYNC_PERIOD_NS = 50_000_000
+SYNC_PERIOD_NS, RETRY_NS = 50_000_000, 10_000_000
+"""Time from an answer of the rig's clock to the next request, and from a request without an answer to the next one."""
 FIRST_SYNCS = 20
 SET_BACK_NS = 1_000_000_000
 SPLIT = 2.0**32
@@ -114,14 +116,25 @@ class PacketRig:
         self._reader = Reader(self.key)
         self._sequence = 0
         self._next_sync = 0
+        self._unanswered = False
+        self._report: RigReport | None = None
 
-    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
-        """The line to the rig, and the key that opens the rig."""
+    def settings(self, config: RunConfig) -> tuple[Any, bytes]:
+        """Address of the rig, and the key that opens it; ValueError: no such ones."""
         raise NotImplementedError
+
+    def connect(self, address: Any) -> PacketLine:
+        """The line to the rig."""
+        raise NotImplementedError
+
+    def check(self, config: RunConfig) -> None:
+        """Refuse an address or a key that cannot be one."""
+        self.settings(config)
 
     def open(self, config: RunConfig) -> None:
         """Connect, agree on the key, learn the rig's clock."""
-        self._line, secret = self.connect(config)
+        address, secret = self.settings(config)
+        self._line = self.connect(address)
         name = self._line.name
         words = np.array(struct.unpack("<II", self.key), float)
         end = time.monotonic() + OPEN_S
@@ -155,8 +168,9 @@ class PacketRig:
             if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3) and _are_counts(packet.values):
                 sent = int(packet.values[0] * SPLIT + packet.values[1]) + int(packet.values[2:].sum())
                 self.clock.answer(sent, packet.time_ns, received)
+                self._unanswered, self._next_sync = False, received + SYNC_PERIOD_NS
             else:
-                found += self._samples(packet)
+                found += self._samples(packet, received)
         found.sort(key=lambda sample: sample.acquired_ns)
         if now_ns >= self._next_sync or (found and self._was_set(found[-1])):
             self._sync(now_ns)
@@ -166,7 +180,13 @@ class PacketRig:
         """Whether the rig's clock was stepped: it is queried immediately, since no sample is usable until then."""
         return not -SET_BACK_NS < newest.acquired_ns - time.monotonic_ns() <= TICK_NS
 
-    def _samples(self, packet: Packet) -> list[Sample]:
+    def report(self) -> RigReport | None:
+        """What the flags of the last packet of every tick say, and whether a request to the clock is unanswered."""
+        return None if self._report is None else replace(self._report, unanswered=self._unanswered)
+
+    def _samples(self, packet: Packet, received: int) -> list[Sample]:
+        if packet.kind == Kind.FAST:
+            self._report = RigReport(received, bool(packet.flags & SAFE), bool(packet.flags & LIMITED))
         if packet.flags:
             for flag, name in ((SAFE, "safe"), (LIMITED, "limited"), (RESTARTED, "restarted")):
                 self.counts[f"rig_{name}"] += bool(packet.flags & flag)
@@ -188,9 +208,18 @@ class PacketRig:
         self._send(encode(Kind.COMMAND, self._number(), now_ns, command, self.key))
 
     def safe(self) -> None:
-        """Ask the rig for its safe state, three times: a packet may be lost."""
+        """Ask the rig for its safe state, three times: a packet may be lost.
+
+        Raises
+        ------
+        OSError
+            The line takes none of the packets.
+        """
+        before = self.counts["send_failed"]
         for _ in range(3):
             self._send(encode(Kind.SAFE, self._number(), time.monotonic_ns(), np.zeros(0), self.key))
+        if self._line is None or self.counts["send_failed"] == before + 3:
+            raise OSError("no packet could be sent")
 
     def close(self) -> None:
         """Close the rig."""
@@ -213,7 +242,7 @@ class PacketRig:
         }
 
     def _sync(self, now_ns: int) -> None:
-        self._next_sync = now_ns + SYNC_PERIOD_NS
+        self._unanswered, self._next_sync = True, now_ns + RETRY_NS
         sent = time.monotonic_ns()
         parts = np.array([sent // 2**32, sent % 2**32], float)
         self._send(encode(Kind.SYNC, self._number(), sent, parts, self.key))

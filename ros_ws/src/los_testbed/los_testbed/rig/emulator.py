@@ -41,8 +41,9 @@ PRIORITY = 90
 
 FAULTS = (
     *("silent", "frozen", "not_finite", "camera_silent", "brown_out", "outage", "corrupt", "repeated"),
-    "clock_jump",
+    *("clock_jump", "deaf", "stuck"),
 )
+"""`deaf`: nothing that the host sends arrives; `stuck`: the mirror stays at zero, and nothing says so."""
 BROWN_OUT_S = 0.5
 OUTAGE_S = 0.1
 """Length of an outage of the line in both directions."""
@@ -215,7 +216,7 @@ class Emulator:
     def _step(self) -> None:
         """A tick of the physics."""
         command = self._wiring.command(np.zeros(COMMANDS) if self._safe else self._command)
-        self._applied[MIRROR] = self._mirror.step(command[MIRROR])
+        self._applied[MIRROR] = self._mirror.step(command[MIRROR] * (self._fault() != "stuck"))
         forces = command[FORCES].tolist()
         inside = [_clip(force, self._force) for force in forces]
         self._applied[FORCES] = inside
@@ -278,7 +279,7 @@ class Emulator:
         except OSError:  # the other end is closed
             return
         for data, arrived_ns, peer in arrived:
-            if self._is_dead() or self._fault() == "outage":
+            if self._is_dead() or self._fault() in ("outage", "deaf"):
                 continue
             packet = self._reader.read(data) if self._key else None
             if packet is not None and peer == self._peer:

@@ -160,11 +160,13 @@ class SerialLine:
 class SerialRig(PacketRig):
     """Driver of a rig at the serial line ``device_address``, PATH or PATH@BAUD."""
 
-    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
-        """The line, and the key that opens the rig."""
-        path, baud = line_of(config.device_address)
-        secret = secret_of(config)
-        return open_line(path, baud, lambda packet: fits(packet, self.key)), secret
+    def settings(self, config: RunConfig) -> tuple[tuple[str, int], bytes]:
+        """Path and speed, and the key that opens the rig."""
+        return line_of(config.device_address), secret_of(config)
+
+    def connect(self, address: tuple[str, int]) -> PacketLine:
+        """The line."""
+        return open_line(*address, lambda packet: fits(packet, self.key))
 
 
 def open_line(path: str, baud: int, fits: Callable[[bytes], bool]) -> SerialLine:

@@ -23,11 +23,15 @@ def address_of(text: str) -> tuple[str, int]:
     Raises
     ------
     ValueError
-        Another form.
+        Another form, or a host without an address.
     """
     host, sign, port = text.rpartition(":")
-    if not sign or not port.isdecimal() or not 0 < int(port) < 65536:
+    if not sign or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise InputError(f"device_address must be HOST:PORT, got {text!r}")
+    try:
+        socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"device_address must have a host with an address, got {text!r}: {error}") from None
     return host.strip("[]"), int(port)
 
 
@@ -95,11 +99,14 @@ class UdpSocket:
 class UdpRig(PacketRig):
     """Driver of a rig at ``device_address``, HOST:PORT."""
 
-    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
-        """The socket, and the key that opens the rig."""
-        host, port = address_of(config.device_address)
-        secret = secret_of(config, other_machine(host))
-        return UdpSocket(host, port), secret
+    def settings(self, config: RunConfig) -> tuple[tuple[str, int], bytes]:
+        """Host and port, and the key that opens the rig."""
+        address = address_of(config.device_address)
+        return address, secret_of(config, other_machine(address[0]))
+
+    def connect(self, address: tuple[str, int]) -> PacketLine:
+        """The socket."""
+        return UdpSocket(*address)
 
 
 def _arrival(extra: Sequence[tuple[int, int, bytes]]) -> int:

@@ -9,6 +9,7 @@ from los_testbed.config.run_config import ACTIVE
 from los_testbed.config.topics import NODES
 from los_testbed.run.loop.changes import RESET, STOP
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import statistics_of
 from titop_plant.interface import RATE
 
 SHOWN = 5
@@ -25,11 +26,9 @@ def requested(run: Run) -> tuple[str, ...]:
     run : Run
         Of any origin: values that are not lists of changes are ignored.
     """
-    statistics = run.parameters.get("statistics", {})
     rows: list[tuple[float, str]] = []
     for node in NODES:
-        values = statistics.get(node, {}) if isinstance(statistics, dict) else {}
-        changes = values.get("changes", "") if isinstance(values, dict) else ""
+        changes = statistics_of(run.parameters, node).get("changes", "")
         rows += [(row["tick"] / RATE, _sentence(node, row)) for row in _rows(changes)]
     rows.sort(key=lambda row: row[0])
     texts = [text for _, text in rows]

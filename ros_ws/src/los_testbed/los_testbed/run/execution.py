@@ -15,7 +15,7 @@ from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.run.modes import in_lockstep, late_answers
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError
-from los_testbed.run.summary.screen import printable
+from los_testbed.run.summary.screen import warn
 from titop_plant.telescope.load import difference_summary
 
 
@@ -94,12 +94,12 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
     """
     config = parts.config
     warnings = check(parts, own)
-    sys.stderr.writelines(f"warning: {printable(line)}\n" for line in warnings)
+    warn(warnings)
     for line in difference_summary(config.parameters) if config.parameters else ():
         sys.stderr.write(f"telescope: {line}\n")
     if config.mode == "inprocess" and config.mode_choice:
         sys.stderr.write(f"{config.mode_choice}: run in one process\n")
-    with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
+    with Progress(f"{config.loop}, {config.mode} [ticks]", equal=True) as bar:
 
         def progress(ticks: int) -> None:
             bar.report(ticks, config.ticks)

@@ -45,7 +45,8 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
 
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
-    telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
+    telescope. ``los_sensitivity`` is the telescope's, ``fsm_frequency`` and ``fsm_damping`` are those of its mirror, in
+    a run with a device; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state; it is missing for one that does not, and ``start_up`` says that its length is measured in the record.
     ``telescope_differences`` says in which values a parameter file differs from the reference.
@@ -58,9 +59,10 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
     """
     config, warnings = parts.config, parts.compare()
+    mirror = zip(("fsm_frequency", "fsm_damping"), parts.telescope.fsm.dynamics) if config.device else ()
     return {
         **config.to_strings(),
-        **{name: json.dumps(value) for name, value in parts.basis.to_mapping().items()},
+        **{name: json.dumps(value) for name, value in (*parts.basis.to_mapping().items(), *mirror)},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "requirements": json.dumps(entries(parts.telescope.requirements)),
         **optics_of(parts),

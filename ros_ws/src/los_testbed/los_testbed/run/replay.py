@@ -49,6 +49,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
 from pointing_analysis.replay.replay import LoopLayout
 from pointing_analysis.requirements.summary import exposure_of_run
+from pointing_analysis.requirements.verdict import NOT_JUDGED, not_judged_by
 from titop_plant.interface import DT, FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
@@ -353,6 +354,8 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
         if key not in left_out
     }
     metadata = {**recorded, **sources, "mode": "replay", "replay_loop": chosen.loop, "replay_of": run.path.name}
+    if reason := not_judged_by(run):
+        metadata[NOT_JUDGED] = reason
     if chosen.warnings:
         metadata["controller_warnings"] = "; ".join(chosen.warnings)
     laws = {Path(name).stem for name in chosen.files}  # the recorded ones are not those of this bag

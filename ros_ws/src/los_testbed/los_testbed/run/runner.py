@@ -16,6 +16,7 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import NODES
+from los_testbed.parts.device_contract import NOT_ZERO
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_VARIABLE, for_nodes
 from los_testbed.run.bag_names import free_name, recorded
@@ -55,8 +56,8 @@ REMIND_S = 5.0
 """Time after which a node is signalled again: a signal during its start may be lost."""
 
 
-class HungError(RuntimeError):
-    """Nodes of a run do not respond, or its ticks have stopped."""
+class RunEndedError(RuntimeError):
+    """The run has to end: nodes do not respond, its ticks have stopped, or a law of a loop on a device has died."""
 
 
 class Runner:
@@ -110,6 +111,7 @@ class Runner:
         self._resets = 0
         self._ticks_done = 0
         self._before = 0
+        self._lost_device = ""
         self._parameters: MemoryFile | None = None
         self._start_file: MemoryFile | None = None
         self._statistics: MemoryFile | None = None
@@ -200,7 +202,7 @@ class Runner:
                 self.results.too_slow = Exercised(slow["ticks"], slow["late"], slow["lost"], slow["median_us"])
                 return
             self._until("plant", "done", None)
-        except HungError as error:
+        except RunEndedError as error:
             self.results.failures.append(str(error))
             self._end_ticks()
         except KeyboardInterrupt:
@@ -210,6 +212,8 @@ class Runner:
                 return
             self._end_ticks()
         self._finish()
+        if self._lost_device:
+            raise RunError(self._lost_device, ExitCode.DEVICE)
 
     def _end_ticks(self) -> None:
         """End a run early; a suspended node is resumed to end."""
@@ -226,7 +230,9 @@ class Runner:
         except RunError as error:
             if self._nodes[name].process.poll() is not None:
                 raise
-            self.results.failures.append(str(error))
+            if name == "plant" and self._config.device:
+                self._lost_device = f"{error}; {NOT_ZERO}: its driver was ended"
+            self.results.failures.append(self._lost_device or str(error))
             self._nodes[name].process.kill()
             self._seen[name, "done"] = {"statistics": {}, "bag": None if bag is None else str(bag)}
 
@@ -344,7 +350,7 @@ class Runner:
         for line in self._watch.look():
             self._tell(line)
         if hung := self._watch.silent(self._config.hang_timeout):
-            raise HungError(f"{self._watch.in_words(hung)}: the run was ended (--hang-timeout)")
+            raise RunEndedError(f"{self._watch.in_words(hung)}: the run was ended (--hang-timeout)")
 
     def _hear(self, name: str) -> None:
         """An event of a program, or a tick."""
@@ -457,12 +463,19 @@ class Runner:
     def _replace(self, node: NodeProcess, what: str, killed: bool) -> None:
         """Restart the node while the others continue, or fail after too many restarts.
 
+        On a device no loop is closed again: without its driver or a law the run ends.
+
         Before the run begins, a node ended by a signal loses nothing, unless it is the plant. A plant restarts from its
         initial state: estimator and controller are reset with it when it holds, the recorder closes its bag and begins
         another, and the run ends at its planned time.
         """
         # in lockstep the current tick waits for the node's command, which is lost
         running = ("plant", "running") in self._seen
+        if self._config.device and node.name == "plant":
+            raise RunError(f"{what}; {NOT_ZERO}: its driver has ended", ExitCode.DEVICE)
+        if self._config.device and running and node.name != "recorder":
+            node.asked_to_stop = True
+            raise RunEndedError(f"{what}: the run was ended")
         possible = self._config.mode == "realtime" if running else killed and node.name in list(self._programs)[1:]
         rest = self._config.ticks - self._ticks_done
         if not possible or sum(self._replaced.values()) >= RESTARTS or (node.name == "plant" and rest < 1):
@@ -510,6 +523,9 @@ class Runner:
             while node.process.poll() is None:
                 if time.monotonic() > end:
                     node.process.kill()
+                    node.process.wait()
+                    if node.name == "plant" and self._config.device:
+                        self._tell(f"{NOT_ZERO}: the driver of {self._config.device} did not end")
                 time.sleep(0.01)
         for node in self._nodes.values():
             for stream in node.streams:

@@ -32,6 +32,7 @@ from los_testbed.run.metadata import run_metadata
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import statistics_of
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 
@@ -274,10 +275,10 @@ def _begin(plan: Plan) -> None:
 def _finished(bag: Path) -> bool:
     """Whether a bag is that of a run that came to its end."""
     try:
-        statistics = Run.open(bag).parameters.get("statistics", {})
+        plant = statistics_of(Run.open(bag).parameters, "plant")
     except (ValueError, OSError):
         return False
-    return "failure" not in statistics.get("plant", {"failure": "unknown"})
+    return bool(plant) and "failure" not in plant
 
 
 def finish(plan: Plan) -> None:

@@ -165,7 +165,7 @@ def _over_members(
     from lftkit.support.progress import Progress
     from los_testbed.run.summary.worst_pointing_budget import worst_totals
 
-    with Progress("members") as bar:
+    with Progress("members", equal=True) as bar:
         found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
     rows = []
     for row in found:

@@ -115,7 +115,7 @@ def _measured(cameras: list[list[StarCamera]], frames: int, seed: int, time_limi
 
     end, done, total = time.monotonic() + time_limit, 0, sum(map(len, cameras))
     found: list[list[NoisePoint]] = []
-    with one_thread(), Progress("noise [stars]") as bar:
+    with one_thread(), Progress("noise [stars]", equal=True) as bar:
         for row in cameras:
             found.append([])
             for camera in row:

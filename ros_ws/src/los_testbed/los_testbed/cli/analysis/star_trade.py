@@ -15,7 +15,7 @@ from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, numbers, print_json
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say, warn
 
 if TYPE_CHECKING:
     from los_testbed.run.star_trade import Trade
@@ -75,8 +75,8 @@ def trade(
     base = RunConfig.from_mapping(with_stage({"mode": "inprocess", **chosen(given, designs)}))
     stars, each = numbers("--magnitudes", magnitudes), numbers("--rates", rates)
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-trade"
-    RunParts(base).check()
-    redesign = not (keep or base.k_fsm or base.k_pma)
+    warnings, redesign = RunParts(base).check(), not (keep or base.k_fsm or base.k_pma)
+    warn(() if redesign else warnings)
     found = star_trade.Trade.begin(base, folder, stars, each, redesign)
     with resume_hint("stars and rounds so far", folder):
         rows, finished = _rows(found, cluster, time_limit)

@@ -15,9 +15,9 @@ from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_out
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
-from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen, met, on_screen
+from los_testbed.run.summary.screen import Screen, met, on_screen, warn
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import LOOP_DELAY
 

@@ -9,9 +9,9 @@ import typer
 
 from lftkit.errors import InputError
 from los_testbed.cli.options.options import Designs, Json, TelescopeFile
-from los_testbed.cli.output import print_json, warn
+from los_testbed.cli.output import print_json
 from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, warn
 
 EXPORT_EXAMPLES = """Export the laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
 

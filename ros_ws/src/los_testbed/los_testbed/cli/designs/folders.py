@@ -39,5 +39,5 @@ def name_unseen_requirements(telescope: Telescope) -> None:
     """Write to the error output the requirements that no figure of a design covers, if any."""
     from titop_plant.telescope.requirements import unseen_by_design
 
-    if unseen := [f"{one.name} ({one})" for one in unseen_by_design(telescope.requirements)]:
+    if unseen := [f"{one.name} ({one.exact_text})" for one in unseen_by_design(telescope.requirements)]:
         sys.stderr.write(f"requirements: the design does not consider {', '.join(unseen)}; runs are judged by them\n")

@@ -22,10 +22,10 @@ from los_testbed.cli.designs.redesign import show_implemented
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, Json, Uncertain
-from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, warn
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem

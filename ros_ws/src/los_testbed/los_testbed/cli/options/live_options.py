@@ -12,7 +12,7 @@ import typer
 
 from lftkit.errors import InputError
 from los_testbed.config.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
-from los_testbed.run.processes.viewers import Live
+from los_testbed.run.processes.viewers import Live, opened_here
 
 LIVE_PORT = 8765
 MAX_PORT = 65534
@@ -78,7 +78,7 @@ def check_live(mode: str, live: Live) -> None:
     Raises
     ------
     ValueError
-        No such port or topic, a mode without nodes, no certificate, or the packages missing.
+        No such port, address or topic, or one in use, a mode without nodes, no certificate, or the packages missing.
     """
     if not 0 <= live.port <= MAX_PORT:
         raise InputError(f"--live must be a port from 0 to {MAX_PORT}, got {live.port}")
@@ -95,6 +95,8 @@ def check_live(mode: str, live: Live) -> None:
     for origin in live.origins:
         check_origin(origin)
     certificate(live.tls_cert or None, live.tls_key or None)
+    with opened_here(live):
+        pass
 
 
 def _tell_addresses(foxglove: str, page: str) -> None:

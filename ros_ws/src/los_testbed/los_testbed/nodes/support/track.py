@@ -20,7 +20,7 @@ from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
 from titop_plant.interface import TICK_NS
 
-MAX_DISORDER = 1000
+MAX_DISORDER = 5000
 """Periods that a sample may come after a later one and still count."""
 
 MAX_WAITING = 5000
@@ -51,8 +51,9 @@ class Track:
         self.first = 0
         self.last = 0
         self.distinct = 0
-        self._phase: int | None = None
         self._missing: set[int] = set()
+        self._gone = 0
+        """Samples that are missing for too long to come."""
 
     def drain(self) -> int:
         """Take all waiting messages; the number stored."""
@@ -101,33 +102,30 @@ class Track:
         return True
 
     def _note(self, messages: list[bytes]) -> None:
+        """Count samples; stamps may vary by less than half a period, and their clock may drift."""
         for message in messages:
             stamp = stamp_of(message) if len(message) >= 12 else 0
             if stamp <= 0:
                 continue
-            if self._phase is None:
-                self._phase = stamp % self.period_ns
-            stamp = self._nearest(stamp)
-            if stamp > self.last:
-                if self.last and stamp - self.last > self.period_ns:
-                    self._note_gap(stamp)
-                self.first = self.first or stamp
-                self.last = stamp
+            periods = (stamp - self.last + self.period_ns // 2) // self.period_ns if self.last else 1
+            if periods > 0:
+                self._note_gap(stamp, periods - 1)
+                self.first, self.last = self.first or stamp, stamp
                 self.distinct += 1
-            elif stamp in self._missing:  # out of order, not lost
-                self._missing.remove(stamp)
+            elif near := [gone for gone in self._missing if 2 * abs(gone - stamp) <= self.period_ns]:
+                self._missing.remove(near[0])  # out of order, not lost
                 self.distinct += 1
 
-    def _nearest(self, stamp: int) -> int:
-        """Time on the grid of the samples that is nearest: stamps may vary by less than half a period."""
-        phase = self._phase or 0
-        return (stamp - phase + self.period_ns // 2) // self.period_ns * self.period_ns + phase
-
-    def _note_gap(self, stamp: int) -> None:
-        """The periods between the last sample and this one may still come, out of order."""
+    def _note_gap(self, stamp: int, count: int) -> None:
+        """So many samples before this one are missing; they may still come, out of order."""
+        if not count:
+            return
         oldest = stamp - MAX_DISORDER * self.period_ns
-        self._missing = {old for old in self._missing if old > oldest}
-        self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
+        late = {old for old in self._missing if old <= oldest}
+        recent = min(count, MAX_DISORDER)
+        self._gone += len(late) + count - recent
+        self._missing -= late
+        self._missing.update(stamp - k * self.period_ns for k in range(1, recent + 1))
 
     def begin_again(self) -> None:
         """Start of another run: the state of the last one is cleared.
@@ -135,15 +133,20 @@ class Track:
         Messages of a topic before its node holds, too, are still of the last one.
         """
         self._stale = not self.held
-        self.first = self.last = self.distinct = self.unreadable = 0
-        self._phase = None
+        self.first = self.last = self.distinct = self.unreadable = self._gone = 0
         self._missing.clear()
 
-    def lost(self, first: int, last: int) -> int:
-        """Samples missing in this span of stamps."""
-        phase = self._phase or 0
-        expected = (last - phase) // self.period_ns - (first - phase - 1) // self.period_ns
-        return max(0, expected - self.distinct)
+    def lost(self, first: int, last: int, over: bool = True) -> int:
+        """Samples missing in this span of stamps.
+
+        While the run is not `over`, those of which a later one has come.
+        """
+        if not self.first:
+            return last // self.period_ns - (first - 1) // self.period_ns if over else 0
+        missing = self._gone + sum(stamp <= last for stamp in self._missing)
+        before = max(min(self.first, last) - first, 0) // self.period_ns
+        behind = max(last - self.last, 0) // self.period_ns if over else 0
+        return missing + before + behind
 
 
 class ReportTrack(Track):
@@ -155,6 +158,8 @@ class ReportTrack(Track):
     def __init__(self, subscription: RawSubscription) -> None:
         super().__init__(subscription.name, subscription, 0)
         self.status: Status | None = None
+        self.stamp = 0
+        """Of the last one [ns]."""
         self._refused = 0
         self._undecided: list[tuple[int, str, Taken]] = []
         self._known: set[str] = set()
@@ -214,6 +219,7 @@ class ReportTrack(Track):
             if publisher in self._known:
                 self._keep(taken)
                 self.status = next(iter(read_diagnostics(taken[0])[1][-1:]), None)
+                self.stamp = stamp_of(taken[0])
             elif publisher in unknown and now_ns - since < UNKNOWN_NS and len(waiting) < MAX_UNKNOWN:
                 waiting.append((since, publisher, taken))
             else:

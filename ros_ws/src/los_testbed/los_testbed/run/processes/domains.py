@@ -96,6 +96,23 @@ def free_domain(namespace: str) -> Iterator[int]:
         yield domain
 
 
+def require_participants(domain: int, namespace: str) -> None:
+    """Refuse a domain without a run on this machine: no participant listens, and no run holds the namespace.
+
+    Raises
+    ------
+    ValueError
+        There is neither.
+    """
+    try:
+        _refuse_participants(domain)
+        with domain_lock(domain, namespace):
+            pass
+    except (OSError, ValueError):
+        return
+    raise InputError(f"--domain must be a ROS domain with a run on this machine, got {domain} without any node")
+
+
 def _refuse_participants(domain: int) -> None:
     """Raise OSError where a participant of this machine listens."""
     first = PORT_BASE + DOMAIN_GAIN * domain + FIRST_PARTICIPANT

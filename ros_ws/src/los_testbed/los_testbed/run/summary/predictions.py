@@ -15,12 +15,13 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.replay import models_of_controllers
-from los_testbed.run.summary.rig_prediction import rig_tones, statistics_of
+from los_testbed.run.summary.rig_prediction import rig_tones
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import statistics_of
 from pointing_analysis.spectra.prediction import Prediction
 from titop_plant.interface import TICK_NS, period_ticks
 
@@ -93,7 +94,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
 
 def _emulated(run: Run) -> str:
     """Name of the telescope that a rig simulates; "" for other runs and without a true line of sight."""
-    return "" if on_camera(run) else str(statistics_of(run, "plant").get("device_emulates", ""))
+    return "" if on_camera(run) else str(statistics_of(run.parameters, "plant").get("device_emulates", ""))
 
 
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
@@ -105,7 +106,7 @@ def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     if run["truth/los"].lost_before:
         raise InputError("the record does not begin with the run: its first samples are lost")
     stamp = run["truth/los"].stamp
-    plant = statistics_of(run, "plant")
+    plant = statistics_of(run.parameters, "plant")
     recorded = round((int(stamp[-1]) - int(stamp[0])) / TICK_NS) + 1 if len(stamp) else 0
     missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
     if not recorded or int(stamp[0]) % (period_ticks(config.frame_ticks) * TICK_NS) or missing > LATE:

@@ -8,9 +8,6 @@ before the run is not known; the tones have the frequency that they have on the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from lftkit.errors import InputError
@@ -21,6 +18,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.latency_histogram import shares_of_text
 from los_testbed.run.loop.slow_sensor import BEGINNING
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import statistics_of
 from pointing_analysis.spectra.prediction import ToneComparison
 
 LONGEST = 5
@@ -28,13 +26,6 @@ LONGEST = 5
 
 RARE = 0.01
 """Share of the ticks that may have a longer delay."""
-
-
-def statistics_of(run: Run, node: str) -> Mapping[str, Any]:
-    """Last statistics of a node in a run; empty if the bag has none, or another type."""
-    statistics = run.parameters.get("statistics")
-    found = statistics.get(node) if isinstance(statistics, Mapping) else None
-    return found if isinstance(found, Mapping) else {}
 
 
 def rig_tones(
@@ -47,7 +38,7 @@ def rig_tones(
     ValueError
         Delays that are not in the bag, or too long for a settled loop.
     """
-    plant, observer = (statistics_of(run, node) for node in ("plant", "estimator"))
+    plant, observer = (statistics_of(run.parameters, node) for node in ("plant", "estimator"))
     shares = shares_of_text(str(plant.get("device_delay_ticks", "")))
     late = sum(share for ticks, share in shares.items() if ticks > LONGEST)
     if not shares or not all(0.0 <= share <= 1.0 for share in shares.values()):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable
 from typing import Any
 
 from rich import table as rich_table
@@ -82,6 +84,11 @@ def marked(cell: str) -> Text:
 def met(requirement: bool) -> Marked:
     """Cell of a table."""
     return Marked("met", "open") if requirement else Marked("not met", "bad")
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Write warnings to the error output, one line each."""
+    sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)
 
 
 def say(console: Console, text: str, label: str = "") -> None:

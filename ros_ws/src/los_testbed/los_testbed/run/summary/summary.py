@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -245,10 +245,8 @@ def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[s
 
 def _statistics(run: Recording, node: str) -> dict[str, float]:
     """Statistics of a node as the bag has them; what is no number is left out."""
-    statistics = run.parameters.get("statistics", {})
-    found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
     numbers: dict[str, float] = {}
-    for name, text in found.items() if isinstance(found, dict) else ():
+    for name, text in run_end.statistics_of(run.parameters, node).items():
         with contextlib.suppress(ValueError, TypeError, OverflowError):
             numbers[name] = float(text)
     whole = ("ticks", "missed_ticks", "lost_periods", "samples_lost")
@@ -280,8 +278,8 @@ def missed_share(metrics: Mapping[str, Any]) -> float:
     return run_end.missed_share({"missed_ticks": metrics["missed_ticks"], "ticks": metrics["periods"]})
 
 
-def print_summary(console: Console, results: RunSummaries) -> None:
-    """Print a table for each run, and the paths."""
+def print_summary(console: Console, results: RunSummaries, told: Collection[str] = ()) -> None:
+    """Print a table for each run, remarks that were not `told` before, and the paths."""
     rows = results.shares or ((),) * len(results.runs)
     for summary, metrics, shares in zip(results.summaries, results.runs, rows):
         console.print(_table(summary, metrics))
@@ -292,7 +290,8 @@ def print_summary(console: Console, results: RunSummaries) -> None:
         if summary.budget is not None:
             console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
         for remark in metrics["remarks"]:
-            say(console, remark, "note")
+            if remark not in told:
+                say(console, remark, "note")
         for problem in summary.problems:
             say(console, problem, "note")
         for label, text in summary.conditions.lines:
