@@ -43,6 +43,8 @@ class PaperCase:
     seed : int
     alone : SampledSystem, optional
         The robust K_FSM before it was tuned together with K_PMA.
+    corners : bool
+        Whether all corners of the parameters' ranges are members, too.
     """
 
     file: str | None
@@ -50,6 +52,7 @@ class PaperCase:
     samples: int = 16
     seed: int = 0
     alone: SampledSystem | None = None
+    corners: bool = True
     _clouds: dict[str, dict[str, list[Curve]]] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -108,9 +111,9 @@ class PaperCase:
 
     @cached_property
     def members(self) -> list[dict[str, float]]:
-        """Nominal, random and worst members: the same for both pairs of designs."""
+        """Nominal, random and worst members and the corners: the same for both pairs of designs."""
         drawn = self.assembled.system.sample_values(np.random.default_rng(self.seed), self.samples)
-        return [{}, *drawn, *self.worst_members]
+        return [{}, *(self.telescope.corners() if self.corners else ()), *drawn, *self.worst_members]
 
     def clouds(self, design: str) -> Mapping[str, list[Curve]]:
         """Stage to the curve of each member, with a pair of designs."""

@@ -30,8 +30,17 @@ Row = dict[str, Any]
 
 
 def results(case: PaperCase) -> dict[str, Any]:
-    """All numbers, as rows of tables, and what they are of."""
-    return {**names(case), "gammas": gammas(case), "decades": decades(case), "reduction": reduction(case)}
+    """All numbers, as rows of tables, and what they are of; six digits, which are the same on all processors."""
+    tables = {"gammas": gammas(case), "decades": decades(case), "reduction": reduction(case)}
+    return {**names(case), **_rounded(tables)}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{round(value, 9):.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    return [_rounded(entry) for entry in value] if isinstance(value, list) else value
 
 
 def names(case: PaperCase) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def case() -> PaperCase:
     """The paper's telescope and its designs; the nominal member and a worst one."""
     _, k_pma, *nominal = (first_worst(stored(name), 0) for name in STORED)
     pairs = {"robust": (first_worst(stored("k_fsm"), 1), k_pma), "nominal": (nominal[0], nominal[1])}
-    return PaperCase(FILE, pairs, samples=0)
+    return PaperCase(FILE, pairs, samples=0, corners=False)
 
 
 def law(system: SampledSystem, s: complex) -> np.ndarray:
@@ -111,7 +111,7 @@ def test_a_member_with_an_unstable_loop_is_counted_not_drawn(case: PaperCase) ->
     matrices = k_pma.provenance["continuous"]
     wrong = {**matrices, **{key: (-1e3 * np.array(matrices[key])).tolist() for key in "CD"}}
     pair = (k_fsm, replace(k_pma, provenance={**k_pma.provenance, "continuous": wrong}))
-    unstable = PaperCase(FILE, {"robust": pair}, samples=0)
+    unstable = PaperCase(FILE, {"robust": pair}, samples=0, corners=False)
     clouds = unstable.clouds("robust")
     assert np.isinf([curve.size.max() for curve in clouds["fsm+pma"]]).all()
     assert clouds["fsm"][0].size == pytest.approx(case.clouds("robust")["fsm"][0].size)
@@ -147,7 +147,7 @@ def test_what_the_proof_masses_take_is_in_decibels() -> None:
     alone = Curve(omega, np.ones_like(omega))
     both = Curve(omega, np.where(omega < 30.0, 1.0, 0.1))
     with_peak = Curve(omega, np.where(np.arange(omega.size) == np.searchsorted(omega, 200.0), 0.5, both.size))
-    case = PaperCase(None, {}, 0, 0, None, {"robust": {"fsm": [alone, alone], "fsm+pma": [both, with_peak]}})
+    case = PaperCase(None, {}, 0, 0, None, False, {"robust": {"fsm": [alone, alone], "fsm+pma": [both, with_peak]}})
     rows = {tuple(row["band"]): row for row in paper_numbers.reduction(case)}
     assert rows[1.0, 6.0]["nominal"] == 0.0 and rows[30.0, 100.0]["nominal"] == pytest.approx(20.0)
     assert rows[100.0, 300.0]["peaks"] == pytest.approx(20.0 * np.log10(2.0))
@@ -229,7 +229,7 @@ def test_a_case_is_read_from_a_folder(tmp_path: Path) -> None:
     (tmp_path / "telescope.toml").write_text("[weights]\n")
     found = PaperCase.of(tmp_path, samples=2)
     assert found.pairs["nominal"][1].name == stored("k_pma_nominal").name and found.alone is None
-    assert len(found.members) == 3 + len(found.worst_members) and found.members[0] == {}
+    assert len(found.members) == 1 + 128 + 2 + len(found.worst_members) and found.members[0] == {}
     with pytest.raises(ValueError, match="samples must not be negative, got -1"):
         PaperCase.of(tmp_path, samples=-1)
 
