@@ -161,7 +161,7 @@ def worst_case(text: str) -> str:
 
     Examples
     --------
-    >>> head = "| stage | worst tone | with noise, 99.7 % | limits |\\n|---|---|---:|---:|\\n"
+    >>> head = "| stage | worst tone | with noise, all draws | limits |\\n|---|---|---:|---:|\\n"
     >>> rows = [f"| fsm | {tone} | 9 mas | meets 10 |" for tone in TONES]
     >>> print(worst_case("**Scenario `worst_case`**\\n\\n" + head + "\\n".join(rows)))
     | stage | APE | RPE, slow tone | RPE, fast tone |
@@ -176,7 +176,7 @@ def worst_case(text: str) -> str:
     head, rows = lines[0], [dict(zip(lines[0], line)) for line in lines[2:]]
     found: dict[str, list[str]] = {}
     for row in rows:
-        found.setdefault(row[head[0]], []).append(f"{row['with noise, 99.7 %']}, {row['limits']}")
+        found.setdefault(row[head[0]], []).append(f"{row['with noise, all draws']}, {row['limits']}")
     return markdown(
         ["stage", *(tone.replace("slow", "slow tone").replace("fast", "fast tone") for tone in TONES)],
         [[stage, *cells] for stage, cells in found.items()],

@@ -8,18 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary import summary as screen
 from los_testbed.run.summary.summary import missed_share
-from los_testbed.run.summary.worst_case_rows import figure, level, limits_met
+from los_testbed.run.summary.worst_case_rows import Level, WorstToneRun, levels_text, limits_met
 from rich.table import Table
 
-from pointing_analysis.formatting.number_text import ABSENT
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import Summary, summarise
-from pointing_analysis.spectra.tone_budget import ToneBudget
 
 APE = parse("prob(|APE| < 10 arcsec) >= 0.997 at 60 % confidence", "APE")
 JITTER = series(None, 5.0 * np.random.default_rng(0).standard_normal((2000, 2)), unit="mas", rate=1000.0, name="mine")
@@ -121,36 +117,22 @@ def test_lost_samples_are_judged_where_they_are_known(
     assert cells == [other.lost_text(lost), "0", "", verdict]
 
 
-OMEGA = 3.0
-
-REQUIREMENTS = RunParts(RunConfig()).telescope.requirements
-
-
-def toned(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
-    budget = ToneBudget(noise, 0.0, fast, 30.0, {}, noise_error)
-    return SimpleNamespace(budget=budget, ape_p997=11.0, rpe_windows_p997=30.0, window=0.02)
+def toned(*levels: tuple[float, float, float]) -> WorstToneRun:
+    return WorstToneRun("slow", 3.0, 0.5, 40.0, 20.0, 20.0, tuple(Level(*level) for level in levels))
 
 
 @pytest.mark.parametrize(
-    ("fast", "noise", "noise_error", "text"),
+    ("levels", "shown", "text"),
     [
-        (17.0, 10.0, 0.3, "meets 100 and 40"),
-        (17.0, 12.0, 0.7, "meets 100, 40 within the scatter"),
-        (17.0, 12.4, 0.1, "meets 100, exceeds 40"),
-        (17.0, 12.4, float("nan"), "meets 100, exceeds 40"),
-        (66.7, 11.2, 0.5, "meets 100, exceeds 40"),
-        (482.0, 11.2, 0.5, "exceeds 100 and 40"),
+        (((40.0, 39.6, 0.997), (100.0, 39.6, 0.997)), "39.6 mas", "meets 100 and 40"),
+        (((100.0, 40.1, 0.997), (40.0, 40.1, 0.997)), "40.1 mas", "meets 100, exceeds 40"),
+        (((100.0, 482.0, 0.997), (40.0, 482.0, 0.997)), "482 mas", "exceeds 100 and 40"),
+        (((100.0, 38.0, 0.95), (40.0, 41.0, 0.999)), "38 mas (95 %), 41 mas (99.9 %)", "meets 100, exceeds 40"),
+        ((), "", ""),
     ],
 )
-def test_a_limit_is_kept_or_broken_only_beyond_the_scatter_of_the_noise(
-    fast: float, noise: float, noise_error: float, text: str
+def test_each_limit_is_compared_with_the_level_of_its_own_probability(
+    levels: tuple[tuple[float, float, float], ...], shown: str, text: str
 ) -> None:
-    assert limits_met(toned(fast, noise, noise_error), "slow", OMEGA, REQUIREMENTS) == text
-
-
-def test_a_record_that_does_not_resolve_its_tone_has_no_level() -> None:
-    """Such a loop has not diverged, and no limit is met or exceeded."""
-    unresolved = toned(float("nan"), float("nan"), float("nan"))
-    assert limits_met(unresolved, "slow", OMEGA, REQUIREMENTS) == "tones not resolved"
-    assert figure(level(unresolved, "slow", OMEGA), "mas") == ABSENT
-    assert figure(level(toned(3.0, 4.0, 0.1), "APE", OMEGA), "arcsec") == "11 arcsec"
+    tone = toned(*levels)
+    assert (levels_text(tone), limits_met(tone)) == (shown, text)

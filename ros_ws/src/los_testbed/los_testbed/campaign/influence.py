@@ -174,9 +174,9 @@ def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> li
     --------
     >>> x = np.random.default_rng(0).uniform(-1, 1, (4000, 7))
     >>> metric = x[:, 0] + 2.0 * x[:, 1] * x[:, 2]  # variances 1/3 and 4/9
-    >>> found = pair_effects(dict(zip("abcdefg", x.T)), metric)
-    >>> found[0].parameters == ("b", "c"), round(found[0].share, 1), max(e.share for e in found[1:]) < 0.03
-    (True, 0.6, True)
+    >>> effects = pair_effects(dict(zip("abcdefg", x.T)), metric)
+    >>> effects[0].parameters == ("b", "c"), 0.5 < effects[0].share < 0.6, max(e.share for e in effects[1:]) < 0.03
+    (True, True, True)
     """
     known = np.isfinite(metric)
     y, names = metric[known], list(parameters)

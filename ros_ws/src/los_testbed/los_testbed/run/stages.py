@@ -317,7 +317,7 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     alone = run.part == "disturbance" and run.scenario != MOVING and not run.config.ramp_duration
     tones = tone_responses(opened, RunParts(run.config).tone_model()) if alone else ()
     kept = bag if plan.keep or run.reported else None
-    worst = worst_tone_of(opened) if alone and run.scenario == WORST else None
+    worst = worst_tone_of(opened, RunParts(run.config)) if alone and run.scenario == WORST else None
     return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, kept, worst=worst, summary=summary)
 
 

@@ -62,7 +62,7 @@ def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
             summary = whole[index].summary
             if alone.worst is not None and summary is not None:
                 cells.append((loop, alone.worst, summary))
-    return worst_case_rows.rows(cells, RunParts(plan.base).telescope.requirements)
+    return worst_case_rows.rows(cells)
 
 
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
