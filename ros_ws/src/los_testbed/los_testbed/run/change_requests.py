@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from los_testbed.config.run_config import ACTIVE
 from los_testbed.config.topics import NODES
 from los_testbed.run.loop.changes import RESET, STOP
+from pointing_analysis.read.mcap.bag_metadata import value_of
+from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from titop_plant.interface import RATE
 
@@ -25,12 +28,12 @@ def requested(run: Run) -> tuple[str, ...]:
     run : Run
         Of any origin: values that are not lists of changes are ignored.
     """
-    statistics = run.parameters.get("statistics", {})
-    rows: list[tuple[float, str]] = []
-    for node in NODES:
-        values = statistics.get(node, {}) if isinstance(statistics, dict) else {}
-        changes = values.get("changes", "") if isinstance(values, dict) else ""
-        rows += [(row["tick"] / RATE, _sentence(node, row)) for row in _rows(changes)]
+    rows = [
+        (row["tick"] / RATE, _sentence(node, row))
+        for node in NODES
+        for row in changes_in(run, node)
+        if isinstance(row.get("by"), str)
+    ]
     rows.sort(key=lambda row: row[0])
     texts = [text for _, text in rows]
     # the end of the run comes last and is always reported
@@ -40,18 +43,26 @@ def requested(run: Run) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _rows(text: Any) -> list[dict[str, Any]]:
-    """Requested changes."""
-    try:
-        rows = json.loads(text)
-    except (ValueError, TypeError, RecursionError):
-        return []
+def statistics_of(run: Recording, node: str) -> Mapping[str, Any]:
+    """Last statistics of a node in a run; empty if the bag has none, or another type."""
+    statistics = run.parameters.get("statistics")
+    found = statistics.get(node) if isinstance(statistics, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
+
+
+def changes_in(run: Run, node: str) -> list[dict[str, Any]]:
+    """Changes of a node's settings that a bag records (:meth:`los_testbed.run.loop.changes.Changes.record`).
+
+    Each has ``tick``, ``name`` and ``value``, requested ones ``by``; what is no such list has none.
+    """
+    text = statistics_of(run, node).get("changes")
+    rows = value_of(text) if isinstance(text, str) else None
     return [
         row
         for row in (rows if isinstance(rows, list) else [])
         if isinstance(row, dict)
-        and isinstance(row.get("by"), str)
         and isinstance(row.get("name"), str)
+        and "value" in row
         and isinstance(row.get("tick"), int)
         and 0 <= row["tick"] < 1e12
     ]
