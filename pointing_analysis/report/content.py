@@ -182,7 +182,10 @@ def content_of(
         tuple(_warnings(names, summaries)),
         tuple(leading),
         tuple(p for p in drawn if p not in leading),
-        tuple(text.format(", ".join(labels)) for text, labels in missing.items() if labels),
+        (
+            *(text.format(", ".join(labels)) for text, labels in missing.items() if labels),
+            *(f"No Nyquist curves and sensitivity for {n}: {why}." for n, why in zip(names, model.without_loop) if why),
+        ),
         tuple(section for section in tables if section.parts),
         notes,
     )

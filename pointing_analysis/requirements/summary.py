@@ -37,7 +37,7 @@ from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
 from pointing_analysis.requirements.exposure import exposure_of, finest
-from pointing_analysis.requirements.guarantee import proven_bound, without_bound
+from pointing_analysis.requirements.guarantee import NO_PROOF
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import (
@@ -326,10 +326,8 @@ def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Req
 
 
 def beside_of(run: Recording, requirement: Requirement) -> Beside:
-    """Statements of a recording about a requirement besides its samples: a proven bound, missed ticks."""
-    proven = proven_bound(run, requirement)
-    unproven = {"unproven": text} if (text := without_bound(run)) else {}
-    return Beside(proven, disturbed=_disturbed(run), **unproven)
+    """Results of a requirement besides its samples: missed ticks; of a loop that is named, that nothing is proven."""
+    return Beside(disturbed=_disturbed(run), unproven=NO_PROOF if "loop" in run.parameters else "")
 
 
 def _disturbed(run: Recording) -> str:

@@ -223,11 +223,11 @@ class RunParts:
         actuators = len(self._used("k_pma").further_actuators)
         still = [np.zeros(n) for n in (alone.states.command.size + actuators, *sizes, alone.states.camera.size)]
         states = replace(alone.states, **dict(zip(("command", "k_fsm", "k_pma", "camera"), still)))
-        unknown = [text for name, text in self.code.items() if self._model_of(name) is None]
+        unknown = [text for name, text in self.code.items() if self.model_of(name) is None]
         note = SWITCHED_ON.format(" and ".join(unknown)) + (TONE_WITHOUT.format(opened) if alone.tone else "")
         return replace(alone, states=states, note=note, switched_on=True)
 
-    def _model_of(self, name: str) -> SampledSystem | None:
+    def model_of(self, name: str) -> SampledSystem | None:
         """A controller as a linear system; None of code without a model."""
         law = getattr(self, name)
         found = law.linear if isinstance(law, UserBlock) else law
@@ -236,7 +236,7 @@ class RunParts:
     @property
     def linear(self) -> dict[str, SampledSystem] | None:
         """Both controllers as linear systems; None where one of them is code without a model."""
-        laws = {name: self._model_of(name) for name in LAWS}
+        laws = {name: self.model_of(name) for name in LAWS}
         found = {name: law for name, law in laws.items() if law is not None}
         return found if len(found) == len(laws) else None
 
@@ -262,7 +262,7 @@ class RunParts:
         """
         if isinstance(self.k_fsm, SampledSystem):
             LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
-        assemble_controller(self.controllers, self.basis, self.config.loop, ports=self._used("k_pma"))
+        self.control_law()
         self._check_commanded()
         return self.compare()
 
@@ -307,13 +307,17 @@ class RunParts:
         Its reset leads to the start of the run. ValueError as :meth:`check`.
         """
         self.compare()
-        config = self.config
-        controller = assemble_controller(
-            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
-        )
+        controller = self.control_law()
         if self.states is not None:
             controller.start_at(self.states.k_pma)
         return controller
+
+    def control_law(self) -> FsmPmaController:
+        """Mirror and proof-mass laws at rest; ValueError as :meth:`check`."""
+        config = self.config
+        return assemble_controller(
+            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
+        )
 
     def plant(self, *, readings: bool = True) -> SteppedPlant:
         """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.

@@ -8,9 +8,6 @@ before the run is not known; the tones have the frequency that they have on the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from lftkit.errors import InputError
@@ -18,6 +15,7 @@ from los_loop.sampled_loop import Delays
 from los_loop.tone_model import compare_settled
 from los_testbed.config.topics import CAMERA_LOS
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.change_requests import statistics_of
 from los_testbed.run.loop.latency_histogram import shares_of_text
 from los_testbed.run.loop.slow_sensor import BEGINNING
 from pointing_analysis.read.run import Run
@@ -28,13 +26,6 @@ LONGEST = 5
 
 RARE = 0.01
 """Share of the ticks that may have a longer delay."""
-
-
-def statistics_of(run: Run, node: str) -> Mapping[str, Any]:
-    """Last statistics of a node in a run; empty if the bag has none, or another type."""
-    statistics = run.parameters.get("statistics")
-    found = statistics.get(node) if isinstance(statistics, Mapping) else None
-    return found if isinstance(found, Mapping) else {}
 
 
 def rig_tones(
