@@ -20,7 +20,7 @@ from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
-from pointing_analysis.read.run_end import run_end
+from pointing_analysis.read.run_end import RunEnd, run_end
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -55,6 +55,7 @@ class BagCheck:
     messages : that can be read, by topic
     losses : what was recorded and cannot be read
     arrivals : gaps, stalls and clock steps by topic: of what was sent, no defect of the bag
+    ticks : of the run, where it ended by its plan and the messages show it; else None
     """
 
     path: Path
@@ -64,6 +65,7 @@ class BagCheck:
     messages: dict[str, int]
     losses: tuple[TopicLoss, ...]
     arrivals: dict[str, Arrivals]
+    ticks: int | None = None
 
     @property
     def title(self) -> str:
@@ -147,6 +149,7 @@ def _check(
     infos, losses = reading.infos, reading.losses()
     damage = _damage(reading, bag)
     known = {key: value_of(text) for key, text in merged(infos)[0].items()}
+    end = run_end(known, contents.covered_ticks(known, losses)) if "statistics" in known else None
     counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
         BagCheckRow(
@@ -161,14 +164,21 @@ def _check(
             "lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))
         ),
         _times(arrived := contents.arrivals()),
-        _end_of_run(known, contents, losses),
+        None if end is None else _end_of_run(end),
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
     differences = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
     problems = tuple(dict.fromkeys([*reading.problems(), *differences]))
     result = BagCheck(
-        path, found, (*reading.contradictions, *differences), problems, dict(contents.topics), losses, arrived
+        path,
+        found,
+        (*reading.contradictions, *differences),
+        problems,
+        dict(contents.topics),
+        losses,
+        arrived,
+        end.done if end is not None and end.by_plan else None,
     )
     return result, infos, bag.files
 
@@ -303,11 +313,8 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     )
 
 
-def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[TopicLoss]) -> BagCheckRow | None:
-    """Whether the run ended by its plan, and the messages show it; None where its recorder wrote no results."""
-    if "statistics" not in known:
-        return None
-    end = run_end(known, contents.covered_ticks(known, losses))
+def _end_of_run(end: RunEnd) -> BagCheckRow:
+    """Whether the run ended by its plan, and the messages show it."""
     if end.text:
         return BagCheckRow("end of the run", "early", end.text)
     if end.by_plan and end.done is not None:

@@ -429,6 +429,7 @@ def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found:
         "loop": chosen.loop,
         "as_recorded": chosen.as_recorded,
         "identical": comparison.identical,
+        "ticks": min((found.compared for found in comparison.differences), default=0),
         "incomplete_ticks": comparison.incomplete,
         "differences": [vars(d) for d in comparison.differences],
         **{
