@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from los_testbed.cli.designs.check_proof import _sentences
 from support.command_line import call_command
+from support.forged_proofs import zip_of_zeros
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
@@ -313,6 +314,18 @@ def test_what_is_no_bundle_is_refused(mutation: Mutation, written: Path, tmp_pat
         pass
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "k_fsm.json").exists() and not (tmp_path.parent / "k_fsm.json").exists()
+
+
+def test_a_bundle_whose_proofs_unpack_to_far_more_is_refused_before_that(written: Path, tmp_path: Path) -> None:
+    inner = zip_of_zeros(tmp_path / "proof.npz", "scalings.npy", megabytes=300).read_bytes()
+
+    def replaced(members: dict[str, bytes]) -> None:
+        members[member_of(STAGE, FIGURE)] = inner
+
+    target = changed(written, tmp_path / "other.zip", replaced)
+    reason = r"^the file must unpack to at most 200 MB, got 300 MB$"
+    with pytest.raises(ProofError, match=reason), open_bundle(target):
+        pass
 
 
 def test_a_proof_with_the_name_of_another_figure_is_refused(written: Path, tmp_path: Path) -> None:
