@@ -45,6 +45,7 @@ from lftkit import SampledSystem
 from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
+from lftkit.proofs.trusted.digests import digest
 from lftkit.proofs.trusted.entries import mapping, parsed, record, require_small, text, zip_members
 from lftkit.proofs.trusted.noise import NoiseBound, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import ProofError, ProofFileError
@@ -176,18 +177,15 @@ class ProofBundle:
 
     @cached_property
     def name(self) -> str:
-        """128 bits, as hexadecimal digits, of the SHA-256 of what is in it: subject and arrays of the proofs.
+        """Digest of what is in it: subject and arrays of the proofs.
 
         However the files are compressed, and with whatever versions they were written.
         """
-        key = hashlib.sha256(json.dumps(asdict(self.subject)).encode())
+        proofs = []
         for stage, figure in (*self.figures, *((stage, NOISE) for stage in self.noise)):
-            key.update(f"{stage} {figure}".encode())
             with np.load(self.folder / member_of(stage, figure), allow_pickle=False) as archive:
-                for name in sorted(archive.files):
-                    array = np.ascontiguousarray(archive[name])
-                    key.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-        return key.hexdigest()[:32]
+                proofs.append(digest([stage, figure], {name: archive[name] for name in sorted(archive.files)}))
+        return digest([asdict(self.subject), proofs])
 
     @property
     def figures(self) -> tuple[tuple[str, str], ...]:

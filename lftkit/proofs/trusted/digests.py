@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -36,3 +36,29 @@ def digest(content: Any, arrays: Mapping[str, NDArray[Any]] = NONE) -> str:
         matrix = np.ascontiguousarray(array, dtype=complex if np.iscomplexobj(array) else np.float64)
         key.update(f"{name} {np.shape(array)}".encode() + matrix.tobytes())
     return key.hexdigest()[:32]
+
+
+def plant_digest(
+    dt: float,
+    channels: Sequence[str],
+    nominal: Mapping[str, float],
+    sizes: Mapping[str, Sequence[int]],
+    matrices: Sequence[NDArray[Any]],
+) -> str:
+    """Digest of an uncertain plant, by which a check says what its proof is about.
+
+    Parameters
+    ----------
+    dt : float
+        Sampling period [s], 0 for continuous time.
+    channels : sequence of str
+        Name of the element of each channel.
+    nominal : mapping of str to float
+        Nominal values of the real parameters.
+    sizes : mapping of str to (int, int)
+        Outputs and inputs of complex numbers, which have one each, and of dynamics.
+    matrices : sequence of ndarray
+        A, B, C and D, the channels first.
+    """
+    content = {"dt": dt, "channels": [*channels], "nominal": {**nominal}, "sizes": {k: [*v] for k, v in sizes.items()}}
+    return digest(content, dict(zip("ABCD", matrices)))
