@@ -102,7 +102,9 @@ def test_another_order_of_summation_stays_within_the_bound(seed: int, order: int
     rng = np.random.default_rng(seed)
     law = system(rng, order, (K_PMA_INPUTS, K_PMA_OUTPUTS), radius)
     state, inputs = rng.standard_normal(order), rng.standard_normal((ticks, 6)) * 10.0 ** rng.uniform(-6, 6, 6)
-    bound = rounding_bound(law, state, inputs)
+    bound = rounding_bound(law, state, [inputs])
+    pieces = np.split(inputs, [ticks // 3, ticks // 2])  # of any lengths, and of none
+    np.testing.assert_allclose(rounding_bound(law, state, pieces), bound, rtol=1e-9)
     law.reset(state)
     ordered = law.steps(inputs)
     turned, x = np.zeros_like(ordered), state
@@ -117,9 +119,9 @@ def test_an_error_beyond_rounding_is_beyond_the_bound() -> None:
     rng = np.random.default_rng(3)
     law, inputs = system(rng, 4, (K_PMA_INPUTS, K_PMA_OUTPUTS), 0.9), rng.standard_normal((500, 6))
     outputs = law.steps(inputs)
-    assert np.all(np.abs(1e-9 * outputs).max(axis=0) > rounding_bound(law, np.zeros(4), inputs))
+    assert np.all(np.abs(1e-9 * outputs).max(axis=0) > rounding_bound(law, np.zeros(4), [inputs]))
 
 
 def test_a_state_that_overflows_has_no_bound() -> None:
     law = SampledSystem([[1e3]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)], DT)
-    assert rounding_bound(law, np.ones(1), np.ones((400, 1))) == pytest.approx([np.inf])
+    assert rounding_bound(law, np.ones(1), [np.ones((400, 1))]) == pytest.approx([np.inf])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.designs.check_proof import _sentences
+from los_testbed.cli.designs.proofs import SUMMARY, _bundle
 from support.command_line import call_command
 from support.forged_proofs import zip_of_zeros
 
@@ -446,3 +447,17 @@ def test_shipped_statements_are_of_the_shipped_pair() -> None:
         limit = provable(load_telescope(), row["stage"])[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
     assert Statement("0", (), True).text.endswith(" (bundle 0)")
+
+
+def test_a_proof_of_another_loop_in_the_folder_is_named_and_left_out(
+    loop: ImplementedLoop, proof: LoopProof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_loop_proof(proof, tmp_path / "of_this.npz")
+    write_loop_proof(replace(proof, model=replace(proof.model, dt=0.002)), tmp_path / "of_another.npz")
+    placed = {"of_this": FIGURE, "of_another": "fast"}
+    rows = [{"stage": STAGE, "figure": figure, "proof": f"{name}.npz"} for name, figure in placed.items()]
+    (tmp_path / SUMMARY).write_text(json.dumps({"figures": rows}))
+    _bundle(tmp_path, {STAGE: loop})
+    with open_bundle(tmp_path / BUNDLE) as bundle:
+        assert bundle.figures == ((STAGE, FIGURE),)
+    assert capsys.readouterr().err.startswith(f"of_another.npz is not in {BUNDLE}: ")

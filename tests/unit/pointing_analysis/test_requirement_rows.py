@@ -178,12 +178,14 @@ def test_a_run_that_missed_too_many_ticks_is_disturbed() -> None:
     assert row.as_dict()["disturbed"] == "0.6 % of the ticks were missed"
     assert overall([verdict], "0.6 %") == DISTURBED
     skipped = {"plant": {"ticks": "1000", "missed_ticks": "6", "skipped_periods": "200"}}  # 0.5 % of 1200 periods
-    others: list[dict[str, Any]] = [{"mode": "lockstep"}, {"max_missed": 0.6}, {"statistics": {}}, {"max_missed": "x"}]
+    others: list[dict[str, Any]] = [{"mode": "lockstep"}, {"max_missed": 0.6}, {"statistics": {}}]
     others.append({"statistics": skipped})
     for other in others:
         asked = {"mode": "realtime", "max_missed": 0.5, "statistics": statistics, **other}
         assert not beside_of(recorded(**asked), requirement).disturbed
     assert Beside().disturbed == ""
+    unread = recorded(mode="realtime", max_missed="x", statistics=statistics)
+    assert beside_of(unread, requirement).disturbed == "it cannot be read whether too many ticks were missed"
 
 
 def test_a_bound_from_above_is_rounded_up_and_one_from_below_down() -> None:

@@ -24,6 +24,7 @@ from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.summary import judged
 from simple_telescope import SimpleTelescope
 
+from los_design.verification.subject import BUNDLE
 from los_estimator.runtime import LosEstimator
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
@@ -240,8 +241,9 @@ CHANGED = '[{{"tick": 5, "name": "{}", "value": {}}}]'
         ({"estimator": {"changes": CHANGED.format("active", "false")}}, "what was active changed"),
         ({"plant": {"changes": CHANGED.format("noise", "false")}}, ""),
         ({"plant": {"changes": CHANGED.format("stop", "true")}}, ""),
-        ({"plant": {"changes": "[1, 2"}}, ""),
-        ({"plant": {"changes": "null"}}, ""),
+        ({"plant": {"changes": "[1, 2"}}, "changes of the node plant must be a list with tick, name and value"),
+        ({"controller": {"changes": "null"}}, "changes of the node controller must be a list"),
+        ({"plant": {"missed_ticks": "some"}}, "the plant's counts of ticks, and of those missed, must be whole"),
         ({"plant": {"digest": "0" * 32}}, "what the node plant ran has the digest " + "0" * 32),
         ({"estimator": {"digest": "0" * 32}}, "what the node estimator ran has the digest " + "0" * 32),
         ({"controller": {"digest": ""}}, "the node controller announced no digest of what it ran"),
@@ -282,6 +284,21 @@ def test_controllers_that_ran_and_have_no_certificate_have_none(tmp_path: Path) 
     run_in_process(RunConfig(duration=0.5, mode="inprocess", k_fsm=str(tmp_path / "mine.json")), tmp_path / "bag")
     run = Run.open(tmp_path / "bag")
     assert not RanLoop.of(run).differs and unproven(run) == NONE_AT_HAND
+
+
+@pytest.mark.parametrize("content", [b"PK", b"no bundle"])
+def test_a_bundle_that_cannot_be_read_is_named(content: bytes, tmp_path: Path) -> None:
+    """Beside the controllers of the run; no bundle beside them is another thing."""
+    parts = RunParts(RunConfig())
+    law = parts.models["k_fsm"]
+    replace(law, D=np.array(law.D) * 1.001).to_file(tmp_path / "k_fsm.json")
+    parts.models["k_pma"].to_file(tmp_path / "k_pma.json")
+    (tmp_path / BUNDLE).write_bytes(content)
+    laws = {name: str(tmp_path / f"{name}.json") for name in ("k_fsm", "k_pma")}
+    run_in_process(RunConfig(duration=0.5, mode="inprocess", **laws), tmp_path / "bag")
+    reason = "the bundle beside the controllers is not used: the file must be a bundle of proofs, got "
+    loop = RanLoop.of(Run.open(tmp_path / "bag"))
+    assert with_proof(loop, summarise(loop.run))[1][0].startswith(f"no proof of this run: {reason}")
 
 
 def test_a_record_far_above_its_bound_has_none(proven: Path) -> None:

@@ -38,6 +38,7 @@ from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 from titop_plant.telescope.placed.readings import SensorReadings
 
 if TYPE_CHECKING:
+    from los_loop.implemented_loop import ImplementedLoop
     from los_loop.sampled_loop import Delays
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
@@ -500,6 +501,30 @@ class RunParts:
         from los_testbed.parts.disturbance_files import sources_of
 
         return sources_of(self.config, self.telescope)
+
+    def implemented_loop(self, values: Mapping[str, float] | None = None) -> ImplementedLoop:
+        """Model of the loop of the stage, with the devices that the controllers use; uncertain, or at values.
+
+        Raises
+        ------
+        ValueError
+            User code, or a file that is missing or not a controller.
+        """
+        from los_loop.implemented_loop import ImplementedLoop
+        from los_loop.open_loop import OpenLoop
+        from titop_plant.telescope.control_plant import loop_plant
+
+        laws, telescope = self.models, self.telescope
+        ports = telescope.loop_ports.used_by(*laws.values())
+        with one_thread():
+            plant = (
+                loop_plant(telescope, ports, isolated=self.family.isolated)
+                if ports.further
+                else self.family.control_loop
+            )
+            # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
+            open_loop = OpenLoop(plant if values is None else plant.at(values), telescope, ports=ports)
+            return ImplementedLoop(open_loop, laws["k_fsm"], laws["k_pma"], self.config.loop)
 
     def tone_model(self, delays: Delays | None = None) -> ToneModel:
         """Model of the loop that runs, with its tones, for comparisons with a record; `delays` are those of a rig.

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from lftkit.errors import InputError
 from los_testbed.config.run_config import ACTIVE
 from los_testbed.config.topics import NODES
 from los_testbed.run.loop.changes import RESET, STOP
@@ -26,12 +27,13 @@ def requested(run: Run) -> tuple[str, ...]:
     Parameters
     ----------
     run : Run
-        Of any origin: values that are not lists of changes are ignored.
+        Of any origin: of values that are no lists of changes it is said that they are none.
     """
+    read = {node: _read(run, node) for node in NODES}
     rows = [
         (row["tick"] / RATE, _sentence(node, row))
-        for node in NODES
-        for row in changes_in(run, node)
+        for node, (found, _) in read.items()
+        for row in found
         if isinstance(row.get("by"), str)
     ]
     rows.sort(key=lambda row: row[0])
@@ -40,7 +42,7 @@ def requested(run: Run) -> tuple[str, ...]:
     left = texts[: len(texts) - 1][SHOWN:]
     if left:
         texts = [*texts[:SHOWN], f"{len(left)} more changes by request", texts[-1]]
-    return tuple(texts)
+    return (*(wrong for _, wrong in read.values() if wrong), *texts)
 
 
 def statistics_of(run: Recording, node: str) -> Mapping[str, Any]:
@@ -53,19 +55,31 @@ def statistics_of(run: Recording, node: str) -> Mapping[str, Any]:
 def changes_in(run: Run, node: str) -> list[dict[str, Any]]:
     """Changes of a node's settings that a bag records (:meth:`los_testbed.run.loop.changes.Changes.record`).
 
-    Each has ``tick``, ``name`` and ``value``, requested ones ``by``; what is no such list has none.
+    Each has ``tick``, ``name`` and ``value``, requested ones ``by``.
+
+    Raises
+    ------
+    InputError
+        What the bag has is no such list.
     """
+    rows, wrong = _read(run, node)
+    if wrong:
+        raise InputError(wrong)
+    return rows
+
+
+def _read(run: Run, node: str) -> tuple[list[dict[str, Any]], str]:
+    """Changes of a node, and what is wrong with what the bag has."""
     text = statistics_of(run, node).get("changes")
-    rows = value_of(text) if isinstance(text, str) else None
-    return [
-        row
-        for row in (rows if isinstance(rows, list) else [])
-        if isinstance(row, dict)
-        and isinstance(row.get("name"), str)
-        and "value" in row
-        and isinstance(row.get("tick"), int)
-        and 0 <= row["tick"] < 1e12
-    ]
+    rows = [] if text is None else value_of(text) if isinstance(text, str) else text
+    if isinstance(rows, list) and all(map(_is_change, rows)):
+        return rows, ""
+    return [], f"changes of the node {node} must be a list with tick, name and value, got {str(text)[:60]!r}"
+
+
+def _is_change(row: Any) -> bool:
+    known = isinstance(row, dict) and isinstance(row.get("name"), str) and "value" in row
+    return known and isinstance(row.get("tick"), int) and 0 <= row["tick"] < 1e12
 
 
 def _sentence(node: str, row: dict[str, Any]) -> str:

@@ -56,7 +56,7 @@ def proof_of(parts: RunParts) -> Statement | None:
     """What is proven of the controllers of a run on its telescope, for its stage; None where no bundle fits.
 
     It is of the run where nothing is against it (:func:`reasons_against`) and where its record shows that this loop ran
-    (:mod:`los_testbed.run.summary.ran_loop`).
+    (:mod:`los_testbed.run.summary.ran_loop`). A ProofError says why a bundle cannot be read.
     """
     folders = {path.parent for path in parts.files.values()}
     folder = folders.pop() if len(folders) == 1 else None

@@ -6,9 +6,7 @@ The curves are those of :mod:`los_loop.nyquist` at the parameters of the run.
 from __future__ import annotations
 
 from lftkit.support.threads import one_thread
-from los_loop.implemented_loop import ImplementedLoop
 from los_loop.nyquist import broken_loops
-from los_loop.open_loop import OpenLoop
 from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.report.loop_figures import LoopCurves
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES
@@ -32,11 +30,8 @@ def loop_curves(loop: RanLoop | None) -> tuple[tuple[LoopCurves, ...], str]:
                 (),
                 f"the camera has a frame each {parts.config.frame_ticks} ticks, the loop of the model {FRAME_TICKS}",
             )
-        values = parameter_values(parts.settings, parts.telescope)
+        model = parts.implemented_loop(parameter_values(parts.settings, parts.telescope))
         with one_thread():
-            # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
-            open_loop = OpenLoop(parts.family.control_loop.at(values), parts.telescope)
-            model = ImplementedLoop(open_loop, parts.models["k_fsm"], parts.models["k_pma"], parts.config.loop)
             broken = broken_loops(model, model.point({}))
     except (ValueError, OverflowError) as error:
         return (), str(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lftkit.proofs.trusted.proof import ProofError
 from los_testbed.run.proven_loop import bounds_of, proof_of
 from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.requirements.guarantee import NO_PROOF, OTHER_DISTURBANCE, OTHER_QUANTITY
@@ -25,8 +26,11 @@ def with_proof(loop: RanLoop, summary: Summary) -> tuple[Summary, tuple[str, ...
         return summary, ()
     against, proven = loop.against_proof(), None
     if not against and loop.parts is not None:
-        proven = proof_of(loop.parts)
-        against = [] if proven else [NONE_AT_HAND]
+        try:
+            proven = proof_of(loop.parts)
+            against = [] if proven else [NONE_AT_HAND]
+        except ProofError as error:
+            against = [f"the bundle beside the controllers is not used: {error}"]
     if proven is None or loop.parts is None:
         return summary, (f"{NO_PROOF}: {'; '.join(against)}",)
     bounds = bounds_of(loop.parts, proven)

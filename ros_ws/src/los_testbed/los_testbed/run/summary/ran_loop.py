@@ -13,7 +13,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,9 @@ from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.proven_loop import OTHER_LOOP, reasons_against
 from los_testbed.run.replay import changes_of, models_of_controllers
 from los_testbed.run.replay_ports import layout_of
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.replay import replay
@@ -67,7 +68,10 @@ class RanLoop:
         parts = None
         try:
             parts = _parts(run)
-            return cls(run, parts, contradiction(run, parts) or _other_settings(run, parts))
+            unknown = contradiction(run, parts) or _other_settings(run, parts)
+            if not unknown:
+                _ = _counts(run), [changes_in(run, node) for node in NODES]  # which say what is wrong with them
+            return cls(run, parts, unknown)
         except (ValueError, TypeError, OSError, OverflowError) as error:
             return cls(run, parts, " ".join(str(error).split()).replace(str(run.path), run.path.name))
 
@@ -101,16 +105,20 @@ class RanLoop:
         changed = {row["name"] for node in NODES for row in changes_in(self.run, node) if row["name"] in OTHER_LOOP}
         turned = [row for node in NODES for row in changes_in(self.run, node) if row["name"] == ACTIVE]
         changed |= {"what was active"} if any(not row["value"] for row in turned) else set()
-        late = count_in(statistics_of(self.run, "plant"), "missed_ticks")
+        _, late = _counts(self.run)
         found = [f"{counted(late, 'tick')} had an older command"] * (late > 0) + reasons_against(self.parts)
         found += [f"{name} changed" for name in sorted(changed)]
         return found or [self.differs] * bool(self.differs)
 
 
-def count_in(statistics: Mapping[str, Any], name: str) -> int:
-    """A count among statistics; zero where there is none."""
-    text = str(statistics.get(name, "0"))
-    return int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else 0
+def _counts(run: Run) -> tuple[int, int]:
+    """Ticks whose samples the plant has sent, and those that it missed; InputError: it has not counted them."""
+    plant, outside = statistics_of(run, "plant"), f"{UNSENT}outside"
+    texts = [str(found) for found in (plant.get("ticks"), plant.get("missed_ticks"), plant.get(outside, 0))]
+    if not all(text.isascii() and text.isdecimal() and len(text) < 16 for text in texts):
+        raise InputError(f"the plant's counts of ticks, and of those missed, must be whole numbers, got {texts[:2]}")
+    ticks, missed, unsent = map(int, texts)
+    return ticks - unsent, missed
 
 
 def _parts(run: Run) -> RunParts:
@@ -154,15 +162,14 @@ def _difference(run: Run, parts: RunParts) -> str:
     changes = changes_of(run, "estimator", estimator, ticks), changes_of(run, "controller", controller, ticks)
     layout = layout_of(parts.used["k_fsm"], parts.used["k_pma"])
     replayed = replay.replay(run, estimator, controller, layout=layout, changes=changes)
-    plant, sampled = statistics_of(run, "plant"), replayed.sampled
-    done = count_in(plant, "ticks") - count_in(plant, f"{UNSENT}outside")
+    (done, missed), sampled = _counts(run), replayed.sampled
     recorded = int(sampled[-1] - sampled[0]) // TICK_NS + 1
     if recorded != done and (math.isinf(end) or recorded > done):
         return f"{recorded} of the {counted(done, 'tick')} of the run are recorded"
     differences = replay.compare(run, replayed).differences
     names = {found.topic for found in differences if found.compared and not found.missing}
     acted = {LOS_ESTIMATE.name: len(replayed.stamp), FSM_COMMAND.name: len(replayed.command_stamp)}
-    least = len(sampled) - count_in(plant, "missed_ticks")
+    least = len(sampled) - missed
     for name in replayed.topics():
         if name not in names or acted.get(name, least) < least:
             return f"{name} is not recorded on each tick"
@@ -181,14 +188,23 @@ def _rounding(run: Run, parts: RunParts, replayed: replay.Replayed) -> dict[str,
     """Largest differences by rounding of estimates and commands, by topic."""
     layout, estimator, controller = replayed.layout, parts.estimator(), parts.controller()
     samples = replay.sensors(run, layout).measurement
-    samples = np.where(np.isnan(samples), np.nan_to_num(np.fmax.reduce(np.abs(samples), axis=0)), samples)
+    most = _largest(samples)
     assert isinstance(estimator, LosEstimator) and isinstance(controller.k_pma, SampledSystem)
     systems = {"k_fsm": (estimator.k_fsm, layout.observer), "k_pma": (controller.k_pma, layout.controller)}
     found = {}
     for name, (system, topics) in systems.items():
         state = np.zeros(system.order) if parts.states is None else getattr(parts.states, name)
-        found[name] = rounding_bound(system, state, samples[:, layout.of(topics)])
+        columns = layout.of(topics)
+        known = (samples[rows][:, columns] for rows in mapped_arrays.parts(len(samples)))
+        filled = (np.where(np.isnan(part), most[columns], part) for part in known)
+        found[name] = rounding_bound(system, state, filled)
     mirror = abs(controller.mirror_gain) * found["k_fsm"]
-    command = np.concatenate([mirror, found["k_pma"]]) + 4.0 * UNIT * np.abs(replayed.command).max(axis=0, initial=0.0)
+    command = np.concatenate([mirror, found["k_pma"]]) + 4.0 * UNIT * _largest(replayed.command)
     largest = {topic: float(command[columns].max()) for topic, columns in layout.commands.items()}
     return {LOS_ESTIMATE.name: float(found["k_fsm"].max()), **largest}
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """Largest magnitude of each column (n, m), without values that are missing."""
+    found = [np.fmax.reduce(np.abs(values[part]), axis=0) for part in mapped_arrays.parts(len(values))]
+    return np.asarray(np.nan_to_num(np.fmax.reduce(found, initial=0.0)))
