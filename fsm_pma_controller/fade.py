@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from lftkit.arrays import FloatArray
+
 FADE_TICKS = 20
 """Ticks of a fade where nothing else is chosen."""
 
@@ -54,9 +56,20 @@ class Fade:
         return self._at == self._last and self._step > 0
 
     @property
+    def settled(self) -> bool:
+        """Whether the weight, 0 or 1, stays as it is."""
+        return self.whole or (self.over and self._step < 0)
+
+    @property
     def over(self) -> bool:
         """Whether the weight of the last tick was 0."""
         return self._at == 0
+
+    def scale(self, outputs: FloatArray) -> None:
+        """Weigh the outputs (k, p) of as many ticks, in place."""
+        if not self.whole:
+            for row in outputs:
+                row *= self.weight()
 
     def weight(self) -> float:
         """Weight of this tick; called once a tick unless it is whole."""

@@ -29,7 +29,7 @@ from los_design.search.worst_points import (
     worst_of,
 )
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from los_design.synthesis.start_choice import is_reference
 from los_design.synthesis.synthesis import design_pair
 from los_design.verification.verification import (
@@ -141,7 +141,7 @@ def design_all(
         report("worst points of the stages")
         found = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
         adversarial = adversarial_points(found, (k_fsm, k_pma))
-        basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
+        basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": law_digest(k_fsm), "k_pma": law_digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
         system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))

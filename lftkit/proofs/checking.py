@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from lftkit.proofs.axis.proof import KIND as AXIS
 from lftkit.proofs.axis.proof import AxisProof, axis_proof
 from lftkit.proofs.earlier_files import present_header
@@ -16,7 +18,9 @@ from lftkit.proofs.sampled_loop.files import LOOP, NOISE, loop_proof, noise_proo
 from lftkit.proofs.trusted.axis import check_axis_proof
 from lftkit.proofs.trusted.cells import KIND as CELLS
 from lftkit.proofs.trusted.cells import check_cells
+from lftkit.proofs.trusted.digests import plant_digest
 from lftkit.proofs.trusted.entries import FORMAT
+from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bound
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofFileError, require
@@ -54,7 +58,7 @@ check_mu = checked(trusted_check_mu)
 
 
 @checked
-def check_proof(proof: Any, each: Each = map) -> Checked:
+def check_proof(proof: Any, each: Each = map, system: Any = None) -> Checked:
     """Verify a proof of any kind; a ProofError says why it is refused.
 
     Parameters
@@ -63,17 +67,61 @@ def check_proof(proof: Any, each: Each = map) -> Checked:
         A file, the content of one, or the `proof` of bounds.
     each : callable
         Maps a function over the strips of a proof, which may be checked in several processes.
+    system : System, or what :func:`lftkit.systems.exchange.as_system` takes; Loop, optional
+        The plant that the proof must be about, number by number: with the ports whose gain is bounded; a plant with its
+        controller's ports for a lower bound, the model of a loop for proofs of it.
 
     Returns
     -------
     CheckedProof, CheckedLoop, CheckedNoise or CheckedLowerBound
-        What it guarantees: of an uncertain system, a sampled loop, noise in one, or of all controllers of a plant.
+        What it guarantees: of an uncertain system, a sampled loop, noise in one, or of all controllers of a plant. Its
+        `plant` is the digest of what was checked: whoever hands over a proof can have chosen another plant.
 
     Raises
     ------
     ProofError
-        It is no proof, it is damaged, or what it claims does not follow.
+        It is no proof, it is damaged, what it claims does not follow, or it is of another plant than `system`.
+
+    Examples
+    --------
+    >>> from lftkit import RealParameter, System
+    >>> from lftkit.proofs import robust_stability
+    >>> p = RealParameter("p", 0.0, -0.5, 0.5)
+    >>> one = [[1.0]], [[1.0]], [[0.0]]
+    >>> lag, slow = (System([[-a]], *one, (), (), channels=("p",), elements=(p,)) for a in (1.0, 0.9))
+    >>> proof = robust_stability(lag).proof
+    >>> len(check_proof(proof, system=lag).plant)
+    32
+    >>> check_proof(proof, system=slow)
+    Traceback (most recent call last):
+    ...
+    lftkit.proofs.trusted.proof.ProofError: the proof must be of the given system, got one of another plant
     """
+    claim = _checked(proof, each)
+    same = system is None or claim.plant in _digests(system, claim)
+    require(same, "the proof must be of the given system, got one of another plant")
+    return claim
+
+
+def _digests(system: Any, claim: Checked) -> set[str]:
+    """Digests that a claim of this kind about a plant has; over the axis its dynamics are square."""
+    from lftkit.proofs.state_space.disks import disks_of, real_first  # a check alone loads nothing of what finds proofs
+    from lftkit.systems.exchange import as_system
+
+    if isinstance(claim, (CheckedLoop, CheckedNoise)):
+        return {system.digest} if isinstance(system, Loop) else set()
+    plant = as_system(system)
+    if isinstance(claim, CheckedLowerBound):
+        return {plant_digest(float(plant.dt), (), {}, {}, [np.asarray(matrix) for matrix in plant.matrices])}
+    chosen = real_first(plant.select(inputs=(), outputs=()) if claim.kind == "stability" else plant)
+    nominal = {p.name: p.nominal for p in chosen.parameters}
+    sizes = {disk.name: (disk.outputs, disk.inputs) for disk in disks_of(chosen)}
+    square = {name: (max(shape),) * 2 for name, shape in sizes.items()}
+    matrices = [np.asarray(getattr(chosen, name)) for name in "ABCD"]
+    return {plant_digest(float(chosen.dt), chosen.channels, nominal, each, matrices) for each in (sizes, square)}
+
+
+def _checked(proof: Any, each: Each) -> Checked:
     for kind in KINDS.values():
         if isinstance(proof, kind.type) and not isinstance(proof, dict):
             return kind.check(proof, each)

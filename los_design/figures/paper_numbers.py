@@ -11,7 +11,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_design.figures.paper_case import DESIGNS, PaperCase
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SHORT_NAMES, check_paper
 from los_loop.figures_of_merit import paper_figures
 from titop_plant.disturbances.responses import DRIVES, WHEELS, Curve
@@ -45,7 +45,7 @@ def _rounded(value: Any) -> Any:
 
 def names(case: PaperCase) -> dict[str, Any]:
     """Names of the telescope's parameters and of the designs' matrices."""
-    designs = {name: [digest(system) for system in pair] for name, pair in case.pairs.items()}
+    designs = {name: [law_digest(system) for system in pair] for name, pair in case.pairs.items()}
     return {"telescope": case.telescope.parameters_hash, "designs": designs}
 
 

@@ -11,7 +11,7 @@ from lftkit import SampledSystem
 from lftkit.support.job import Job
 from lftkit.tuning import TuningStatus
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 
 FINISHED = {"finished": True}
 """State of the job of a design that came to its end."""
@@ -62,7 +62,7 @@ class DesignFolder:
         """
         key: dict[str, Any] = {"telescope": self.telescope, **asdict(options)}
         key |= {"wall_limit": 0.0, "progress": False, "workers": 1}
-        key |= {name: digest(system) for name, system in (given or {}).items()}
+        key |= {name: law_digest(system) for name, system in (given or {}).items()}
         paths = [self.folder / f"{name}.json" for name in names]
         job = Job("design", key, self.folder / "build" / f"{names[-1]}.json")
         if all(path.exists() for path in paths) and job.state() == FINISHED:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import subprocess
 from functools import cache
 from pathlib import Path
-
-import numpy as np
 
 import lftkit
 import los_design
 import los_loop
 import titop_plant
+from lftkit.proofs.trusted.digests import digest
 from lftkit.systems.sampled.sampled_system import SampledSystem
 
 
@@ -37,7 +35,7 @@ def source_digest() -> str:
     return total.hexdigest()
 
 
-def digest(system: SampledSystem) -> str:
+def law_digest(system: SampledSystem) -> str:
     """128 bits, as hexadecimal digits, that name all numbers of a controller which a law uses.
 
     Matrices and their shapes, the period, the ports, and of ``design_basis`` the mirror's sensitivity, by which the
@@ -46,8 +44,4 @@ def digest(system: SampledSystem) -> str:
     basis = {name: value for name, value in system.design_basis.items() if name != "parameters_hash"}
     ports = [[vars(port) for port in side] for side in (system.inputs, system.outputs)]
     numbers = {name: float(value).hex() for name, value in {"dt": system.dt, **basis}.items()}
-    key = hashlib.sha256(json.dumps([ports, numbers], sort_keys=True).encode())
-    for name in "ABCD":
-        matrix = np.ascontiguousarray(getattr(system, name), dtype=np.float64)
-        key.update(f"{name} {matrix.shape}".encode() + matrix.tobytes())
-    return key.hexdigest()[:32]
+    return digest([ports, numbers], {name: getattr(system, name) for name in "ABCD"})

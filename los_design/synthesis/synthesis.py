@@ -36,7 +36,7 @@ from los_design.synthesis.pair_problem import (
 )
 from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask
 from los_design.synthesis.paper_start import choose_paper_start
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start
@@ -265,7 +265,7 @@ class _Synthesis:
         if compared:
             common["starts"] = compared
         if given := self.observer if OBSERVER in self.tuned else self.law:
-            common["start"] = digest(given)
+            common["start"] = law_digest(given)
         return common
 
     def _task(self, workers: Workers) -> Task:

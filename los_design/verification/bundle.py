@@ -25,6 +25,7 @@ in the bundle, whose names (:class:`Subject`) it prints.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import platform
@@ -41,9 +42,11 @@ import numpy as np
 import scipy
 
 from lftkit import SampledSystem
+from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
-from lftkit.proofs.trusted.entries import mapping, parsed, record, text, zip_members
+from lftkit.proofs.trusted.digests import digest
+from lftkit.proofs.trusted.entries import mapping, parsed, record, require_small, text, zip_members
 from lftkit.proofs.trusted.noise import NoiseBound, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import ProofError, ProofFileError
 from lftkit.proofs.trusted.stability import whole_axis
@@ -174,18 +177,15 @@ class ProofBundle:
 
     @cached_property
     def name(self) -> str:
-        """128 bits, as hexadecimal digits, of the SHA-256 of what is in it: subject and arrays of the proofs.
+        """Digest of what is in it: subject and arrays of the proofs.
 
         However the files are compressed, and with whatever versions they were written.
         """
-        key = hashlib.sha256(json.dumps(asdict(self.subject)).encode())
+        proofs = []
         for stage, figure in (*self.figures, *((stage, NOISE) for stage in self.noise)):
-            key.update(f"{stage} {figure}".encode())
             with np.load(self.folder / member_of(stage, figure), allow_pickle=False) as archive:
-                for name in sorted(archive.files):
-                    array = np.ascontiguousarray(archive[name])
-                    key.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-        return key.hexdigest()[:32]
+                proofs.append(digest([stage, figure], {name: archive[name] for name in sorted(archive.files)}))
+        return digest([asdict(self.subject), proofs])
 
     @property
     def figures(self) -> tuple[tuple[str, str], ...]:
@@ -314,15 +314,20 @@ def _read(members: Mapping[str, bytes], folder: Path) -> ProofBundle:
 def _refused(error: BaseException) -> ProofError:
     if isinstance(error, ProofError):
         return error
-    return ProofError(f"the file must be a bundle of proofs, got {error!r}"[:300])
+    reason = str(error) if isinstance(error, InputError) else "members that do not fit together"
+    return ProofError(f"the file must be a bundle of proofs, got {reason}"[:300])
 
 
 def _members(path: Path) -> dict[str, bytes]:
     """All members of a bundle."""
     try:
         found = zip_members(path)
+        inner = [zipfile.ZipFile(file) for data in found.values() if zipfile.is_zipfile(file := io.BytesIO(data))]
+        require_small(sum(info.file_size for proof in inner for info in proof.infolist()), path.stat().st_size)
+    except ProofError as error:
+        raise ProofFileError(str(error)) from None
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
-        raise ProofFileError(str(_refused(error))) from None
+        raise ProofFileError("the file must be a bundle of proofs, got one that cannot be unpacked") from error
     if MANIFEST not in found:
         raise ProofFileError(f"a bundle must have {MANIFEST}, got {sorted(found)}"[:300])
     return found

@@ -74,13 +74,13 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
     return _compared(proof.model, model, metric.band, found)
 
 
-def same_noise(proof: NoiseProof, loop: ImplementedLoop) -> bool:
-    """Whether a proof of noise is of a loop."""
+def compare_noise(proof: NoiseProof, loop: ImplementedLoop) -> ProofComparison:
+    """Compare a proof of noise with a loop."""
     try:
         anew = noise_of_loop(proof, loop)
-    except ProofError:
-        return False
-    return _compared(proof.model, anew.model, (0.0, NYQUIST), []).same
+    except ProofError as error:
+        return ProofComparison((str(error),))
+    return _compared(proof.model, anew.model, (0.0, NYQUIST), [])
 
 
 def _compared(one: Loop, model: Loop, band: Interval, found: list[str]) -> ProofComparison:

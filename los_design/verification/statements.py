@@ -125,6 +125,11 @@ def statement_of(
         Of the telescope. The probability of the mirror's requirement on windows is no part of the subject's name: where
         another one is asked for, the sums with noise are computed for it. Without, they are of the shipped telescope;
         their text says the probability.
+
+    Raises
+    ------
+    ProofError
+        The folder's bundle cannot be read.
     """
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
@@ -135,18 +140,14 @@ def statement_of(
         return Statement(shipped["name"], found, True, relative_error(levels), tuple(sums)) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
-    from lftkit.proofs.trusted.proof import ProofError
     from los_design.verification.bundle import figures_proven, levels_proven, open_bundle
 
-    try:
-        with open_bundle(folder / BUNDLE) as bundle:
-            if not bundle.subject.covers(subject, stage):
-                return None
-            figures = figures_proven(bundle, stage)
-            relative = relative_error(levels_proven(bundle, stage))
-            return Statement(bundle.name, figures, False, relative) if figures else None
-    except ProofError:
-        return None
+    with open_bundle(folder / BUNDLE) as bundle:
+        if not bundle.subject.covers(subject, stage):
+            return None
+        figures = figures_proven(bundle, stage)
+        relative = relative_error(levels_proven(bundle, stage))
+        return Statement(bundle.name, figures, False, relative) if figures else None
 
 
 def _sums(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from titop_plant.interface import FORCE_STAGES
 
 BUNDLE = "bundle.zip"
@@ -23,7 +23,7 @@ class Subject:
     @classmethod
     def of(cls, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: str) -> Subject:
         """Of controllers and the :attr:`titop_plant.telescope.telescope.Telescope.digest` of their telescope."""
-        return cls(digest(k_fsm), digest(k_pma), telescope)
+        return cls(law_digest(k_fsm), law_digest(k_pma), telescope)
 
     def covers(self, other: Subject, stage: str) -> bool:
         """Whether a statement is about what flies; without proof-mass actuators K_PMA does not count."""

@@ -7,7 +7,6 @@ start; ``modes_over_time``, rows of a time and such frequencies.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,16 +52,21 @@ class Motion:
 
 def motion_of(run: Recording) -> Motion | None:
     """The motion that a recording names; None where nothing moves, or where the entry cannot be read."""
-    found = run.parameters.get("motion")
-    if not isinstance(found, Mapping):
-        return None
+    return read_motion(run)[0]
+
+
+def read_motion(run: Recording) -> tuple[Motion | None, str]:
+    """What :func:`motion_of` returns, and what is wrong with the entry."""
+    found, wrong = run.parameters.get("motion"), "the motion of the recording cannot be read"
+    if found is None:
+        return None, ""
     try:
         knots = np.array(found["knots"], dtype=float).reshape(-1, 6)
         harmonics = np.array(found["harmonics"], dtype=float).ravel()
         rows = found.get("modes_over_time") or [[0.0, *found["modes"]]]
         modes = tuple((float(row[0]), np.array(row[1:], dtype=float)) for row in rows)
     except (KeyError, TypeError, ValueError, IndexError):
-        return None
+        return None, wrong
     if not (knots.size and np.isfinite(knots).all() and (np.diff(knots[:, 0]) > 0.0).all()):
-        return None
-    return Motion(knots[:, 0], knots[:, 1], knots[:, 2:], harmonics, modes)
+        return None, wrong
+    return Motion(knots[:, 0], knots[:, 1], knots[:, 2:], harmonics, modes), ""

@@ -64,12 +64,21 @@ class RecordedSensor:
 
 def sensors_of(run: Recording) -> tuple[RecordedSensor, ...]:
     """Sensors that a recording describes and has; none without a readable description."""
+    return read_sensors(run)[0]
+
+
+def read_sensors(run: Recording) -> tuple[tuple[RecordedSensor, ...], str]:
+    """What :func:`sensors_of` returns, and what is wrong with the description."""
     entries = run.parameters.get(METADATA)
+    if entries is None:
+        return (), ""
     try:
-        found = [RecordedSensor.from_mapping(entry) for entry in (entries if isinstance(entries, list) else [])]
-    except ValueError:
-        return ()
-    return tuple(sensor for sensor in found if sensor.topic in run)
+        if not isinstance(entries, list):
+            raise InputError(f"{METADATA} must be a list, got {type(entries).__name__}")
+        found = [RecordedSensor.from_mapping(entry) for entry in entries]
+    except InputError as error:
+        return (), f"the sensors of the recording cannot be read: {error}"
+    return tuple(sensor for sensor in found if sensor.topic in run), ""
 
 
-__all__ = ["METADATA", "RecordedSensor", "sensors_of"]
+__all__ = ["METADATA", "RecordedSensor", "read_sensors", "sensors_of"]

@@ -296,6 +296,11 @@ class Run:
         return found
 
     @property
+    def window(self) -> tuple[float, float]:
+        """Part of the run that was read [s]; the second is infinite up to its end."""
+        return self._window
+
+    @property
     def title(self) -> str:
         """Short name for tables and figures: the loop stage where it is known, else the file name."""
         loop = self.parameters.get("loop")

@@ -9,8 +9,9 @@ This module imports no controller: `EstimatorCore` and `ControllerCore` are its 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,8 @@ from pointing_analysis.read.topic import NANO, read_only
 from pointing_analysis.replay.gap_stepping import HOLD, GapStepper
 
 Stamps = IntArray
+REPORT = 5000
+"""Ticks from one report of the progress of a replay to the next."""
 #: topic -> columns of the measurement vector (22) of the reference telescope
 MEASUREMENT: Mapping[str, slice] = {
     "isolator/accel": slice(0, 6),
@@ -126,6 +129,7 @@ class Replayed:
     command_stamp : (m,) ticks of the commands [ns]
     command : (m, layout.command_size) mirror angles [rad] and actuator forces [N]
     layout : topics that were read and written
+    sampled : (k,) ticks on which every sensor is recorded [ns]
     """
 
     stamp: Stamps
@@ -133,6 +137,7 @@ class Replayed:
     command_stamp: Stamps
     command: FloatArray
     layout: LoopLayout = REFERENCE_LAYOUT
+    sampled: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def topics(self) -> dict[str, tuple[Stamps, FloatArray]]:
         """Stamps and values by topic name, ready to be written into a bag."""
@@ -140,6 +145,23 @@ class Replayed:
         for name, columns in self.layout.commands.items():
             found[name] = (self.command_stamp, self.command[:, columns])
         return found
+
+
+@dataclass(frozen=True)
+class LawChanges:
+    """Changes of the settings of an observer or a controller during a run.
+
+    Attributes
+    ----------
+    applied : tick from its first one on, and what the change calls before the step of that tick; ascending
+    fade : scales the outputs (k, p) of ticks without a change between them, in place
+    """
+
+    applied: tuple[tuple[int, Callable[[], None]], ...] = ()
+    fade: Callable[[FloatArray], None] = lambda outputs: None
+
+
+UNCHANGED = LawChanges()
 
 
 def _complete_ticks(run: Run, layout: LoopLayout) -> tuple[Stamps, int, int]:
@@ -224,10 +246,10 @@ def _is_in(stamp: Stamps, done: Stamps) -> BoolArray:
     return np.isin(stamp, done[low:high])
 
 
-def _gaps(stamp: Stamps, period: int, part: slice) -> list[int]:
+def _gaps(stamp: Stamps, period: int, part: slice) -> IntArray:
     """Ticks missing before each one of a part."""
-    steps = np.diff(stamp[max(part.start - 1, 0) : part.stop]) // period - 1
-    return ([] if part.start else [0]) + steps.tolist()  # type: ignore[no-any-return]
+    before = stamp[part.start - 1] if part.start else stamp[0] - period
+    return np.diff(stamp[part], prepend=before) // period - 1
 
 
 def replay(
@@ -236,6 +258,7 @@ def replay(
     controller: ControllerCore,
     progress: Callable[[int, int], None] = lambda done, total: None,
     layout: LoopLayout = REFERENCE_LAYOUT,
+    changes: tuple[LawChanges, LawChanges] = (UNCHANGED, UNCHANGED),
 ) -> Replayed:
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
@@ -246,8 +269,9 @@ def replay(
     ----------
     run : with the sensor topics
     estimator, controller : both are reset first
-    progress : called with (ticks done, all ticks) about every second of the run
+    progress : called with (ticks done, all ticks) every :data:`REPORT` ticks
     layout : topics that are read and written
+    changes : of observer and controller
     """
     given, observed, measured = sensors(run, layout), layout.of(layout.observer), layout.of(layout.controller)
     recorded = run["los_estimate"].stamp if "los_estimate" in run else None
@@ -256,7 +280,8 @@ def replay(
     total = 2 * len(stamp)
     estimator.reset()
     fill = str(run.parameters.get("lost_samples", HOLD))
-    step = GapStepper(estimator.step, observed.size, np.flatnonzero(np.isin(observed, layout.of(layout.held))), fill)
+    held = np.flatnonzero(np.isin(observed, layout.of(layout.held)))
+    step = GapStepper(estimator.step, observed.size, held, fill, getattr(estimator, "steps", None))
     estimate = _stepped(
         lambda part: given.measurement[rows[part][:, None], observed],
         step,
@@ -264,11 +289,18 @@ def replay(
         given.period,
         2,
         lambda i: progress(i, total),
+        changes[0],
     )
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
     command_stamp = _rows_of(stamp, acted)
     controller.reset()
-    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + measured.size, fill=fill)
+    in_rows = getattr(controller, "steps", None)
+    step = GapStepper(
+        lambda sample, out: controller.step(sample[:2], sample[2:], out),
+        2 + measured.size,
+        fill=fill,
+        in_rows=None if in_rows is None else lambda samples: in_rows(samples[:, :2], samples[:, 2:]),
+    )
     command = _stepped(
         lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]][:, None], measured]]),
         step,
@@ -276,9 +308,11 @@ def replay(
         given.period,
         layout.command_size,
         lambda i: progress(len(stamp) + i, total),
+        changes[1],
     )
     progress(total, total)
-    return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command), layout)
+    outputs = read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command)
+    return Replayed(*outputs, layout, given.stamp)
 
 
 def _rows_of(stamp: Stamps, rows: IntArray) -> Stamps:
@@ -287,20 +321,26 @@ def _rows_of(stamp: Stamps, rows: IntArray) -> Stamps:
 
 def _stepped(
     samples: Callable[[slice], FloatArray],
-    step: Callable[[FloatArray, int, FloatArray], None],
+    stepper: GapStepper,
     stamp: Stamps,
     period: int,
     width: int,
     progress: Callable[[int], None],
+    changes: LawChanges,
 ) -> FloatArray:
     """Outputs (n, width) of a block that is stepped on samples, which are made part by part."""
-    outputs = empty((len(stamp), width))
+    outputs, waiting = empty((len(stamp), width)), list(changes.applied)
     for part in parts(len(stamp)):
-        given, out = samples(part), np.zeros((part.stop - part.start, width))
-        for i, gap in enumerate(_gaps(stamp, period, part)):
-            step(given[i], gap, out[i])
-            if i % 1000 == 0:
-                progress(part.start + i)
+        given, out, gaps = samples(part), np.zeros((part.stop - part.start, width)), _gaps(stamp, period, part)
+        ticks = (stamp[part] - stamp[0]) // period
+        changed = np.searchsorted(ticks, [tick for tick, _ in waiting])
+        edges = sorted({*range(0, len(out), REPORT), *changed.tolist(), len(out)})
+        for first, last in itertools.pairwise(edges):
+            while waiting and waiting[0][0] <= ticks[first]:
+                waiting.pop(0)[1]()
+            stepper.rows(given[first:last], gaps[first:last], out[first:last])
+            changes.fade(out[first:last])
+            progress(part.start + first)
         outputs[part] = out
     return outputs
 
@@ -316,7 +356,7 @@ class Difference:
     different : ticks of those that differ in at least one bit
     missing : ticks that only one of the two has
     first : time of the first difference after the first stamp of the recording [s]; None without one
-    largest : largest absolute difference, unit of the topic
+    largest : largest absolute difference, unit of the topic; infinite where one of two values is not a number
     """
 
     topic: str
@@ -353,7 +393,7 @@ class Comparison:
     def __str__(self) -> str:
         if self.identical:
             ticks = min(d.compared for d in self.differences)
-            return f"replay bit-identical to the recording on {ticks} ticks: the bag is complete"
+            return f"replay bit-identical to the recording on {ticks} ticks"
         parts = []
         for d in self.differences:
             if d.identical:
@@ -379,7 +419,8 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
             if where.size and first is None:
                 first = float((topic.stamp[j[where[0]]] - topic.stamp[0]) / NANO)
             compared, wrong = compared + len(i), wrong + int(where.size)
-            largest = max(largest, float(np.fmax.reduce(np.abs(a - b), axis=None))) if len(a) else largest
+            apart = np.abs(a[where] - b[where])
+            largest = max([largest, *np.where(np.isnan(apart), np.inf, apart).ravel().tolist()])
         lone = len(stamp) + len(topic) - 2 * compared
         found.append(Difference(name, compared, wrong, lone, first, largest))
     return Comparison(tuple(found), _complete_ticks(run, replayed.layout)[2])

@@ -134,9 +134,9 @@ def content_of(
     views: Sequence[RunView],
     summaries: Sequence[Summary],
     drawn: Sequence[Picture],
+    missing: Sequence[str],
     model: ModelResults,
     remarks: Sequence[Sequence[str]] = (),
-    untimed: Sequence[str] = (),
 ) -> ReportContent:
     """The content of a report.
 
@@ -144,20 +144,15 @@ def content_of(
     ----------
     views, summaries : of the runs
     drawn : pictures in reading order
+    missing : sentences on pictures that cannot be made
     model : results of a model of the runs
     remarks : for each run sentences beside its verdict, or none at all
-    untimed : labels of bags without times of their messages
     """
     names, runs = tuple(v.label for v in views), [v.run for v in views]
     rows, several = requirement_rows(names, summaries), len(views) > 1
     images = any(v.requirement.of_image for s in summaries for v in s.verdicts)
     first = (*LEADING, "star" if images else "trajectory")
     leading = sorted((p for p in drawn if p.name in first), key=lambda p: first.index(p.name))
-    no_spectrum = [v.label for v in views if v.spectrum is None]
-    missing = {
-        "No spectrum for {}: the run is too short or has too many gaps.": no_spectrum,
-        "No timing histogram for {}: the messages carry simulated times only.": untimed,
-    }
     bags = tuple(dict.fromkeys(run.path.name for run in runs))
     tables = (
         _requirements(rows, several, all(not s.requirements_known for s in summaries), names),
@@ -182,7 +177,11 @@ def content_of(
         tuple(_warnings(names, summaries)),
         tuple(leading),
         tuple(p for p in drawn if p not in leading),
-        tuple(text.format(", ".join(labels)) for text, labels in missing.items() if labels),
+        (
+            *(f"No spectrum for {v.label}: {v.without_spectrum}." for v in views if v.without_spectrum),
+            *missing,
+            *(f"No Nyquist curves and sensitivity for {n}: {why}." for n, why in zip(names, model.without_loop) if why),
+        ),
         tuple(section for section in tables if section.parts),
         notes,
     )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from lftkit.errors import InputError
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, present
 from pointing_analysis.report.figures import (
@@ -39,8 +40,8 @@ SHOWN = (*ABSOLUTE, "RPE", "PDE")
 """Indices that one run without an estimate has."""
 
 
-def distributions(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture]:
-    """A picture of each index that is required, and of those that are always shown.
+def distributions(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture | str]:
+    """A picture of each index that is required, and of those that are always shown, or why there is none.
 
     Parameters
     ----------
@@ -54,20 +55,19 @@ def distributions(views: Sequence[RunView], requirements: Sequence[Requirement])
     for requirement in requirements:
         if requirement.index in SHOWN:
             asked.setdefault(requirement.quantity, []).append(requirement)
-    found = (_distribution(views, quantity, own) for quantity, own in asked.items())
-    return [one for one in found if one is not None]
+    return [_distribution(views, quantity, own) for quantity, own in asked.items()]
 
 
-def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Requirement]) -> Picture | None:
-    """Share of the samples of an index above each value; None where a run has none."""
+def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Requirement]) -> Picture | str:
+    """Share of the samples of an index above each value, or why a run has none."""
     requirement = own[0] if own else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
     try:
         values = [present(index_samples(view.series, requirement).values) for view in views]
-    except ValueError:  # a window that is longer than the run, or shorter than two of its samples
-        return None
-    if not all(map(len, values)):
-        return None
+    except InputError as error:
+        return f"No distribution of {quantity}: {error}."
+    if without := [view.label for view, samples in zip(views, values) if not len(samples)]:
+        return f"No distribution of {quantity}: {', '.join(without)} has no sample of it."
 
     samples = "windows" if requirement.of_windows else "samples"
 

@@ -35,8 +35,10 @@ FEWEST = 3
 """Fewest samples of the shortest exposure."""
 
 
-def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture | None:
+def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture | str:
     """Rms of the relative error in windows of each length: of all windows, and what each required part of them keeps.
+
+    A sentence that says so where no run is long enough.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
     curves = [(i, view, *_curve(view, wanted, [window for window, *_ in asked])) for i, view in enumerate(views)]
     curves = [curve for curve in curves if curve[2].size > 1]
     if not curves:
-        return None
+        return f"No relative error by window length: it needs {FEWEST * WINDOWS} samples that are not all the same."
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]

@@ -73,6 +73,8 @@ class RunView:
     window: float
     within_noise: tuple[SpectralLine, ...] = ()
     """Lines that the recording names and that the run does not show."""
+    without_spectrum: str = ""
+    """Why there is no spectrum; empty where there is one."""
 
 
 def windows_text(views: Sequence[RunView]) -> str:

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.motion_blur import centred, sizes, some_exposures, worst_transfer
-from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
+from pointing_analysis.image.optics import METADATA, NONE_KNOWN, Optics, optics_of
 from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
 from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -89,14 +89,6 @@ class ImageView:
         return bool(2 * math.pi * self.optics.cutoff * sizes(self.shown)[0] <= LARGEST)
 
 
-def image_view(view: RunView) -> ImageView | None:
-    """Exposures of a run; None where :func:`exposed_view` refuses it."""
-    try:
-        return exposed_view(view)
-    except ValueError:
-        return None
-
-
 def exposed_view(view: RunView) -> ImageView:
     """Exposures of a run.
 
@@ -116,9 +108,16 @@ def exposed_view(view: RunView) -> ImageView:
     return ImageView(view.label, optics, paths, time, found["strehl"], found["ellipticity"])
 
 
-def image_views(views: Sequence[RunView]) -> tuple[ImageView, ...]:
-    """Those of the runs whose optics are known."""
-    return tuple(found for found in map(image_view, views) if found is not None)
+def image_views(views: Sequence[RunView]) -> tuple[tuple[ImageView, ...], tuple[str, ...]]:
+    """Those of the runs whose optics are known, and a sentence on each that names optics and has none."""
+    found, missing = [], []
+    for view in views:
+        if METADATA in view.run.parameters:
+            try:
+                found.append(exposed_view(view))
+            except InputError as error:
+                missing.append(f"No images for {view.label}: {error}.")
+    return tuple(found), tuple(missing)
 
 
 def _still(view: ImageView) -> FloatArray:

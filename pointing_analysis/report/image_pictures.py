@@ -44,7 +44,7 @@ def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
     ValueError
         No run has optics and a complete exposure.
     """
-    found = image_views(views) or (exposed_view(views[0]),)  # which says why the first has none
+    found = image_views(views)[0] or (exposed_view(views[0]),)  # which says why the first has none
     folder.mkdir(parents=True, exist_ok=True)
     settings: Any = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": "image"}
     paths = []

@@ -27,12 +27,14 @@ class ModelResults:
     predictions : for each run predicted and measured amplitude of its tones, or None
     sources : for each run its sources of disturbance with their own errors
     loops : for each run its loop, broken at one place after the other, for Nyquist curves and sensitivity
+    without_loop : for each run why its loop is not there; empty where it is, or where none is expected
     """
 
     lines: ExpectedLines = field(default_factory=lambda: MappingProxyType({}))
     predictions: Sequence[Prediction | None] = ()
     sources: Sequence[Sequence[SourceShare]] = ()
     loops: Sequence[Sequence[LoopCurves]] = ()
+    without_loop: Sequence[str] = ()
 
     def check(self, count: int) -> None:
         """Refuse results that are not those of `count` runs.
@@ -41,7 +43,7 @@ class ModelResults:
         ------
         ValueError
         """
-        for name in ("predictions", "sources", "loops"):
+        for name in ("predictions", "sources", "loops", "without_loop"):
             found = len(getattr(self, name))
             if found not in (0, count):
                 raise InputError(f"{name} must be one for each of the {count} runs, got {found}")

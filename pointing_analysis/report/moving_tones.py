@@ -40,8 +40,8 @@ RAYS_SHOWN, LOWEST_TOP = 2.2, 500.0
 """A Campbell diagram ends at so many times the largest speed, or at this frequency [rad/s]."""
 
 
-def moving_pictures(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture]:
-    """Pictures of the runs in which something moves; none where nothing does.
+def moving_pictures(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture | str]:
+    """Pictures of the runs in which something moves, or why there are none; empty where nothing does.
 
     Parameters
     ----------
@@ -50,11 +50,12 @@ def moving_pictures(views: Sequence[RunView], requirements: Sequence[Requirement
         Of all runs.
     """
     moving = [(view, motion) for view in views if (motion := motion_of(view.run)) is not None]
-    made: list[Picture] = []
+    made: list[Picture | str] = []
     if moving:
         made.append(error_over_time([view for view, _ in moving], requirements))
     for k, (view, motion) in enumerate(moving):
         if len(view.series.values) < 2 * SEGMENT or not np.isfinite(view.series.values).all():
+            made.append(f"No waterfall for {view.label}: it needs {2 * SEGMENT} samples without a missing one.")
             continue
         made.append(waterfall(view, motion, k))
         if motion.turns:

@@ -80,15 +80,16 @@ def view(
     """Everything the pictures need from one run; `found` are lines of its spectrum, the window by default its own."""
     window = exposure_of_run(run) if window is None else window
     series = performance_error(run, transient)
+    spectrum, without = None, ""
     try:
         spectrum = spectra.psd(series.values, series.dt)
-    except ValueError:
-        spectrum = None  # too short or too many gaps: the page has a note instead of the curve
+    except InputError as error:
+        without = str(error)
     named = spectra.lines(series.values, series.dt, tones_of(run), window)
     more = spectra.found_lines(found, named, series.duration, window, series.dt)
     named, within_noise = spectra.above_noise(named, series.values, series.dt)
     tones = sorted((*named, *more), key=lambda line: -line.rpe)
-    return RunView(label, run, series, spectrum, tuple(tones), window, within_noise)
+    return RunView(label, run, series, spectrum, tuple(tones), window, within_noise, without)
 
 
 def _authority(runs: Sequence[Recording]) -> dict[str, float]:
@@ -140,6 +141,15 @@ class Drawn:
     @cached_property
     def images(self) -> tuple[ImageView, ...]:
         """Exposures of the runs whose optics are known."""
+        return self._images[0]
+
+    @property
+    def without_images(self) -> tuple[str, ...]:
+        """Sentences on runs whose optics are known and that have no exposures."""
+        return self._images[1]
+
+    @cached_property
+    def _images(self) -> tuple[tuple[ImageView, ...], tuple[str, ...]]:
         return image_views(self.views)
 
     @property
@@ -158,9 +168,10 @@ def _latency(d: Drawn) -> Picture | None:
     return figures.timing(times, "Sensor to command", "latency sensor to command [µs]")
 
 
-PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ...] = (
+PICTURES: tuple[Callable[[Drawn], Picture | str | Sequence[Picture | str] | None], ...] = (
     lambda d: figures.time_history(d.views),
     lambda d: figures.trajectory(d.views, d.requirements),
+    lambda d: d.without_images,
     lambda d: image_figures.stars(d.images),
     lambda d: image_figures.targets(d.images),
     lambda d: image_figures.transfers(d.images),
@@ -178,17 +189,14 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     _intervals,
     _latency,
 )
-"""Pictures of the page in reading order; None where the runs have nothing to show in one."""
+"""Pictures of the page in reading order, sentences in the place of those that cannot be made; None: none is due."""
 
 
-def pictures(shown: Drawn) -> list[Picture]:
-    """All pictures of the page, in reading order."""
-    made: list[Picture] = []
-    for draw in PICTURES:
-        found = draw(shown)
-        several = [found] if found is None or isinstance(found, Picture) else found
-        made += [p for p in several if p is not None]
-    return made
+def pictures(shown: Drawn) -> tuple[list[Picture], list[str]]:
+    """All pictures of the page, in reading order, and sentences on those that cannot be made."""
+    made = [draw(shown) for draw in PICTURES]
+    several = [one for found in made for one in ([found] if isinstance(found, (Picture, str)) else found or ())]
+    return [one for one in several if isinstance(one, Picture)], [one for one in several if isinstance(one, str)]
 
 
 def report_content(
@@ -226,9 +234,10 @@ def report_content(
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]
-    drawn = pictures(Drawn(views, [v.requirement for s in summaries for v in s.verdicts], model))
+    drawn, missing = pictures(Drawn(views, [v.requirement for s in summaries for v in s.verdicts], model))
     untimed = [v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size]
-    return content_of(views, summaries, drawn, model, remarks, untimed)
+    missing += [f"No timing histogram for {name}: the messages carry simulated times only." for name in untimed]
+    return content_of(views, summaries, drawn, missing, model, remarks)
 
 
 def render(runs: Sequence[Recording], **options: Any) -> str:

@@ -14,17 +14,12 @@ claimed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 from lftkit.errors import InputError
 from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.requirements.image_summary import ImageSummary
 from pointing_analysis.units import RAD_PER_MAS
-
-METADATA = "proof_rpe"
-"""Key of a bag: ``rms_rad`` that no exposure of ``exposure_s`` exceeds, JSON."""
 
 
 def least_transfer(rms: float, frequency: float) -> float:
@@ -45,22 +40,16 @@ def least_transfer(rms: float, frequency: float) -> float:
     return max(math.cos(min(2 * math.pi * frequency * rms, math.pi / 2)), 0.0) if 4 * frequency * rms < 1.0 else 0.0
 
 
-def proven_text(found: Any, optics: Optics | None, measured: ImageSummary | None) -> str:
-    """One line: what is proven of the motion's MTF beside what was measured; empty where nothing is.
+def proven_text(rms: float, exposure: float, optics: Optics, measured: ImageSummary | None) -> str:
+    """One line: what is proven of the motion's MTF beside what was measured.
 
     Parameters
     ----------
-    found : entry `METADATA` of a bag
-    optics : Optics or None
+    rms : that no exposure exceeds [rad]
+    exposure : [s]
+    optics : Optics
     measured : of the run
     """
-    if optics is None or not isinstance(found, Mapping):
-        return ""
-    given = [found.get(key) for key in ("rms_rad", "exposure_s")]
-    numbers = [float(x) for x in given if isinstance(x, (int, float)) and 0.0 < x < math.inf]
-    if len(numbers) != len(given):
-        return ""
-    rms, exposure = numbers
     half, full = (least_transfer(rms, part * optics.nyquist) for part in (0.5, 1.0))
     end = 0.25 / rms / optics.nyquist
     at_full = f"{at_least(full, 3)} at Nyquist" if full else f"no bound above {at_least(end, 3)} Nyquist"

@@ -29,6 +29,8 @@ WITHIN = "within limit"
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
 ALL_RUNS = "all runs"
+TOO_SHORT = "not demonstrated: record too short"
+"""In place of a bound that the record does not show, without a word on proofs."""
 MISSING = "not demonstrated: samples are missing"
 """In place of a bound above which as many samples may be as are allowed, and more with those that are missing."""
 
@@ -61,13 +63,13 @@ class Beside:
 
     Attributes
     ----------
-    proven : bound that is proven for the loop and the tones that act, or stated to be; None where none is
-    unproven : remark if the run is too short for a bound and none is proven
+    proven : bound that is proven for the loop that ran and the tones that acted; None where none is
+    unproven : why no bound is proven of a loop; empty where no loop is named
     disturbed : why the verdict is not of the loop alone; empty where it is
     """
 
     proven: ProvenBound | None = None
-    unproven: str = "not demonstrated: record too short"
+    unproven: str = ""
     disturbed: str = ""
 
 
@@ -185,7 +187,7 @@ class RequirementRow:
         if math.isinf(self.bound):
             if self.beside.proven is not None:
                 return self.beside.proven.text(self._scale, self.unit)
-            return MISSING if self.missing else self.beside.unproven
+            return MISSING if self.missing else self.beside.unproven or TOO_SHORT
         bound = with_unit(f"{'above ' if self.lower else ''}{digits_beside(self.bound, self.limit)}", self.unit)
         return f"{bound} at {100 * self.confidence:g} %"
 
@@ -250,14 +252,12 @@ class RequirementRow:
         }
 
     def _proven_dict(self) -> dict[str, Any]:
-        """Proven bound for JSON, rounded up; one that the bag states without a check has another name."""
+        """Proven bound for JSON, rounded up, or why there is none."""
         proven = self.beside.proven
         if proven is None:
-            return {}
+            return {"unproven": self.beside.unproven} if self.beside.unproven else {}
         value = float(at_most(proven.value / self._scale, 6))
-        kind = "proven" if proven.checked else "stated"
-        condition = {f"{kind}_without": proven.condition} if proven.condition else {}
-        return {f"{kind}_bound": value, f"{kind}_probability": proven.probability, **condition}
+        return {"proven_bound": value, "proven_probability": proven.probability}
 
 
 def rows_of(verdicts: Sequence[Verdict], beside: Sequence[Beside], run: str = "") -> list[RequirementRow]:

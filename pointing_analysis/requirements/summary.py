@@ -24,12 +24,12 @@ from pointing_analysis.indices.errors import (
     knowledge_error,
     performance_error,
 )
-from pointing_analysis.indices.motion import motion_of
+from pointing_analysis.indices.motion import read_motion
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
-from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
+from pointing_analysis.read.recorded_sensors import RecordedSensor, read_sensors, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.run_end import missed_share, run_end, statistics_of
@@ -37,7 +37,7 @@ from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
 from pointing_analysis.requirements.exposure import exposure_of, finest
-from pointing_analysis.requirements.guarantee import proven_bound, without_bound
+from pointing_analysis.requirements.guarantee import NO_PROOF
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import (
@@ -326,22 +326,20 @@ def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Req
 
 
 def beside_of(run: Recording, requirement: Requirement) -> Beside:
-    """Statements of a recording about a requirement besides its samples: a proven bound, missed ticks."""
-    proven = proven_bound(run, requirement)
-    unproven = {"unproven": text} if (text := without_bound(run)) else {}
-    return Beside(proven, disturbed=_disturbed(run), **unproven)
+    """Results of a requirement besides its samples: missed ticks; of a loop that is named, that nothing is proven."""
+    return Beside(disturbed=_disturbed(run), unproven=NO_PROOF if "loop" in run.parameters else "")
 
 
 def _disturbed(run: Recording) -> str:
     """Ticks that were missed in real time, where they were more than the run permits; empty elsewhere."""
+    if run.parameters.get("mode") != "realtime":
+        return ""
     try:
         share = missed_share(statistics_of(run.parameters, "plant"))
         most = float(run.parameters.get("max_missed", math.inf))
     except (TypeError, ValueError):
-        return ""
-    if run.parameters.get("mode") != "realtime" or not share > most:
-        return ""
-    return f"{share:.3g} % of the ticks were missed"
+        return "it cannot be read whether too many ticks were missed"
+    return f"{share:.3g} % of the ticks were missed" if share > most else ""
 
 
 def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
@@ -413,12 +411,15 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
             problems.append(f"{name}: {counted(short, 'sample')} missing at the start or the end of the run")
 
 
-def _knowledge(run: Recording, transient: float | None, window: float) -> Knowledge | None:
+def _knowledge(run: Recording, transient: float | None, window: float) -> tuple[Knowledge | None, str]:
+    """Knowledge errors of a recording with estimates, or why they cannot be computed."""
+    if "los_estimate" not in run:
+        return None, ""
     try:
         series = knowledge_error(run, transient)
-        return Knowledge.of(series.values, series.dt, window)
-    except ValueError:  # a BagError is one
-        return None
+        return Knowledge.of(series.values, series.dt, window), ""
+    except InputError as error:
+        return None, f"no AKE and RKE: {str(error).replace(str(run.path), run.path.name)}"
 
 
 def summarise(
@@ -453,19 +454,23 @@ def summarise(
     window = exposure_of(known or (), requirements_of(run) or ())  # of all stages: their summaries are compared
     error, budget, judged = Performance.of(series.values, series.dt, window), None, metrics.holds(window, series.dt)
     found: tuple[FoundLine, ...] = ()
-    if judged and series.duration >= window and motion_of(run) is None:
+    motion, unread = read_motion(run)
+    still = motion is None and not unread
+    if judged and series.duration >= window and still:
         budget = tone_budget(run, series, window, error.rpe_windows_p997)
         others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
         if others or not _of_budget(asked, window):
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
-    elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
+    elif not judged and still:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, lines(series.values, series.dt, named_tones(run), window))
     lost, problems, dropped = _integrity(run)
     star, unusable = _star(run, series, window) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
+    knowledge, without = _knowledge(run, transient, window)
+    sensors, unknown = read_sensors(run)
     remarks = dict.fromkeys((*series.remarks, *(one.remark for one in settled)))
-    problems += [text for text in (damaged, unusable, *remarks) if text]
+    problems += [text for text in (damaged, unusable, unread, without, unknown, *remarks) if text]
     if not judged:
         problems.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     problems += _of_start(run, series, transient)
@@ -484,7 +489,7 @@ def summarise(
         samples_lost=sum(lost.values()),
         lost_by_topic=lost,
         camera_dropped=dropped,
-        knowledge=_knowledge(run, transient, window),
+        knowledge=knowledge,
         verdicts=tuple(one.verdict for one in settled),
         beside=tuple(beside_of(run, r) for r in asked),
         requirements_known=known is not None,
@@ -494,7 +499,7 @@ def summarise(
         open_end=run["truth/los"].open_end,
         budget=budget,
         found=found,
-        sensors=sensors_of(run),
+        sensors=sensors,
         star=star,
         kind=run.kind,
         sampling=str(run.parameters.get(SAMPLING, "")),

@@ -26,6 +26,7 @@ from pointing_analysis.read.mcap.records import (
     OP_CHUNK,
     OP_CHUNK_INDEX,
     OP_DATA_END,
+    OP_DIGEST,
     OP_FOOTER,
     OP_HEADER,
     OP_INDEX,
@@ -36,7 +37,7 @@ from pointing_analysis.read.mcap.records import (
 )
 
 Record = tuple[int, bytes]
-KINDS_OF_RECORDS = (*range(OP_HEADER, OP_METADATA_INDEX + 1), OP_DATA_END, OP_MANIFEST, 14, 0, 0x10, 0xFF)
+KINDS_OF_RECORDS = (*range(OP_HEADER, OP_METADATA_INDEX + 1), OP_DATA_END, OP_MANIFEST, OP_DIGEST, 14, 0, 0x10, 0xFF)
 """Those of MCAP, the testbed's own, and some that are none."""
 ODD_NUMBERS = (0, 1, 30, 31, 1000, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1)
 _CHUNK = struct.Struct("<QQQI")

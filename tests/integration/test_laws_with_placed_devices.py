@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.campaign import adversarial
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
 from los_testbed.campaign.sampling import MemberParameters, members
 from los_testbed.cli import app
@@ -14,6 +15,8 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import controller_of, controllers, drive, metrics
+from los_testbed.run.summary.loop_curves import loop_curves
+from los_testbed.run.summary.ran_loop import RanLoop
 from support.command_line import refused
 
 import fsm_pma_controller
@@ -24,6 +27,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.noise import noise_covariances, noise_rms
+from los_loop.nyquist import broken_loops
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
@@ -385,3 +389,42 @@ def test_proofs_of_a_design_with_devices_are_refused_before_the_design(
     file = Path(__file__).parents[2] / "examples" / "spacecraft" / "damper_at_an_array.toml"
     line = refused(capsys, "design", "all", "--certify", "--parameters", file, "--output", tmp_path / "mine")
     assert "got root, damper" in line and not (tmp_path / "mine").exists()
+
+
+def test_the_curves_of_such_a_pair_are_those_of_the_standard_one(base: RunConfig, tmp_path: Path) -> None:
+    """At the mirror; at the forces there are six actuators in the one and seven in the other."""
+    (tmp_path / "twins.toml").write_text(TWINS)
+    base = replace(base, parameters="twins.toml")
+    for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
+        law.to_file(tmp_path / f"{name}.json")
+    own = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json")
+    curves = []
+    for parts in (RunParts(base), RunParts(own)):
+        loop = parts.implemented_loop(parameter_values(parts.settings, parts.telescope))
+        curves.append({found.place: found for found in broken_loops(loop, loop.point({}))})
+    standard, twin = (found["mirror"] for found in curves)
+    np.testing.assert_allclose(twin.omega, standard.omega, rtol=1e-9)
+    np.testing.assert_allclose(twin.sensitivity, standard.sensitivity, rtol=1e-6)
+    np.testing.assert_allclose(twin.loci, standard.loci, rtol=1e-6, atol=1e-6)
+    assert curves[1].keys() == {"mirror", "forces"}
+
+
+def test_members_for_such_a_pair_are_found_by_a_search(
+    base: RunConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(adversarial, "MOST_ASCENTS", 1)
+    monkeypatch.setattr(adversarial, "METRICS", ("slow",))
+    observer_with_devices().to_file(tmp_path / "k_fsm.json")
+    found = adversarial.adversarial_members(replace(base, k_fsm="k_fsm.json"), 1, 0)
+    low, high = MemberParameters.of("own.toml").limits.T
+    assert found.shape == (1, low.size) and np.all((low <= found) & (found <= high))
+    uniform = members("uniform", 1, 0, "own.toml")
+    assert not np.array_equal(found, uniform), "the worst point of the search comes first"
+
+
+def test_the_report_of_a_run_with_a_sensor_of_the_user_has_its_curves(base: RunConfig, tmp_path: Path) -> None:
+    observer_with_devices().to_file(tmp_path / "k_fsm.json")
+    run_in_process(replace(base, k_fsm="k_fsm.json", loop="fsm"), tmp_path / "bag")
+    loop = RanLoop.of(Run.open(tmp_path / "bag"))
+    curves, reason = loop_curves(loop)
+    assert not reason and [found.place for found in curves] == ["mirror"]

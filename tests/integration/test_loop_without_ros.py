@@ -62,7 +62,7 @@ def test_the_bag_holds_every_tick_and_says_what_was_run(config, tmp_path):
     assert run.parameters["seed"] == 1
     assert run.parameters["tones_rad_s"] == [pytest.approx(6 * np.pi)]
     assert set(run.attachments) == {"k_fsm.json", "k_pma.json", "run.yaml", "start.json"}
-    assert len(run.parameters["plant_hash"]) == 64
+    assert "plant_hash" not in run.parameters, "another plant than the telescope has announced none"
 
 
 def test_no_ros_is_imported(config, tmp_path):

@@ -16,6 +16,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.predictions import predictions
+from los_testbed.run.summary.ran_loop import RanLoop
 
 from lftkit import SampledSystem
 from los_design.synthesis.store import load_designs
@@ -67,7 +68,7 @@ def bag(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_simulation_does_what_the_sampled_loop_predicts(bag: Path) -> None:
-    (found,) = predictions([Run.open(bag)])
+    (found,) = predictions([RanLoop.of(Run.open(bag))])
     assert found is not None and not found.note
     assert len(found.tones) >= 2
     for tone in found.tones:

@@ -12,6 +12,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.closed_loop import SimulatedLoop
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.predictions import predictions
+from los_testbed.run.summary.ran_loop import RanLoop
 
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
@@ -84,7 +85,7 @@ def relative_error(loop: SampledLoop, sigma: FloatArray) -> float:
 def test_the_worst_tone_is_the_predicted_one(tmp_path: Path) -> None:
     config = settings(tmp_path, duration=20.0, scenario="worst_case")
     run_in_process(config, tmp_path / "bag")
-    (found,) = predictions([Run.open(tmp_path / "bag")])
+    (found,) = predictions([RanLoop.of(Run.open(tmp_path / "bag"))])
     assert found is not None and not found.note
     (tone,) = found.tones
     assert tone.measured == pytest.approx(tone.predicted, rel=0.02)

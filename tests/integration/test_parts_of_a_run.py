@@ -19,6 +19,7 @@ from los_testbed.run.conditions import conditions
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.loop.source_alone import NOISE, Part, errors_of_source, parts_of
 from los_testbed.run.summary import source_shares as module_of_shares
+from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
 
 from pointing_analysis.indices.errors import default_transient
@@ -113,7 +114,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 def check_sum(run: Run, simulated: list[np.ndarray], *names: str) -> None:
     """The parts are these, their lines of sight add up to the record, tick by tick, and their shares to 1."""
-    rows = source_shares(run)
+    rows = source_shares(RanLoop.of(run))
     truth, total = run["truth/los"].values[:, :2], np.sum(simulated, axis=0)
     assert np.abs(total - truth).max() < 1e-6 * np.abs(truth).max()
     assert [row.name for row in rows] == [*names, TOGETHER], "nothing is left over"
@@ -148,7 +149,7 @@ def test_samples_at_the_edges_of_a_window_count_by_their_part(
     """Windows of 12.5 ticks are whole on a grid of tenths of a tick; once 12 ticks were taken."""
     run = recorded(parameters=telescope(folder, "pulses"))
     monkeypatch.setattr(module_of_shares, "exposure_of_run", lambda run: 12.5e-3)
-    shares = [row.share for row in source_shares(run)][:-1]
+    shares = [row.share for row in source_shares(RanLoop.of(run))][:-1]
 
     def within(los: np.ndarray) -> np.ndarray:
         tenths = np.repeat(los[round(default_transient(1.2) / DT) :], 10, axis=0)
@@ -162,7 +163,7 @@ def test_samples_at_the_edges_of_a_window_count_by_their_part(
 def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
     (folder / f"law_{folder.name}.py").write_text(LAW)
     run = recorded(parameters=telescope(folder, "pulses"), k_fsm=f"law_{folder.name}:observer")
-    assert [row.name for row in source_shares(run)] == ["my pulses", NOISE, TOGETHER]
+    assert [row.name for row in source_shares(RanLoop.of(run))] == ["my pulses", NOISE, TOGETHER]
 
 
 def test_a_law_without_a_model_is_the_reason_why_there_are_none(folder: Path) -> None:
@@ -171,7 +172,7 @@ def test_a_law_without_a_model_is_the_reason_why_there_are_none(folder: Path) ->
     )
     run = recorded(parameters=telescope(folder, "pulses"), k_fsm=f"code_{folder.name}:Still")
     with pytest.raises(ValueError, match=r"^no model of user code is known, and the bag does not hold k_fsm.json$"):
-        source_shares(run)
+        source_shares(RanLoop.of(run))
 
 
 @pytest.mark.further
@@ -182,7 +183,7 @@ def test_wheels_and_drives_of_the_telescope_have_a_row_each(simulated: list[np.n
 
 def test_what_limits_make_is_a_row_of_its_own(folder: Path) -> None:
     run = recorded(parameters=telescope(folder, "pulses"), fsm_authority=1e-6, duration=1.5)
-    rows = source_shares(run)
+    rows = source_shares(RanLoop.of(run))
     assert [row.name for row in rows] == ["my pulses", NOISE, REST, TOGETHER]
     assert sum(row.share for row in rows[:-1]) == pytest.approx(1.0)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,9 @@ from mcap.records import Metadata
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, with_hash
 from pointing_analysis.read.mcap.bag_pass import BagPass
-from pointing_analysis.read.mcap.chain import SEAL, Chain
 from pointing_analysis.read.mcap.chunks import block_of, take_apart, unpack_zstd
-from pointing_analysis.read.mcap.manifest import RUN, decode_manifest, encode_manifest
+from pointing_analysis.read.mcap.file_digest import new_digest
+from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest
 from pointing_analysis.read.mcap.records import (
     HEAD,
     MAGIC,
@@ -26,6 +25,7 @@ from pointing_analysis.read.mcap.records import (
     OP_ATTACHMENT_INDEX,
     OP_CHUNK,
     OP_CHUNK_INDEX,
+    OP_DIGEST,
     OP_MANIFEST,
     OP_METADATA,
     OP_METADATA_INDEX,
@@ -91,55 +91,33 @@ def forge(bag: Path, number: int = 1, whole: bool = False) -> None:
     file.write_bytes(put_together(right_places(found), True))
 
 
-def forge_with_manifest(bag: Path, number: int = 1, chained: bool = False) -> None:
-    """Scale the true line of sight in one chunk and make its manifest anew.
-
-    It continues the chain of the manifest before it; with `chained` all that follow are made anew, too.
-    """
+def forge_with_manifest(bag: Path, number: int = 1, digested: bool = False) -> None:
+    """Scale the true line of sight in one chunk and make its manifest anew, with `digested` that of the file, too."""
     file = next(bag.glob("*.mcap"))
     found = taken_apart(file.read_bytes())
-    at, manifests = places(found, OP_CHUNK)[number], places(found, OP_MANIFEST)
-    place, before = manifests[number], decode_manifest(found[manifests[max(number - 1, 0)]][1])
+    at, place = places(found, OP_CHUNK)[number], places(found, OP_MANIFEST)[number]
     body, content = scaled(found[at][1])
     found[at], old = (OP_CHUNK, body), decode_manifest(found[place][1])
-    assert old is not None and before is not None
-    chain = Chain(digest=before.link.digest, manifests=number)
-    found[place] = (OP_MANIFEST, encode_manifest(content, old.runs[:-1].tolist(), chain))
-    file.write_bytes(put_together(right_places(rechained(found) if chained else found), True))
+    assert old is not None
+    found[place] = (OP_MANIFEST, encode_manifest(content, old.runs.tolist()))
+    found = right_places(found)
+    file.write_bytes(put_together(redigested(found) if digested else found, True))
 
 
-def without_chain(bag: Path) -> None:
-    """Make a bag one of an older version, whose manifests have no place in a chain."""
+def without_digest(bag: Path) -> None:
+    """Take the digest out of a file, as of an older version."""
     file = next(bag.glob("*.mcap"))
-    made = []
-    for op, body in taken_apart(file.read_bytes()):
-        if op == OP_MANIFEST:
-            (length,) = struct.unpack_from("<I", body, 36)
-            last = 40 + length - RUN.itemsize
-            rest = body[4:36] + struct.pack("<I", length - RUN.itemsize) + body[40:last] + body[last + RUN.itemsize :]
-            made.append((op, struct.pack("<I", zlib.crc32(rest)) + rest))
-        elif op != OP_METADATA or text_at(body, 0)[0] != SEAL:
-            made.append((op, body))
-    file.write_bytes(put_together(right_places(made), True))
+    found = [record for record in taken_apart(file.read_bytes()) if record[0] != OP_DIGEST]
+    file.write_bytes(put_together(found, True))
 
 
-def rechained(found: list[Record]) -> list[Record]:
-    """The records with a chain that agrees with them."""
-    chain, made = Chain(), []
+def redigested(found: list[Record]) -> list[Record]:
+    """The records with a digest of the file that agrees with them."""
+    made, digest = [], new_digest()
+    digest.update(MAGIC)
     for op, body in found:
-        if op == OP_MANIFEST:
-            content = body[:4] + decode_manifest(body).link.content  # type: ignore[union-attr]
-            chain.add(op, content[4:])
-            chain.manifests += 1
-            end = 40 + struct.unpack_from("<I", body, 36)[0]
-            rest = content[4 : end - 16] + chain.digest + content[end:]
-            body = struct.pack("<I", zlib.crc32(rest)) + rest
-        elif op == OP_METADATA and text_at(body, 0)[0] == SEAL:
-            builder = RecordBuilder()
-            Metadata(name=SEAL, metadata=chain.seal()).write(builder)
-            body = builder.end()[9:]
-        elif op in (OP_METADATA, OP_ATTACHMENT):
-            chain.add(op, body)
+        body = digest.digest() if op == OP_DIGEST else body
+        digest.update(RECORD.pack(op, len(body)) + body)
         made.append((op, body))
     return made
 
@@ -171,7 +149,7 @@ def head_of(bag: Path) -> FileInfo:
 
 
 def with_metadata(bag: Path, **entries: str) -> None:
-    """Change entries of the settings and results in a bag, with their hashes and the chain made anew."""
+    """Change entries of the settings and results in a bag, with their hashes and the digest of the file made anew."""
     file = next(bag.glob("*.mcap"))
     found = taken_apart(file.read_bytes())
     for at in (at for at in places(found, OP_METADATA) if text_at(found[at][1], 0)[0] == METADATA_NAME):
@@ -179,4 +157,4 @@ def with_metadata(bag: Path, **entries: str) -> None:
         table = table_at(found[at][1], 4 + len(METADATA_NAME))
         Metadata(name=METADATA_NAME, metadata=with_hash({**table, **entries})).write(builder)
         found[at] = (OP_METADATA, builder.end()[9:])
-    file.write_bytes(put_together(right_places(rechained(found)), True))
+    file.write_bytes(put_together(redigested(right_places(found)), True))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -15,6 +13,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.proofs.trusted.digests import digest
 from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
@@ -158,8 +157,7 @@ class PlantFamily:
         content: list[Any] = [self.telescope.parameters_hash, settings]
         if config.motion_from_file:
             content.append(motion(config, self.telescope).table())
-        text = json.dumps(content, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return digest(content)[:12]
 
     def nodes(self, config: PlantConfig, dt: float, finer: float = 1.0) -> tuple[list[FloatArray], int, MovingTones]:
         """Step matrices along the profile of a run, ticks between them, and the tones.

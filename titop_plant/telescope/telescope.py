@@ -19,6 +19,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.proofs.trusted.digests import digest
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
@@ -552,7 +553,7 @@ class Telescope:
         for name in (layout.ARRAYS, layout.APPENDAGES):
             if isinstance(content.get(name), list):
                 content[name] = [_with_digest(table) for table in content[name]]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+        return digest(content)
 
 
 def without_first_edge(weights: Mapping[str, Any]) -> dict[str, Any]:

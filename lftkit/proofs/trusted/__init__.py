@@ -8,6 +8,7 @@ Read in this order:
 
 =================  ====================================================================================================
 ``proof``          types of all kinds; why a proof is refused; whether boxes cover a box
+``digests``        the names of plants by their numbers
 ``entries``        the strict reader: what is no proof by its form is refused before anything is computed
 ``arithmetic``     real matrices with a bound of every entry's error; positive definiteness beyond all rounding
 ``cells``          gain or stability: one quadratic form, negative definite, for each cell of parameters and frequency

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT
+from lftkit.proofs.trusted.digests import plant_digest
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, reciprocal, weighted_share
 from lftkit.proofs.trusted.proof import (
     COMPLEX,
@@ -262,7 +263,16 @@ def _checked(proof: AxisClaim, each: Each) -> CheckedProof:
     named = list(zip(proof.names, proof.system.kinds, proof.box))
     box = {name: ends for name, kind, ends in named if kind == REAL}
     disks = {name: ends[1] for name, kind, ends in named if kind != REAL}
-    return CheckedProof(proof.kind, proof.level, box, proof.band, windows, 1.0, stable, disks)
+    return CheckedProof(_digest(proof), proof.kind, proof.level, box, proof.band, windows, 1.0, stable, disks)
+
+
+def _digest(proof: AxisClaim) -> str:
+    """Digest of the plant."""
+    system, every = proof.system, list(zip(proof.names, proof.system.kinds, proof.nominal, proof.system.groups))
+    channels = dict(sorted((channel, name) for name, _, _, group in every for channel in group))
+    nominal = {name: at for name, kind, at, _ in every if kind == REAL}
+    sizes = {name: (len(group),) * 2 if kind == FULL else (1, 1) for name, kind, _, group in every if kind != REAL}
+    return plant_digest(0.0, [*channels.values()], nominal, sizes, (system.A, system.B, system.C, system.D))
 
 
 def require_claim(proof: AxisClaim) -> float:

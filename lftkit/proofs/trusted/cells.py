@@ -51,6 +51,7 @@ from lftkit.proofs.trusted.arithmetic import (
     scalar,
     turned,
 )
+from lftkit.proofs.trusted.digests import plant_digest
 from lftkit.proofs.trusted.entries import (
     each,
     fixed,
@@ -173,7 +174,9 @@ class Inequality:
         m, p = (int(system["inputs"]), int(system["outputs"])) if self.gain else (0, 0)
         rows, columns = q + int(system["outputs"]), q + int(system["inputs"])
         shapes = {"A": (n, n), "B": (n, columns), "C": (rows, n), "D": (rows, columns)}
-        A, B, C, D = (sized(system[key], shape, key) for key, shape in shapes.items())
+        A, B, C, D = matrices = [sized(system[key], shape, key) for key, shape in shapes.items()]
+        sizes = {str(disk["name"]): (disk["outputs"], disk["inputs"]) for disk in system.get("disks", [])}
+        self.plant = plant_digest(self.dt, system["channels"], self.nominal, sizes, matrices)
         if static:
             A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0))
             self.gain, n, m, p = False, 0, 0, 0
@@ -316,7 +319,7 @@ def _checked(proof: dict[str, Any]) -> CheckedProof:
     require(proven or what == "gain", "a proof of stability must have a stable member and a band from zero to infinity")
     named, omega = dict(zip(inequality.names, whole)), frequencies(band, inequality.dt)
     disks = {disk.name: disk.radius for disk in inequality.disks}
-    return CheckedProof(what, level, named, omega, len(proof["cells"]), worst, proven, disks)
+    return CheckedProof(inequality.plant, what, level, named, omega, len(proof["cells"]), worst, proven, disks)
 
 
 def _band(ends: Any) -> Interval:

@@ -33,7 +33,9 @@ FORMAT = "lftkit proof 2"
 """First entry of every header."""
 Form = Callable[[Any, str], Any]
 MOST_BYTES = 2**31
-"""Of a file, and of all its members unpacked."""
+"""Of a file."""
+UNPACKED, UNPACKED_RATIO = 200_000_000, 100
+"""A compressed file may unpack to this many bytes, or to this many times its size, whichever is more."""
 MOST_MEMBERS = 10_000
 LONGEST_TEXT, MOST_ENTRIES, LARGEST_INDEX = 10_000, 10_000_000, 2**31
 TYPES = ("<f8", "<c16", "<c8", "<i8", "|u1")
@@ -185,6 +187,12 @@ def parsed(content: bytes, where: str) -> Any:
         raise ProofError(f"{where} must be JSON: {error}"[:300]) from None
 
 
+def require_small(size: int, packed: int) -> None:
+    """Refuse what unpacks to more bytes than a file of `packed` bytes may."""
+    most = max(UNPACKED, UNPACKED_RATIO * packed)
+    require(size <= most, f"the file must unpack to at most {most / 1e6:g} MB, got {size / 1e6:g} MB")
+
+
 def zip_members(path: Path) -> dict[str, bytes]:
     """All members of a zip file, whose number and size are limited before they are unpacked.
 
@@ -195,8 +203,8 @@ def zip_members(path: Path) -> dict[str, bytes]:
     """
     with zipfile.ZipFile(path) as archive:
         infos = archive.infolist()
-        few = len(infos) <= MOST_MEMBERS and sum(info.file_size for info in infos) <= MOST_BYTES
-        require(few, f"the file must have at most {MOST_MEMBERS} members and {MOST_BYTES} bytes, got more")
+        require(len(infos) <= MOST_MEMBERS, f"the file must have at most {MOST_MEMBERS} members, got {len(infos)}")
+        require_small(sum(info.file_size for info in infos), path.stat().st_size)
         found = {info.filename: archive.read(info) for info in infos}
         require(len(found) == len(infos), f"the file must have no member twice, got {sorted(found)}"[:300])
         return found
@@ -216,12 +224,14 @@ def file_content(path: Path) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
         require(size <= MOST_BYTES, f"the file must have at most {MOST_BYTES} bytes, got {size}")
         if not zipfile.is_zipfile(path):
             return parsed(path.read_bytes(), "the file"), {}
-        arrays = {name.removesuffix(".npy"): member(data, name) for name, data in zip_members(path).items()}
+        members = zip_members(path)
+        require("header.npy" in members, "the file must be a proof with a member header.npy, got none")
+        arrays = {name.removesuffix(".npy"): member(data, name) for name, data in members.items()}
         return parsed(array("uint8", None)(arrays.pop("header"), "header").tobytes(), "header"), arrays
     except ProofError as error:
         raise ProofFileError(str(error)) from None
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
-        raise ProofFileError(f"the file must be a proof, got {type(error).__name__}") from None
+        raise ProofFileError("the file must be a proof, got one that cannot be unpacked") from error
 
 
 def member(data: bytes, name: str) -> np.ndarray[Any, Any]:

@@ -8,13 +8,14 @@ by its fundamental.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT
+from lftkit.proofs.trusted.digests import digest
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, exponential, inverse, linear, reciprocal
 from lftkit.proofs.trusted.proof import REAL, Box, ComplexArray, FloatArray, Strip
 
@@ -86,6 +87,14 @@ class Loop:
         """Channels, measurements, errors, disturbances, commands."""
         q, y, u = sum(len(g) for g in self.groups), len(self.frame), len(self.K_C)
         return q, y, len(self.C) - q - y, len(self.weights), u
+
+    @property
+    def digest(self) -> str:
+        """Digest of all its numbers, by which a check says what its proof is about."""
+        values = {field.name: getattr(self, field.name) for field in fields(Loop)}
+        arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+        others = {name: value for name, value in values.items() if name not in arrays}
+        return digest(others, arrays)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ from scipy import linalg
 
 from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT, Ball, definite_ratio, scalar
 from lftkit.proofs.trusted.axis import neumann
+from lftkit.proofs.trusted.digests import plant_digest
 from lftkit.proofs.trusted.proof import FloatArray, indices, refusing, require
 
 ROWS = "decaying", "decaying_adjoint", "undisturbed", "undisturbed_adjoint"
@@ -92,8 +93,12 @@ class LowerBoundClaim:
 
 
 class CheckedLowerBound(NamedTuple):
-    """What is proven of all controllers of a plant; `margin` is that of positive definiteness over all rounding."""
+    """What is proven of all controllers of a plant, which is named by the digest of its numbers.
 
+    `margin` is that of positive definiteness over all rounding.
+    """
+
+    plant: str
     level: float
     order: int
     measured: tuple[int, ...]
@@ -106,8 +111,9 @@ class CheckedLowerBound(NamedTuple):
         time = f"sampled every {self.dt:g} s" if self.dt else "in continuous time"
         level = f"{self.level * (1.0 - 6e-9):.9g}"  # rounded, it is not above the level
         return (
-            f"proven: for this plant with {self.order} states, {time}, no stabilising controller of any order from "
-            f"outputs {seen} to inputs {driven} has a loop with an H-infinity norm below {level}"
+            f"plant {self.plant}, {self.order} states, {time}\n"
+            f"proven: no stabilising controller of any order from outputs {seen} to inputs {driven} has a loop with an "
+            f"H-infinity norm below {level}"
         )
 
 
@@ -134,7 +140,8 @@ def check_lower_bound(claim: LowerBoundClaim) -> CheckedLowerBound:
         gained = own.outputs + adjoint.outputs - spent
         excess = bool(gained.mid[0, 0] > INFLATE * gained.rad[0, 0] + TINY)
         require(excess, f"the inequalities must contradict each other beyond rounding at the level {claim.level:.9g}")
-        return CheckedLowerBound(claim.level, len(A), claim.measured, claim.commanded, claim.dt, margin)
+        plant = plant_digest(claim.dt, (), {}, {}, (claim.A, claim.B, claim.C, claim.D))
+        return CheckedLowerBound(plant, claim.level, len(A), claim.measured, claim.commanded, claim.dt, margin)
 
 
 def require_plant(claim: LowerBoundClaim) -> None:

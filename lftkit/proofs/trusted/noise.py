@@ -110,6 +110,8 @@ class CheckedNoise:
 
     Parameters
     ----------
+    plant : str
+        Digest of the loop (:attr:`~lftkit.proofs.trusted.loop.Loop.digest`).
     absolute : NoiseBound
     relative : NoiseBound or None
         The same as relative error over `window`; None without a window.
@@ -118,6 +120,7 @@ class CheckedNoise:
         As of :class:`lftkit.proofs.trusted.sampled_loop.CheckedLoop`; zero where stability was not looked at.
     """
 
+    plant: str
     absolute: NoiseBound
     relative: NoiseBound | None
     strips: int
@@ -145,7 +148,7 @@ def check_noise_proof(proof: NoiseProof, each: Each = map, stability: bool = Tru
         below = stable_below(model, (0.0, math.pi / model.dt), proof.box) if stability else 0.0
         relative = noise_bound(model, parts, window) if window else None
         strips = sum(len(part.strips) for part in parts)
-        return CheckedNoise(noise_bound(model, parts, 0.0), relative, strips, windows, below)
+        return CheckedNoise(model.digest, noise_bound(model, parts, 0.0), relative, strips, windows, below)
 
 
 def require_parts(proof: NoiseProof) -> None:

@@ -52,17 +52,19 @@ def refusing(what: str) -> Iterator[None]:
     except ProofError:
         raise
     except FAULTS as error:
-        raise ProofError(f"the file must be {what}, got {error!r}") from None
+        raise ProofError(f"the file must be {what}, got entries that do not fit together") from error
 
 
 @dataclass(frozen=True)
 class CheckedProof:
     """What a proof of a system by cells, or over the axis, guarantees.
 
-    `margin` is the smallest ratio of a margin to the bound of all rounding. `disks` has the radii of complex numbers
-    and the bounds of dynamics by name.
+    `plant` is the digest of the numbers of the system that was checked
+    (:func:`~lftkit.proofs.trusted.digests.plant_digest`), `margin` the smallest ratio of a margin to the bound of all
+    rounding. `disks` has the radii of complex numbers and the bounds of dynamics by name.
     """
 
+    plant: str
     kind: str
     level: float | None
     box: dict[str, Interval]

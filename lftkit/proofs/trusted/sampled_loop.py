@@ -55,8 +55,9 @@ class LoopProof:
 
 @dataclass(frozen=True)
 class CheckedLoop:
-    """What a proof that passed guarantees."""
+    """What a proof that passed guarantees; `plant` is the digest of the loop (:attr:`Loop.digest`)."""
 
+    plant: str
     level: float
     names: tuple[str, ...]
     box: Box
@@ -91,7 +92,9 @@ def check_loop_proof(proof: LoopProof, each: Each = map, stability: bool = True)
         model, strips, box, band = proof.model, proof.strips, proof.box, proof.band
         windows = check_strips(model, strips, box, band, proof.level, each, "rad/s")
         below = stable_below(model, band, box) if stability else 0.0
-        return CheckedLoop(proof.level, proof.names, box, band, len(strips), windows, dict(proof.about), below)
+        return CheckedLoop(
+            model.digest, proof.level, proof.names, box, band, len(strips), windows, dict(proof.about), below
+        )
 
 
 def require_premises(proof: LoopProof) -> None:

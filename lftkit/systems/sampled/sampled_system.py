@@ -173,6 +173,10 @@ class SampledSystem:
         out[:] = sums[n:]
         values[:n] = sums[:n]
 
+    def steps(self, u: FloatArray) -> FloatArray:
+        """Outputs (k, p) of the ticks with the inputs `u` (k, m): bit for bit those of :meth:`step`."""
+        return self._product.recur(u)[:, len(self.A) :]
+
     def reset(self, state: FloatArray | None = None) -> None:
         """Back to the zero state, or to another `state` (n,)."""
         self._product.values[: len(self.A)] = 0.0 if state is None else state

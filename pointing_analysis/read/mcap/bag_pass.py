@@ -74,7 +74,8 @@ class BagPass:
         """
         passed = 0
         for file in self._bag.files:
-            info = FileInfo(max_chunk=self._max_chunk)
+            everything = self._window == WHOLE and not self._heads_only  # else what is damaged is not known
+            info = FileInfo(max_chunk=self._max_chunk, compares=everything)
             self.infos.append(info)
             if self.origin is not None:
                 info.unpacks = self._in_window

@@ -210,6 +210,21 @@ def index_times(indexed: list[bytes]) -> dict[int, IntArray]:
     return found
 
 
+def index_agrees(block: Block, indexed: list[bytes]) -> bool:
+    """Whether index records say of each message of a chunk its channel, its log time and where it begins."""
+    if any(len(body) % 16 != 6 for body in indexed):
+        return False
+    rows = [np.frombuffer(body[6:], INDEX_ENTRY) for body in indexed]
+    numbers = np.repeat([int.from_bytes(body[:2], "little") for body in indexed], [len(entries) for entries in rows])
+    entries = np.concatenate(rows)
+    order = np.argsort(entries["offset"], kind="stable")
+    return (
+        np.array_equal(entries["offset"][order], block.offsets.astype(np.uint64))
+        and np.array_equal(entries["log"][order], block.heads["log"])
+        and np.array_equal(numbers[order], block.heads["channel"])
+    )
+
+
 def _heads(data: bytes, offsets: IntArray) -> NDArray[np.void]:
     rows = sliding_window_view(np.frombuffer(data, np.uint8), HEAD)[offsets]
     heads: NDArray[np.void] = rows.view(MESSAGE_HEAD)[:, 0]

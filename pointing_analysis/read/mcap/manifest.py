@@ -4,9 +4,7 @@ The recorder writes it before the chunk as a record of type `OP_MANIFEST`, which
 other readers skip. Layout, little-endian: CRC-32 of the rest; CRC-32 and size [byte] (8) of the chunk's content;
 version (4); BLAKE2b digest (16) of the content; length and rows of the runs of records of equal length (`RUN`); length
 and CRC-32 of each record, head included. The digest is there because the CRC-32 of the whole follows from those of its
-parts and would confirm any change that agrees with them. The last run may be one of no records: the place of the
-manifest in the chain of the file (`pointing_analysis.read.mcap.chain`), its number as ``sequence``, the digest of the
-chain as ``first`` and ``last``.
+parts and would confirm any change that agrees with them.
 """
 
 from __future__ import annotations
@@ -15,14 +13,12 @@ import hashlib
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pointing_analysis.arrays import BoolArray, IntArray
-from pointing_analysis.read.mcap.chain import DIGEST_SIZE, NO_LINK, NOTHING, Chain, Link
-from pointing_analysis.read.mcap.records import OP_MANIFEST
 
 VERSION = 1
 _HEAD = struct.Struct("<IIQI16s")
@@ -53,7 +49,6 @@ class Manifest:
     checksums : (n,) CRC-32 of each record
     damaged : whether something in it was wrong when it was read
     verified : whether its own checksum agrees now; if not, it serves to find whole records, but proves no loss
-    link : its place in the chain of the file
     """
 
     checksum: int
@@ -63,7 +58,6 @@ class Manifest:
     checksums: NDArray[np.uint32]
     damaged: bool = False
     verified: bool = True
-    link: Link = NO_LINK
 
     @property
     def offsets(self) -> IntArray:
@@ -81,15 +75,12 @@ def content_digest(content: bytes | bytearray) -> bytes:
     return hashlib.blake2b(content, digest_size=16).digest()
 
 
-def encode_manifest(
-    content: bytes, runs: Sequence[tuple[int, ...]], chain: Chain | None = None, checksum: int | None = None
-) -> bytes:
-    """Body of the manifest record of a chunk whose content consists of these runs of records; it continues `chain`.
+def encode_manifest(content: bytes, runs: Sequence[tuple[int, ...]], checksum: int | None = None) -> bytes:
+    """Body of the manifest record of a chunk whose content consists of these runs of records.
 
     `checksum` is the CRC-32 of the content, where it is known.
     """
-    place = [] if chain is None else [(0, 0, 0, chain.manifests + 1, 0, 0)]
-    rows = np.array([tuple(run) for run in [*runs, *place]], RUN)
+    rows = np.array([tuple(run) for run in runs], RUN)
     checksums: list[int] = []
     at = 0
     for count, length in zip(rows["count"].tolist(), rows["length"].tolist()):
@@ -101,12 +92,7 @@ def encode_manifest(
     checksum = zlib.crc32(content) if checksum is None else checksum
     rest = _HEAD.pack(0, checksum, len(content), VERSION, content_digest(content))[4:]
     rest += struct.pack("<I", rows.nbytes) + rows.tobytes()
-    end = len(rest)
     rest += struct.pack("<I", len(crcs)) + crcs
-    if chain is not None:
-        chain.add(OP_MANIFEST, rest)
-        chain.manifests += 1
-        rest = rest[: end - DIGEST_SIZE] + chain.digest + rest[end:]
     return struct.pack("<I", zlib.crc32(rest)) + rest
 
 
@@ -127,16 +113,7 @@ def decode_manifest(body: bytes) -> Manifest | None:
     sizes = int((runs["count"].astype(np.int64) * runs["length"]).sum())
     if checksums.size != total or sizes != size:
         return None
-    return Manifest(checksum, digest, size, runs, checksums, not verified or body != read, verified, _link(body, at))
-
-
-def _link(body: bytes, end: int) -> Link:
-    """Place in the chain of a manifest whose runs end at `end`."""
-    last = np.frombuffer(body[end - RUN.itemsize : end], RUN)
-    if end == _HEAD.size + 4 or any(last[name][0] for name in ("channel", "count", "length")):
-        return replace(NO_LINK, content=body[4:])
-    begin = end - DIGEST_SIZE
-    return Link(int(last["sequence"][0]), body[begin:end], body[4:begin] + NOTHING + body[end:])
+    return Manifest(checksum, digest, size, runs, checksums, not verified or body != read, verified)
 
 
 def _one_bit_undone(body: bytes) -> tuple[bytes, bool]:

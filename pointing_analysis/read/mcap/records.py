@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from lftkit.errors import InputError
 from pointing_analysis.arrays import IntArray
-from pointing_analysis.read.mcap.chain import Chain
 
 MAGIC = b"\x89MCAP0\r\n"
 OP_HEADER, OP_FOOTER, OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK, OP_INDEX = 1, 2, 3, 4, 5, 6, 7
 OP_CHUNK_INDEX, OP_ATTACHMENT, OP_ATTACHMENT_INDEX, OP_STATISTICS = 8, 9, 10, 11
 OP_METADATA, OP_METADATA_INDEX, OP_SUMMARY_OFFSET, OP_DATA_END = 12, 13, 14, 15
-OP_MANIFEST = 0x81  # of the range that the format leaves to applications; `chunk_manifest`
+OP_MANIFEST, OP_DIGEST = 0x81, 0x82  # of the range that the format leaves to applications; `manifest`, `file_digest`
 RECORD = struct.Struct("<BQ")
 # A message record as it lies in the chunk; the payload follows.
 MESSAGE_HEAD = np.dtype(
@@ -131,7 +130,9 @@ class FileInfo:
     contradictions : records with a valid checksum that contradict the file's digests; in `problems` as well
     lost_chunks : unreadable chunks whose index lists their content
     expected : by channel, what the manifests of the chunks say
-    chain : of manifests, metadata records and attachments
+    manifests : whole ones
+    stated : digest of the file at its end; empty without one
+    agrees : whether it is that of the file; None where they were not compared
     digests : chunks whose content was compared with the digest in their manifest, and agrees
     chunks : chunks that were unpacked
     unproved : used messages without a checksum where the file is truncated
@@ -140,6 +141,7 @@ class FileInfo:
     statistics : messages of each channel as the summary counts them; None without a whole summary
     message_count : all messages as the summary counts them; None likewise
     finished : whether the file has the end of its data
+    compares : whether to compare the digest of the whole file
     max_chunk : largest chunk that is unpacked [byte]
     unpacks : whether to unpack a chunk, by the times [ns] of its first and last message
     """
@@ -153,7 +155,9 @@ class FileInfo:
     contradictions: list[str] = field(default_factory=list)
     lost_chunks: list[LostChunk] = field(default_factory=list)
     expected: dict[int, Expected] = field(default_factory=dict)
-    chain: Chain = field(default_factory=Chain)
+    manifests: int = 0
+    stated: bytes = b""
+    agrees: bool | None = None
     digests: int = 0
     chunks: int = 0
     unproved: int = 0
@@ -163,6 +167,7 @@ class FileInfo:
     message_count: int | None = None
     library: str = ""
     finished: bool = False
+    compares: bool = False
     max_chunk: int = MAX_CHUNK
     unpacks: Callable[[int, int], bool] = lambda first, last: True
 

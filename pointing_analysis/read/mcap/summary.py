@@ -19,6 +19,7 @@ from pointing_analysis.read.mcap.records import (
     OP_CHUNK,
     OP_CHUNK_INDEX,
     OP_DATA_END,
+    OP_DIGEST,
     OP_FOOTER,
     OP_INDEX,
     OP_METADATA,
@@ -60,12 +61,14 @@ class SummarySection:
     times : offset of a chunk -> log times of its first and last message [ns]
     chunks : offsets of the chunks, one for each of its chunk indexes
     at : where it begins
+    digest : place of the record with the digest of the file; 0 without one
     """
 
     anchors: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: dict[int, tuple[int, int]] = field(default_factory=dict)
     chunks: list[int] = field(default_factory=list)
     at: int = 0
+    digest: int = 0
 
 
 def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection | None:
@@ -78,6 +81,8 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
     start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
     if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or not 0 < start < size - _TAIL:
         return None
+    if tail[-len(MAGIC) :] != MAGIC:
+        return None
     if size - start > MAX_SUMMARY or not checksum:
         return None
     stream.seek(start)
@@ -89,7 +94,9 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
         while at + RECORD.size <= len(data):  # also behind the place of the offsets: other readers do not stop there
             op, length = RECORD.unpack_from(data, at)
             body = data[at + RECORD.size : at + RECORD.size + length]
-            if op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):
+            if op == OP_DIGEST:
+                info.stated, found.digest = body, start + at
+            elif op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):
                 read_side_record(info, op, body, where, start + at)
             else:
                 _place(found, op, body)

@@ -62,10 +62,10 @@ class Unbound:
         if self._pieces:
             what = f"{self._messages} messages are outside the chunks and in no manifest: excluded"
             yield self._pieces[0][0], what
-        if self._types and info.chain.linked:
+        if self._types:
             yield self._types[0], "a type or channel is outside the chunks and in no manifest"
-        complete = info.digests == info.chunks == info.chain.manifests  # every chunk was read, and is right
-        if info.chain.linked and complete and self.summary is not None:
+        complete = info.digests == info.chunks == info.manifests  # every chunk was read, and is right
+        if complete and self.summary is not None:
             for number, channel in self.named.items():
                 if (found := info.channels.get(number)) is channel or found != channel:  # the same: no chunk has it
                     yield self.summary.at, f"the summary names channel {number}, which the chunks do not have"

@@ -15,19 +15,20 @@ from typing import BinaryIO
 import zstandard
 
 from pointing_analysis.read.mcap.bag_metadata import HASH, has_right_hash
-from pointing_analysis.read.mcap.chain import SEAL
 from pointing_analysis.read.mcap.chunk_copies import ChunkCopies, is_refuted
 from pointing_analysis.read.mcap.chunks import (
     ZSTD,
     Unpacked,
     block_of,
     followed_by_records,
+    index_agrees,
     index_times,
     take_apart,
     unpack,
     unpack_messages,
     whole_records,
 )
+from pointing_analysis.read.mcap.file_digest import OTHER_DIGEST, digest_before
 from pointing_analysis.read.mcap.framing import Frame, Framing
 from pointing_analysis.read.mcap.manifest import Manifest, decode_manifest, salvage
 from pointing_analysis.read.mcap.records import (
@@ -51,7 +52,6 @@ from pointing_analysis.read.mcap.records import (
     FileInfo,
     LostChunk,
     read_side_record,
-    text_at,
     with_article,
 )
 from pointing_analysis.read.mcap.summary import SummarySection, checksum_before, read_summary
@@ -71,6 +71,7 @@ class _Walk:
         self.indexed: list[bytes] = []
         self.copies = ChunkCopies()
         self.manifests: dict[bytes, Frame] | None = None
+        self.damaged = False  # since the last whole manifest: that of the next chunk may be gone
         size = stream.seek(0, os.SEEK_END)
         self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
         summary = read_summary(stream, info, where)
@@ -100,7 +101,6 @@ class _Walk:
                     continue
                 self.info.finished = True
                 self._check_data(frame)
-                self._refuted(frame, self.info.chain.check_end())
                 self._side_records_after(frame.end)
                 self._data_records_after(frame.end)
                 break
@@ -108,7 +108,7 @@ class _Walk:
             if not frame.whole:
                 yield from self._cut_off(frame)
                 break
-            self._after_end(frame)
+            self.damaged |= frame.op != OP_CHUNK and (bool(frame.defect) or frame.length > self.info.max_chunk)
             self._record(frame)
         else:
             cut = True
@@ -116,6 +116,7 @@ class _Walk:
             self.info.problems.append(f"{self.where}: the file has no end-of-data record: the recording is truncated")
         yield from self._flush_chunk()
         yield from self._outside_chunks()
+        self._compare_digest()
 
     def _body(self, frame: Frame) -> bytes:
         self.stream.seek(frame.at + RECORD.size)
@@ -139,41 +140,14 @@ class _Walk:
         elif op == OP_MANIFEST:
             self.manifest = self._manifest_at(frame)
             self.unbound.bound |= self.manifest is not None
+            self.damaged = self.manifest is None or not self.manifest.verified
             if self.manifest is not None and self.manifest.verified:
                 self.info.expect(self.manifest.runs)
-                self._refuted(frame, self.info.chain.follow(op, self.manifest.link))
-            else:
-                self.info.chain.lose()
+                self.info.manifests += 1
             if (self.manifest is None or self.manifest.damaged) and not frame.defect:
                 self.info.note(self.where, frame.at, "the manifest of a chunk is damaged")
         elif op in SIDE_RECORDS and op != OP_STATISTICS and frame.length <= self.info.max_chunk:
-            body, known = self._body(frame), len(self.info.damage)
-            read_side_record(self.info, op, body, self.where, frame.at)
-            self._chained(frame, op, body, len(self.info.damage) == known)
-
-    def _chained(self, frame: Frame, op: int, body: bytes, whole: bool) -> None:
-        """Take a record beside the messages into the chain, or compare the one at its end with it."""
-        if op not in (OP_METADATA, OP_ATTACHMENT):
-            return
-        name = text_at(body, 0)[0] if whole and op == OP_METADATA else ""
-        table = self.info.metadata[name][-1] if name in self.info.metadata else {}
-        if not whole or (HASH in table and not has_right_hash(table)):
-            self.info.chain.lose()  # damage that the record itself tells
-        elif name == SEAL:
-            self._refuted(frame, self.info.chain.check_seal(table))
-        else:
-            self.info.chain.add(op, body)
-
-    def _after_end(self, frame: Frame) -> None:
-        """Report records after the end of the chain, and damage that leaves the chain open."""
-        if frame.op in (OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT):
-            self._refuted(frame, self.info.chain.check_after())
-        if frame.op != OP_CHUNK and (frame.defect or frame.length > self.info.max_chunk):
-            self.info.chain.lose()
-
-    def _refuted(self, frame: Frame, what: str) -> None:
-        if what:
-            self.info.contradict(self.where, frame.at, what)
+            read_side_record(self.info, op, self._body(frame), self.where, frame.at)
 
     def _times(self, frame: Frame) -> tuple[int, int]:
         if frame.at in self.summary.times:
@@ -235,7 +209,7 @@ class _Walk:
                 what = "a chunk does not match the digest in its manifest: only matching parts are used"
                 self.info.contradict(self.where, frame.at, what)
                 found = Unpacked(*salvage(found.content, manifest))
-            elif own is None and self._named() and not self.info.chain.open:
+            elif own is None and self._named() and not self.damaged:
                 what = "no manifest lists the content of this chunk: it is excluded"
                 self.info.contradict(self.where, frame.at, what)
                 return None
@@ -248,7 +222,10 @@ class _Walk:
         elif found.reason and not cut:
             self._lost(frame, found.reason)
         if found.content and manifest is not None and (found.whole is not None or manifest.names(found.digest)):
-            return whole_records(self.info, found, manifest, self.where, frame.at)
+            block = whole_records(self.info, found, manifest, self.where, frame.at)
+            if indexed and block is not None and found.whole is None and not index_agrees(block, indexed):
+                self.info.note(self.where, frame.at, "the index of a chunk is not that of its messages")
+            return block
         if not found.content:
             return None
         block = block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
@@ -299,6 +276,15 @@ class _Walk:
             self.info.data_checksum = checksum_before(self.stream, end.at) == int.from_bytes(body, "little")
             if not self.info.data_checksum:
                 self.info.note(self.where, end.at, "the checksum of the data does not match")
+
+    def _compare_digest(self) -> None:
+        """Compare the bytes up to the footer with the digest there: where nothing is damaged, the file was altered."""
+        if not (self.info.compares and self.info.finished and self.info.stated):
+            return
+        self.info.agrees = digest_before(self.stream, self.summary.digest) == self.info.stated
+        tables = [table for records in self.info.metadata.values() for table in records if HASH in table]
+        if not self.info.agrees and not self.info.damage and all(map(has_right_hash, tables)):
+            self.info.contradict(self.where, self.summary.digest, OTHER_DIGEST)
 
     def _data_after(self, end: Frame) -> bool:
         """Whether an end of the data is out of place: records follow it that stand in no summary."""

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.designs.check_proof import _sentences
+from los_testbed.cli.designs.proofs import SUMMARY, _bundle
 from support.command_line import call_command
+from support.forged_proofs import zip_of_zeros
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
@@ -315,6 +317,18 @@ def test_what_is_no_bundle_is_refused(mutation: Mutation, written: Path, tmp_pat
     assert not (tmp_path / "k_fsm.json").exists() and not (tmp_path.parent / "k_fsm.json").exists()
 
 
+def test_a_bundle_whose_proofs_unpack_to_far_more_is_refused_before_that(written: Path, tmp_path: Path) -> None:
+    inner = zip_of_zeros(tmp_path / "proof.npz", "scalings.npy", megabytes=300).read_bytes()
+
+    def replaced(members: dict[str, bytes]) -> None:
+        members[member_of(STAGE, FIGURE)] = inner
+
+    target = changed(written, tmp_path / "other.zip", replaced)
+    reason = r"^the file must unpack to at most 200 MB, got 300 MB$"
+    with pytest.raises(ProofError, match=reason), open_bundle(target):
+        pass
+
+
 def test_a_proof_with_the_name_of_another_figure_is_refused(written: Path, tmp_path: Path) -> None:
     """The slow proof as the fast one: its band is not that of the fast tones."""
     with (
@@ -433,3 +447,17 @@ def test_shipped_statements_are_of_the_shipped_pair() -> None:
         limit = provable(load_telescope(), row["stage"])[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
     assert Statement("0", (), True).text.endswith(" (bundle 0)")
+
+
+def test_a_proof_of_another_loop_in_the_folder_is_named_and_left_out(
+    loop: ImplementedLoop, proof: LoopProof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_loop_proof(proof, tmp_path / "of_this.npz")
+    write_loop_proof(replace(proof, model=replace(proof.model, dt=0.002)), tmp_path / "of_another.npz")
+    placed = {"of_this": FIGURE, "of_another": "fast"}
+    rows = [{"stage": STAGE, "figure": figure, "proof": f"{name}.npz"} for name, figure in placed.items()]
+    (tmp_path / SUMMARY).write_text(json.dumps({"figures": rows}))
+    _bundle(tmp_path, {STAGE: loop})
+    with open_bundle(tmp_path / BUNDLE) as bundle:
+        assert bundle.figures == ((STAGE, FIGURE),)
+    assert capsys.readouterr().err.startswith(f"of_another.npz is not in {BUNDLE}: ")

@@ -21,7 +21,7 @@ from lftkit.proofs.sampled_loop.files import LOOP, read_loop_proof, write_loop_p
 from lftkit.proofs.trusted.cells import digest as digest_of
 from lftkit.proofs.trusted.proof import ProofFileError
 from lftkit.proofs.trusted.strips import windows_of
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from los_design.synthesis.store import load_designs
 from los_design.verification.certify import model_digest
 from los_design.verification.check_proof_texts import require_plain
@@ -177,15 +177,15 @@ def acts(k_fsm: SampledSystem, k_pma: SampledSystem) -> list[list[Any]]:
 @pytest.mark.parametrize("number", [0, 1])
 def test_each_field_changes_the_digest_or_not_the_law(number: int) -> None:
     pair = list(load_designs("implemented"))
-    own, before = digest(pair[number]), acts(*pair)
+    own, before = law_digest(pair[number]), acts(*pair)
     fields = {entry.name for entry in dataclasses.fields(SampledSystem) if entry.init}
     tried = changes(pair[number])
     assert {name.split()[-1] for name in tried} >= (fields - {"design_basis"}), "each field is changed"
     for name, other in tried.items():
-        if digest(other) == own:
+        if law_digest(other) == own:
             assert acts(*(other if k == number else system for k, system in enumerate(pair))) == before, name
-    assert digest(tried["name"]) == digest(tried["provenance"]) == own
-    assert digest(tried["basis los_sensitivity"]) != own != digest(tried["no los_sensitivity"])
+    assert law_digest(tried["name"]) == law_digest(tried["provenance"]) == own
+    assert law_digest(tried["basis los_sensitivity"]) != own != law_digest(tried["no los_sensitivity"])
 
 
 def test_matrices_of_other_shapes_have_other_digests() -> None:
@@ -193,7 +193,7 @@ def test_matrices_of_other_shapes_have_other_digests() -> None:
     A = np.zeros((1, 1))
     one = SampledSystem(A, [[1.0, 2.0]], [[3.0]], [[4.0, 5.0]], (Port("u", 2),), (Port("y", 1),), 1.0)
     two = SampledSystem(A, [[1.0]], [[2.0], [3.0]], [[4.0], [5.0]], (Port("u", 1),), (Port("y", 2),), 1.0)
-    assert digest(one) != digest(two)
+    assert law_digest(one) != law_digest(two)
 
 
 def test_what_decides_has_128_bits() -> None:

@@ -19,7 +19,7 @@ from los_design.synthesis import paper_start, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.paper_problem import PaperTask
-from los_design.synthesis.provenance import digest
+from los_design.synthesis.provenance import law_digest
 from los_design.synthesis.rounds import Effort
 from los_design.synthesis.starts import padded, random_law, zero_controller
 from los_design.synthesis.store import continuous, load_designs
@@ -176,7 +176,7 @@ def test_a_design_begins_with_the_one_of_lower_order(telescope, monkeypatch) -> 
     actuators = synthesis.design_actuators(telescope, k_fsm, high, start=k_pma)
     for below, above in ((k_fsm, observer), (k_pma, actuators)):
         assert continuous(above).order == 2 and "starts" not in above.provenance
-        assert above.provenance["start"] == digest(below) and "start" not in below.provenance
+        assert above.provenance["start"] == law_digest(below) and "start" not in below.provenance
         assert above.provenance["tuned_values"] == pytest.approx(below.provenance["tuned_values"], rel=1e-5)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.forged_proofs import zip_of_zeros
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import BoundOptions, ProofError, check_proof, worst_case_gain
@@ -107,6 +108,33 @@ CLAIMS = npy(np.zeros(3)).replace(b"(3,), ", b"(900000000000,), ").replace(b"   
 def test_members_are_arrays_of_their_size_with_names_of_their_own(tmp_path: Path, members: Any) -> None:
     with pytest.raises(ProofError):
         file_content(npz(tmp_path / "proof.npz", members))
+
+
+def test_what_unpacks_to_far_more_than_its_file_is_refused_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bomb = zip_of_zeros(tmp_path / "proof.npz", "scalings.npy", megabytes=300)
+    assert bomb.stat().st_size < 1_000_000
+    monkeypatch.setattr(zipfile.ZipFile, "read", lambda *_: pytest.fail("it was unpacked"))
+    with pytest.raises(ProofError, match=r"^the file must unpack to at most 200 MB, got 300 MB$"):
+        check_proof(bomb)
+
+
+NO_ARRAY = npy(np.zeros(2)).replace(b"NUMPY", b"numpy")
+
+
+@pytest.mark.parametrize(
+    "members",
+    [[("a.npy", npy(np.zeros(2)))], [("header.npy", npy(np.zeros(2, np.uint8)))], [("header.npy", NO_ARRAY)], []],
+)
+def test_a_file_is_refused_in_words_and_not_by_the_name_of_an_exception(members: Any, tmp_path: Path) -> None:
+    whole = npz(tmp_path / "proof.npz", members)
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(whole.read_bytes().replace(b"header", b"\0eader", 1))
+    for file in (whole, cut):
+        with pytest.raises(ProofError) as refusal:
+            check_proof(file)
+        assert " must " in str(refusal.value) and "Error" not in str(refusal.value)
 
 
 def test_arrays_are_those_that_numpy_reads(tmp_path: Path) -> None:

@@ -186,15 +186,16 @@ def test_a_forged_proof_without_noise_is_refused(name: str) -> None:
         check_proof(SINGULAR[name](found))
 
 
-def test_a_file_says_in_one_sentence_what_is_proven(proof: LowerBoundProof, tmp_path: Path) -> None:
+def test_a_file_says_what_is_proven_of_which_plant(proof: LowerBoundProof, tmp_path: Path) -> None:
     file = tmp_path / "bound.npz"
     proof.to_file(file)
     checked = check_proof(file)
     assert checked == check_proof(proof)
     said, printed = str(checked).rsplit(" ", 1)
     assert said == (
-        "proven: for this plant with 3 states, in continuous time, no stabilising controller of any order from "
-        "outputs 4, 5 to inputs 4, 5 has a loop with an H-infinity norm below"
+        f"plant {checked.plant}, 3 states, in continuous time\n"
+        "proven: no stabilising controller of any order from outputs 4, 5 to inputs 4, 5 has a loop with an H-infinity "
+        "norm below"
     )
     assert proof.level * (1.0 - 2e-8) < float(printed) <= proof.level
 

@@ -20,7 +20,7 @@ from los_testbed.bags.repair import repair_bag
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import TRUTH_LOS
-from support.forged_bags import forge, forge_with_manifest, without_chain
+from support.forged_bags import forge, forge_with_manifest, without_digest
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST, RefutedBagError
@@ -73,18 +73,19 @@ def test_a_whole_bag_is_whole(bag: Path, call: Call) -> None:
     assert RefutedBagError.code == ExitCode.CONTRADICTION
 
 
-def test_bags_without_chain_or_manifests_are_read_as_before(bag: Path, call: Call, tmp_path: Path) -> None:
-    without_chain(bag)
+def test_bags_without_digest_or_manifests_are_read_and_said_to_be_so(bag: Path, call: Call, tmp_path: Path) -> None:
+    without_digest(bag)
     code, content = told(call, "bag", "verify", bag)
-    assert code == 0 and states(content)["chain of manifests"] == "none"
+    assert code == 0 and states(content)["digest of the file"] == "none"
     assert states(content)["digests of chunks"] == "agrees"
+    assert "complete; the file has none: what is beside its chunks" in " ".join(call("bag", "verify", bag)[1].split())
     other = write_bag(tmp_path / "other", {"truth/los": Run.open(REFERENCE)["truth/los"].values})
     code, content = told(call, "bag", "verify", other)
     assert code == 0 and states(content)["digests of chunks"] == "none"
 
 
 @pytest.mark.parametrize(
-    ("attack", "name"), [(forge, "digests of chunks"), (forge_with_manifest, "chain of manifests")]
+    ("attack", "name"), [(forge, "digests of chunks"), (forge_with_manifest, "digest of the file")]
 )
 def test_an_altered_bag_contradicts_itself(bag: Path, call: Call, attack: Callable[[Path], None], name: str) -> None:
     attack(bag)
@@ -113,7 +114,7 @@ def test_other_counts_in_metadata_yaml_contradict_the_file(bag: Path, call: Call
     assert any("metadata.yaml counts 149 messages, 150 can be read" in text for text in content["contradictions"])
 
 
-def test_a_signature_finds_a_chain_made_anew(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
+def test_a_signature_finds_a_digest_made_anew(bag: Path, call: Call, keys: tuple[Path, Path, Path]) -> None:
     private, public, other = keys
     before = (bag / "bag_0.mcap").read_bytes()
     assert told(call, "bag", "verify", bag, "--public-key", public)[0] == ExitCode.CONTRADICTION, (
@@ -123,8 +124,8 @@ def test_a_signature_finds_a_chain_made_anew(bag: Path, call: Call, keys: tuple[
     assert (bag / "bag_0.mcap").read_bytes() == before
     assert told(call, "bag", "verify", bag, "--public-key", public)[0] == 0
     assert told(call, "bag", "verify", bag, "--public-key", other)[0] == ExitCode.CONTRADICTION
-    forge_with_manifest(bag, chained=True)
-    assert told(call, "bag", "verify", bag)[0] == 0, "the chain alone does not find it"
+    forge_with_manifest(bag, digested=True)
+    assert told(call, "bag", "verify", bag)[0] == 0, "the digest alone does not find it"
     code, content = told(call, "bag", "verify", bag, "--public-key", public)
     assert code == ExitCode.CONTRADICTION and states(content)["signature"] == "contradicts"
 
@@ -176,15 +177,15 @@ def taken_away(bag: Path) -> None:
     (bag / "bag_1.mcap").unlink()
 
 
-def forged_chain(bag: Path) -> None:
-    """The first file with another line of sight, manifests and chain made anew."""
+def forged_digest(bag: Path) -> None:
+    """The first file with another line of sight, manifest and digest made anew."""
     later = bag / "bag_1.mcap"
     later.rename(bag.parent / "aside")
-    forge_with_manifest(bag, chained=True)
+    forge_with_manifest(bag, digested=True)
     (bag.parent / "aside").rename(later)
 
 
-@pytest.mark.parametrize("attack", [exchanged, taken_away, forged_chain])
+@pytest.mark.parametrize("attack", [exchanged, taken_away, forged_digest])
 def test_one_signature_binds_all_files_of_a_bag(
     split: Path, call: Call, keys: tuple[Path, Path, Path], attack: Callable[[Path], None]
 ) -> None:
@@ -236,7 +237,8 @@ def test_info_describes_a_bag_of_this_testbed(bag: Path, call: Call) -> None:
     assert code == 0 and (content["start_ns"], content["duration_s"]) == (10**9, 2.999)
     assert content["topics"]["/telescope/camera/los"] == {"type": "geometry_msgs/msg/Vector3Stamped", "messages": 150}
     assert content["messages"] == sum(topic["messages"] for topic in content["topics"].values()) == 24_150
-    assert content["run"]["loop"] == "fsm+pma" and content["run"]["seed"] == 1 and "plant_hash" in content["hashes"]
+    assert content["run"]["loop"] == "fsm+pma" and content["run"]["seed"] == 1
+    assert set(content["hashes"]) == {"parameters_hash"}, "its plant is not the telescope"
     files = Run.open(bag).attachments
     sums = {name: about["sha256"] for name, about in content["attachments"].items()}
     assert sums == {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}

@@ -22,7 +22,7 @@ from simple_telescope import SimpleTelescope, write_controllers
 from pointing_analysis.read.mcap import chunks as mcap_chunks
 from pointing_analysis.read.mcap import walk as mcap_walk
 from pointing_analysis.read.mcap.chunks import take_apart
-from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST, OP_SCHEMA, RECORD, BagError
+from pointing_analysis.read.mcap.records import OP_CHUNK, OP_DATA_END, OP_MANIFEST, OP_SCHEMA, RECORD, BagError
 from pointing_analysis.read.run import Run
 
 TWO_GB = 2 << 30
@@ -65,7 +65,7 @@ def test_a_chunk_of_66_kb_that_unpacks_to_2_gb_is_left_out(made: Path, tmp_path:
     good, files = made.read_bytes(), []
     for declared in (TWO_GB, 1000, 1 << 63):
         head = struct.pack("<QQQI", 1, 2, declared, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
-        end = good.index(b"los_testbed_chain") - 4 - RECORD.size  # in front of the end of the chain
+        end = good.rindex(RECORD.pack(OP_DATA_END, 4))
         bomb = RECORD.pack(OP_CHUNK, len(head) + len(packed)) + head + packed
         files.append(tmp_path / f"{declared}.mcap")
         files[-1].write_bytes(good[:end] + bomb + good[end:])
@@ -102,7 +102,7 @@ def chunk(content: bytes) -> bytes:
 
 def with_chunks(made: Path, target: Path, *chunks: bytes) -> Path:
     good = made.read_bytes()
-    end = good.index(b"los_testbed_chain") - 4 - RECORD.size
+    end = good.rindex(RECORD.pack(OP_DATA_END, 4))
     target.write_bytes(good[:end] + b"".join(chunks) + good[end:])
     return target
 

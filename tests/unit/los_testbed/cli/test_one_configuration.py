@@ -5,12 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 import yaml
 from los_testbed.cli.app import command_line
 from los_testbed.cli.run import configure, with_lone_options
-from los_testbed.config.run_config import RunConfig, physical_hash, read_yaml
+from los_testbed.config.run_config import RunConfig, read_yaml
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.identity import announced
 from los_testbed.run.processes.node_launch import parameter_text
 
 from pointing_analysis.read.run import Run
@@ -141,13 +144,13 @@ def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch
     assert (list(found) if isinstance(found, tuple) else found) == (words[1] if name == "parameters" else value)
 
 
-def test_the_configuration_of_an_old_bag_is_read_and_has_its_hash() -> None:
+def test_the_configuration_of_the_reference_bag_is_read_and_makes_its_plant() -> None:
     run = Run.open(REFERENCE)
     from_file = RunConfig.from_mapping(yaml.safe_load(run.attachments["run.yaml"]))
     limits = ("fsm_authority", "pma_authority")  # those in force
     recorded = {name: value for name, value in run.parameters.items() if name in RunConfig.SETTINGS}
     from_metadata = RunConfig.from_mapping({name: v for name, v in recorded.items() if name not in limits})
-    assert physical_hash(from_file) == run.parameters["plant_hash"]
+    assert announced(RunParts(from_file))["plant"] == run.parameters["plant_hash"]
     assert len(recorded) > 30 and from_metadata == from_file
 
 
@@ -178,8 +181,41 @@ def test_a_file_that_is_no_configuration(tmp_path, text, words):
         read_yaml(tmp_path / "bad.yaml")
 
 
-def test_the_plant_hash_depends_on_physics_only():
-    base = RunConfig()
-    assert physical_hash(base) == physical_hash(RunConfig(duration=3.0, mode="inprocess", loop="fsm"))
-    changed = [RunConfig(seed=2), RunConfig(theta=0.1), RunConfig(noise=False), RunConfig(loop="none")]
-    assert len({physical_hash(c) for c in [base, *changed]}) == 5
+def digests(**settings):
+    return announced(RunParts(RunConfig(**settings)))
+
+
+def test_the_digest_of_the_plant_depends_on_physics_only(tmp_path):
+    """At rest under tones that do not follow from the loop it does not depend on the laws either."""
+    still = {"scenario": "imbalance", "start": "rest"}
+    base, same = digests(**still), digests(**still, duration=3.0, mode="inprocess", loop="fsm")
+    assert base["plant"] == same["plant"] and base["estimator"] == same["estimator"]
+    assert base["controller"] != same["controller"]
+    changed: list[dict[str, Any]] = [
+        {"seed": 2},
+        {"theta": 0.1},
+        {"noise": False},
+        {"loop": "none"},
+        {"nonlinear": True},
+        {"start": "steady"},
+    ]
+    assert len({digests(**{**still, **c})["plant"] for c in [{}, *changed]}) == 7
+    copied = tmp_path / "copy.toml"
+    copied.write_text("")
+    assert digests(**still, parameters=str(copied)) == base  # wherever the file of the same values is
+    copied.write_text("[sensors]\naccelerometer_noise = [2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4]\n")
+    other = digests(**still, parameters=str(copied))
+    assert other["plant"] != base["plant"] and other["estimator"] == base["estimator"]
+
+
+def test_the_digest_of_a_law_is_that_of_its_numbers(tmp_path):
+    base = digests()
+    law = RunParts(RunConfig()).models["k_fsm"]
+    law.to_file(tmp_path / "same.json")
+    replace(law, D=np.nextafter(law.D, 1.0)).to_file(tmp_path / "other.json")
+    assert digests(k_fsm=str(tmp_path / "same.json")) == base
+    other = digests(k_fsm=str(tmp_path / "other.json"))
+    assert {name for name in base if base[name] != other[name]} == {"plant", "estimator"}  # its tone is of the loop
+    assert digests(loop="fsm")["controller"] != digests(fsm_authority=1e-3)["controller"] != base["controller"]
+    unknown = digests(plant="simple_telescope:SimpleTelescope", start="rest")
+    assert unknown["plant"] == "" and unknown["estimator"] == base["estimator"]

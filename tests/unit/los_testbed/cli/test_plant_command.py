@@ -10,8 +10,10 @@ import pytest
 from command_line import CommandLine
 from los_testbed.cli.run import configure
 from los_testbed.config.members import CASES, named_cases, random_member
-from los_testbed.config.run_config import RunConfig, physical_hash
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts import run_parts
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.identity import announced
 
 from titop_plant.disturbances.responses import ALL, Curve, disturbance_responses
 from titop_plant.simulation.build import PlantConfig, parameter_values
@@ -54,7 +56,8 @@ def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
 def test_tau_is_another_name_of_theta() -> None:
     by_tau, by_theta = RunConfig(tau=math.tan(0.3)), RunConfig(theta=1.2)
     assert by_tau.array_angle == pytest.approx(1.2, rel=1e-14)
-    assert physical_hash(RunConfig(tau=0.5)) == physical_hash(RunConfig(theta=4.0 * math.atan(0.5)))
+    one, other = (announced(RunParts(c)) for c in (RunConfig(tau=0.5), RunConfig(theta=4.0 * math.atan(0.5))))
+    assert one == other
     signals = []
     for config in (by_tau, by_theta):
         plant = run_parts.build_plant(config)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from scipy.io import savemat
 from simple_telescope import SimpleTelescope, write_controllers
-from support.forged_bags import with_metadata
+from support.forged_bags import cut_short, with_metadata
 
 from lftkit.systems.mat_files import write_mat
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -70,10 +71,41 @@ def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
     code, out, _ = call(recorded, "--json")
     assert code == 0
     found = json.loads(out.splitlines()[-1])
-    assert found["as_recorded"] and found["identical"]
+    assert found["as_recorded"] and found["identical"] and found["complete"]
     assert {d["compared"] for d in found["differences"]} == {4000}
     code, out, _ = call(recorded)
-    assert "bit-identical to the recording on 4000 ticks" in out
+    assert "bit-identical to the recording on 4000 ticks" in out and out.endswith("\nthe bag is complete\n")
+
+
+def without_statistics(recorded, path):
+    changed(recorded, path, {}, None)
+    return path
+
+
+def of_another_plan(recorded, path):
+    shutil.copytree(recorded, path)
+    with_metadata(path, statistics=json.dumps({"plant": {"ticks": "3000", "planned_ticks": "4000"}}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("lose", "words"),
+    [
+        (
+            lambda bag, path: cut_short(bag, path, 2.0),
+            "ended by its plan, after 4000 ticks, but the messages cover 2000",
+        ),
+        (without_statistics, "whole, and does not say what was planned"),
+        (of_another_plan, "the run ended early: after 3000 of 4000 ticks"),
+    ],
+)
+def test_an_identical_replay_of_a_part_is_not_of_a_complete_bag(call, recorded, tmp_path, lose, words) -> None:
+    """Sensors and commands of the part agree: nothing in them says what is gone."""
+    bag = lose(recorded, tmp_path / "part")
+    code, out, _ = call(bag)
+    assert code == 0 and "bit-identical" in out and "the bag is complete" not in out
+    assert "the bag is not shown to be complete: " in out and words in " ".join(out.split())
+    assert json.loads(call(bag, "--json")[1].splitlines()[-1])["complete"] is False
 
 
 def test_one_bit_is_found(call, recorded, tmp_path) -> None:

@@ -110,3 +110,14 @@ def test_a_layout_has_every_topic_with_fields_of_its_messages(name: str) -> None
         assert fields and set(fields) <= known, path
         seen.add(topic.path)
     assert seen == {topic.path for topic in TOPICS}
+
+
+def test_a_spectrum_that_cannot_be_computed_has_a_reason():
+    """At the start of a run, and after a sample of each segment is missing: an earlier curve must not stay."""
+    history = History()
+    feed(history, range(100))
+    assert history.spectrum() == {"reason": "shown after 0.75 s"}
+    feed(history, range(100, 2000), value=lambda tick: tick % 7)
+    assert set(history.spectrum()) == {"frequency", "density"}
+    feed(history, range(2000, 8000), value=lambda tick: np.nan if tick % 100 == 0 else 1.0)
+    assert set(history.spectrum()) == {"reason"} and "without missing samples" in history.spectrum()["reason"]

@@ -162,9 +162,11 @@ def test_requests_are_told_in_order_of_time_with_their_senders():
     assert many[SHOWN:] == (f"{50 - SHOWN} more changes by request", "reset by request at 0.099 s, from /stranger")
 
 
-@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, '[{"by": 1, "name": "stop", "tick": 3}]', None])
-def test_what_is_no_list_of_changes_is_left_out(text):
-    assert requested(SimpleNamespace(parameters={"statistics": {"plant": {"changes": text}}})) == ()
+@pytest.mark.parametrize("text", ["", "[", "[" * 100_000, '[{"by": 1, "name": "stop", "tick": 3}]', {}])
+def test_what_is_no_list_of_changes_is_named(text):
+    """One without a value, a text or an object in the place of the list."""
+    found = requested(SimpleNamespace(parameters={"statistics": {"plant": {"changes": text}}}))
+    assert [said.startswith("changes of the node plant must be a list") for said in found] == [True]
     assert requested(SimpleNamespace(parameters={"statistics": text})) == ()
 
 

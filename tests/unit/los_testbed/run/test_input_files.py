@@ -18,6 +18,7 @@ from los_testbed.run.identity import identity, telescope_digest
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_table
+from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.source_shares import source_shares
 
 from pointing_analysis.read.run import Run
@@ -162,7 +163,7 @@ def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig,
     run = Run.open(tmp_path / "bag")
     summary = summarise(run)
     assert (row["ape_max_arcsec"], row["rpe_rms_mas"]) == (summary.ape_max, summary.rpe_rms)
-    shares = [share for share in source_shares(run) if share.name in ROWS]
+    shares = [share for share in source_shares(RanLoop.of(run)) if share.name in ROWS]
     assert [share.name for share in shares] == list(ROWS)
     for share in shares:
         assert [row[name] for name in source_columns(share.name)] == [share.ape, share.rpe]
@@ -177,7 +178,7 @@ def test_a_budget_has_a_source_for_each(base: RunConfig, tmp_path: Path) -> None
     found = sources_of_table(("loop",), table, np.pi / 648e6)
     assert [source.path for source in found] == [("loop", name) for name in ROWS]
     run_in_process(replace(base, scenario="imbalance"), tmp_path / "bag")
-    shares = [share for share in source_shares(Run.open(tmp_path / "bag")) if share.name in ROWS]
+    shares = [share for share in source_shares(RanLoop.of(Run.open(tmp_path / "bag"))) if share.name in ROWS]
     for source, share in zip(found, shares, strict=True):
         assert np.linalg.norm(source.sigma(0.02)) == pytest.approx(share.rpe, rel=1e-3)
     every = {s.name for s in sources_of_table(("loop",), {**table, "part": "all"}, 1.0)}

@@ -1,4 +1,4 @@
-"""Check of a bag: end of the data, checksums, digests, chain, counts, signature, and the times of the messages."""
+"""Check of a bag: end of the data, checksums, digests, counts, signature, and the times of the messages."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
+from pointing_analysis.read.mcap.file_digest import OTHER_DIGEST
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
-from pointing_analysis.read.run_end import run_end, statistics_of
+from pointing_analysis.read.run_end import RunEnd, run_end, statistics_of
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
 """``early``: intact, but the run did not end as planned, or its messages do not show that it did."""
 
-CHECKSUMS = "checksums"
+CHECKSUMS, WHOLE_FILE = "checksums", "digest of the file"
+NO_DIGEST = "the file has none: what is beside its chunks is not covered"
 NAMED = 3
 """Largest number of agreeing message counts that are listed."""
 
@@ -55,6 +57,7 @@ class BagCheck:
     messages : that can be read, by topic
     losses : what was recorded and cannot be read
     arrivals : gaps, stalls and clock steps by topic: of what was sent, no defect of the bag
+    ticks : of the run, where it ended by its plan and the messages show it; else None
     """
 
     path: Path
@@ -64,12 +67,17 @@ class BagCheck:
     messages: dict[str, int]
     losses: tuple[TopicLoss, ...]
     arrivals: dict[str, Arrivals]
+    ticks: int | None = None
 
     @property
     def title(self) -> str:
         """Whether it is whole, that no checksum proves it, and that its run ended early."""
         early = "".join(f"; {row.found}" for row in self.rows if row.state == "early")
-        unproved = "".join(f"; {row.found}" for row in self.rows if row.name == CHECKSUMS and row.state == "none")
+        unproved = "".join(
+            f"; {row.found}"
+            for row in self.rows
+            if (row.name == CHECKSUMS and row.state == "none") or row.found == NO_DIGEST
+        )
         whole = "complete" if unproved else "whole"
         return f"{'not whole' if self.code else whole}{unproved}{early}"
 
@@ -126,15 +134,15 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     Raises
     ------
     ValueError
-        It is damaged, contradicts itself, or has no manifests.
+        It is damaged, contradicts itself, or has no digest of all its bytes.
     """
     found, infos, files = _check(path, max_chunk, None)
     refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
         raise InputError(f"a bag must be intact to be signed, got {path}, {refused}")
-    if not all(info.chunks and _all_agree(info) for info in infos):
-        raise InputError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
-    return write_signature(files[0], [info.chain for info in infos], key)
+    if not all(info.agrees and info.chunks and _all_agree(info) for info in infos):
+        raise InputError(f"a bag must have a manifest of each chunk and a digest to be signed, got {path} without")
+    return write_signature(files[0], [info.stated for info in infos], key)
 
 
 def _check(
@@ -147,6 +155,7 @@ def _check(
     infos, losses = reading.infos, reading.losses()
     damage = _damage(reading, bag)
     known = {key: value_of(text) for key, text in merged(infos)[0].items()}
+    end = run_end(known, contents.covered_ticks(known, losses)) if "statistics" in known else None
     counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
         BagCheckRow(
@@ -154,21 +163,28 @@ def _check(
         ),
         _checksums(infos, damage, contents.topics.total()),
         _digests(infos),
-        _chain(infos),
+        _whole_file(infos),
         BagCheckRow("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
         counts,
         BagCheckRow(
             "lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))
         ),
         _times(arrived := contents.arrivals()),
-        _end_of_run(known, contents, losses),
+        None if end is None else _end_of_run(end),
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
     differences = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
     problems = tuple(dict.fromkeys([*reading.problems(), *differences]))
     result = BagCheck(
-        path, found, (*reading.contradictions, *differences), problems, dict(contents.topics), losses, arrived
+        path,
+        found,
+        (*reading.contradictions, *differences),
+        problems,
+        dict(contents.topics),
+        losses,
+        arrived,
+        end.done if end is not None and end.by_plan else None,
     )
     return result, infos, bag.files
 
@@ -202,37 +218,34 @@ def _damage(reading: BagPass, bag: BagFiles) -> list[str]:
     return [*bag.problems, *found, *merged(reading.infos, METADATA_NAME)[1]]
 
 
-def _of_chain(info: FileInfo, contradiction: str) -> bool:
-    return any(contradiction.endswith(f": {what}") for what in info.chain.broken)
-
-
 def _all_agree(info: FileInfo) -> bool:
     """Whether every chunk is what its manifest says, and no manifest is without its chunk."""
-    return info.digests == info.chunks == info.chain.manifests
+    return info.digests == info.chunks == info.manifests
 
 
 def _digests(infos: list[FileInfo]) -> BagCheckRow:
-    chunks, agree = sum(max(info.chunks, info.chain.manifests) for info in infos), sum(info.digests for info in infos)
-    if not any(info.chain.manifests for info in infos):
+    chunks, agree = sum(max(info.chunks, info.manifests) for info in infos), sum(info.digests for info in infos)
+    if not any(info.manifests for info in infos):
         return BagCheckRow("digests of chunks", "none", "no manifests: recorded by another program")
-    refuted = [text for info in infos for text in info.contradictions if not _of_chain(info, text)]
+    refuted = [text for info in infos for text in info.contradictions if not text.endswith(OTHER_DIGEST)]
     text = f"{agree} of {chunks} agree"
     if refuted:
         return BagCheckRow("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
     return BagCheckRow("digests of chunks", "agrees" if agree == chunks else "damaged", text)
 
 
-def _chain(infos: list[FileInfo]) -> BagCheckRow:
-    linked = [info for info in infos if info.chain.linked or info.chain.sealed]
-    if not linked:
-        return BagCheckRow("chain of manifests", "none", "none: recorded by an older version or another program")
-    broken = [text for info in linked for text in info.contradictions if _of_chain(info, text)]
-    if broken:
-        return BagCheckRow("chain of manifests", "contradicts", _first(broken))
-    text = counted(sum(info.chain.manifests for info in linked), "manifest")
-    if any(info.chain.unchecked or info.chain.open or not info.chain.sealed for info in linked):
-        return BagCheckRow("chain of manifests", "damaged", f"{text}, not all could be checked, or the end is missing")
-    return BagCheckRow("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")
+def _whole_file(infos: list[FileInfo]) -> BagCheckRow:
+    """Of every byte up to the footers."""
+    if not all(info.stated for info in infos):
+        foreign = not any(info.manifests for info in infos)
+        return BagCheckRow(WHOLE_FILE, "none", "none: recorded by another program" if foreign else NO_DIGEST)
+    if all(info.agrees for info in infos):
+        which = ", ".join(info.stated.hex()[:16] for info in infos)
+        return BagCheckRow(
+            WHOLE_FILE, "agrees", f"{which} of every byte up to the footer; metadata.yaml is not covered"
+        )
+    altered = any(text.endswith(OTHER_DIGEST) for info in infos for text in info.contradictions)
+    return BagCheckRow(WHOLE_FILE, "contradicts" if altered else "damaged", OTHER_DIGEST)
 
 
 @dataclass(frozen=True)
@@ -301,11 +314,8 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     )
 
 
-def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[TopicLoss]) -> BagCheckRow | None:
-    """Whether the run ended by its plan, and the messages show it; None where its recorder wrote no results."""
-    if "statistics" not in known:
-        return None
-    end = run_end(known, contents.covered_ticks(known, losses))
+def _end_of_run(end: RunEnd) -> BagCheckRow:
+    """Whether the run ended by its plan, and the messages show it."""
     if end.text:
         return BagCheckRow("end of the run", "early", end.text)
     if end.by_plan and end.done is not None:
@@ -328,8 +338,8 @@ def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | Non
         return BagCheckRow("signature", "none", "present, not checked: no --public-key" if there else "none")
     if not there:
         return BagCheckRow("signature", "contradicts", "none, but required by --public-key")
-    if there != [bag.files[0]] or not is_signed_by(there[0], [info.chain for info in infos], key):
+    if there != [bag.files[0]] or not is_signed_by(there[0], [info.stated for info in infos], key):
         return BagCheckRow("signature", "contradicts", "does not match this key and bag")
-    if any(info.chain.unchecked or info.chain.open or not _all_agree(info) for info in infos):
-        return BagCheckRow("signature", "damaged", "matches this key, but does not cover the damaged parts")
+    if not all(info.agrees and _all_agree(info) for info in infos):
+        return BagCheckRow("signature", "damaged", "matches this key, and is of the file before it was damaged")
     return BagCheckRow("signature", "agrees", "matches this key")

@@ -74,7 +74,7 @@ def describe_bag(path: Path, max_chunk: int = MAX_CHUNK) -> dict[str, Any]:
             for name, a in sorted(attachments.items())
         },
         "sha256": {file.name: _sha256(file) for file in bag.files},
-        "chain": [info.chain.digest.hex() for info in reading.infos if info.chain.sealed],
+        "digest": [info.stated.hex() for info in reading.infos if info.stated],
         "signed": any(signature_file(file).is_file() for file in bag.files),
         "problems": reading.problems(),
         "contradictions": list(reading.contradictions),

@@ -3,8 +3,8 @@
 The records themselves are those of the `mcap` package; only the message records and their index, which
 at 8 000 a second would cost more than the control loop, are laid out with numpy. A chunk is compressed
 with zstd and carries a checksum of its content. It can be read alone: it begins with all schemas and channels, and
-before it stands a manifest with a checksum of each of its records (`pointing_analysis.read.mcap.manifest`). Manifests,
-metadata records and attachments are a hash chain (`pointing_analysis.read.mcap.chain`).
+before it stands a manifest with a checksum of each of its records (`pointing_analysis.read.mcap.manifest`). At the end
+of the file is a digest of all its bytes (`pointing_analysis.read.mcap.file_digest`).
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from pointing_analysis.read.mcap.chain import SEAL, Chain
+from pointing_analysis.read.mcap.file_digest import new_digest
 from pointing_analysis.read.mcap.manifest import encode_manifest
-from pointing_analysis.read.mcap.records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_MANIFEST, RECORD
+from pointing_analysis.read.mcap.records import BODY, INDEX_ENTRY, MAGIC, MESSAGE_HEAD, OP_DIGEST, OP_MANIFEST, RECORD
 
 MAX_CHUNK = 16_000_000
 """Largest content of a chunk [byte]; a larger one is split."""
@@ -79,10 +79,10 @@ class McapBlockWriter:
         self._span: list[int] = []
         self.counts: dict[int, int] = {}
         self._sequences: dict[int, int] = {}
-        self._chain = Chain()
+        self._digest = new_digest()
         self.start_time = 0
         self.end_time = 0
-        self._file.write(MAGIC)
+        self._put(MAGIC)
         self._write(Header(profile=profile, library="los-testbed"))
 
     def add_channel(
@@ -202,8 +202,8 @@ class McapBlockWriter:
             uncompressed_crc=checksum,
             uncompressed_size=len(content),
         )
-        body = encode_manifest(content, self._runs, self._chain, checksum)
-        self._file.write(RECORD.pack(OP_MANIFEST, len(body)) + body)
+        body = encode_manifest(content, self._runs, checksum)
+        self._put(RECORD.pack(OP_MANIFEST, len(body)) + body)
         offset, length = self._write(chunk)
         offsets, index_length = {}, 0
         for channel, entries in self._index.items():
@@ -231,18 +231,18 @@ class McapBlockWriter:
         """Message index record (opcode, length, channel, byte length, entries) in one piece."""
         body = channel.to_bytes(2, "little") + entries.nbytes.to_bytes(4, "little") + entries.tobytes()
         offset = self._file.tell()
-        self._file.write(RECORD.pack(Opcode.MESSAGE_INDEX, len(body)) + body)
+        self._put(RECORD.pack(Opcode.MESSAGE_INDEX, len(body)) + body)
         return offset, 9 + len(body)
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
         """Write a named table of strings."""
-        offset, length = self._write(Metadata(name=name, metadata=dict(content)), bound=name != SEAL)
+        offset, length = self._write(Metadata(name=name, metadata=dict(content)))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write a whole file into this one."""
         record = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        offset, length = self._write(record, bound=True)
+        offset, length = self._write(record)
         self._attachments.append(
             AttachmentIndex(
                 offset=offset,
@@ -260,9 +260,7 @@ class McapBlockWriter:
         self.flush_chunk()
         if not self._chunks:  # channels without a message
             self._begin()
-            self._file.write(np.concatenate(self._blocks).tobytes())
-        if self._chain.manifests:
-            self.add_metadata(SEAL, self._chain.seal())
+            self._put(np.concatenate(self._blocks).tobytes())
         self._write(DataEnd(data_section_crc=0))
         self._write_summary()
         self._file.write(MAGIC)
@@ -299,10 +297,13 @@ class McapBlockWriter:
         offset_start = start + builder.count
         for entry in offsets:
             entry.write(builder)
-        summary = builder.end()
+        own = builder.end()
+        self._put(own)
+        digest = self._digest.digest()
+        self._put(last := RECORD.pack(OP_DIGEST, len(digest)) + digest)
+        summary = own + last
         foot = int(Opcode.FOOTER).to_bytes(1, "little") + (20).to_bytes(8, "little")
         foot += start.to_bytes(8, "little") + offset_start.to_bytes(8, "little")
-        self._file.write(summary)
         self._write(
             Footer(
                 summary_start=start,
@@ -311,13 +312,16 @@ class McapBlockWriter:
             )
         )
 
-    def _write(self, record: McapRecord, bound: bool = False) -> tuple[int, int]:
-        """Write a record, with `bound` also into the chain; its offset and length."""
+    def _write(self, record: McapRecord) -> tuple[int, int]:
+        """Write a record; its offset and length."""
         builder = RecordBuilder()
         record.write(builder)
         data = builder.end()
-        if bound:
-            self._chain.add(data[0], data[RECORD.size :])
         offset = self._file.tell()
-        self._file.write(data)
+        self._put(data)
         return offset, len(data)
+
+    def _put(self, data: bytes) -> None:
+        """Write bytes, which the digest of the file covers."""
+        self._file.write(data)
+        self._digest.update(data)

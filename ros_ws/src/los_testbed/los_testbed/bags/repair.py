@@ -21,7 +21,6 @@ from los_testbed.bags.writer import BagWriter, check_new_bag
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions, repair_entries
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
-from pointing_analysis.read.mcap.chain import SEAL
 from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
 from pointing_analysis.read.messages.topic_columns import KNOWN
@@ -84,7 +83,7 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
     if len(found.files) != 1:
         raise BagError(f"{source} must be a bag folder with one .mcap file, got {len(found.files)}")
     check_space(target, 1.5 * found.files[0].stat().st_size, "the repaired bag")
-    info = FileInfo(max_chunk=max_chunk)
+    info = FileInfo(max_chunk=max_chunk, compares=True)
     ledger = LossLedger()
     with atomic_folder(target) as folder:
         result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
@@ -131,7 +130,7 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
     tables = {
         name: records[-1]
         for name, records in beside.metadata.items()
-        if records and name not in ("rosbag2", METADATA_NAME, SEAL)
+        if records and name not in ("rosbag2", METADATA_NAME)
     }
     return ({METADATA_NAME: run} if run else {}) | tables, problems
 

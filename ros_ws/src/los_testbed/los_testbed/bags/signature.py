@@ -1,25 +1,25 @@
-"""Ed25519 signature of a bag, stored beside its first file, over the digests that end the hash chains.
+"""Ed25519 signature of a bag, stored beside its first file, over the digests at the ends of its files.
 
-Of a bag with several files one signature binds all of them in their order.
+Of a bag with several files one signature binds all of them in their order, and ``metadata.yaml`` of its folder.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_limits import SECRET
 from pointing_analysis.files.structured_text import load_json, read_text
-from pointing_analysis.read.mcap.chain import Chain
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-FORMAT, FORMAT_OF_SEVERAL = "los-testbed bag signature 1", "los-testbed bag signature 2"
+FORMAT = "los-testbed bag signature 3"
 SUFFIX = ".sig"
 
 
@@ -28,15 +28,20 @@ def signature_file(file: Path) -> Path:
     return file.with_name(file.name + SUFFIX)
 
 
-def _content(chains: Sequence[Chain]) -> dict[str, Any]:
-    """The signed bytes."""
-    if len(chains) == 1:
-        return {"format": FORMAT, **chains[0].seal()}
-    return {"format": FORMAT_OF_SEVERAL, "files": [chain.seal() for chain in chains]}
+def _text(file: Path, digests: Sequence[bytes], signature: bytes | None = None) -> bytes:
+    """The signed bytes, or the content of the file with the signature of them.
 
-
-def _statement(chains: Sequence[Chain]) -> bytes:
-    return json.dumps(_content(chains), sort_keys=True).encode()
+    Parameters
+    ----------
+    file : the first file of the bag
+    digests : of all files in their order, see :mod:`pointing_analysis.read.mcap.file_digest`
+    signature : of the first; None for the bytes that are signed
+    """
+    beside = file.with_name("metadata.yaml")
+    described = hashlib.sha256(beside.read_bytes()).hexdigest() if beside.is_file() else ""
+    content = {"format": FORMAT, "files": [digest.hex() for digest in digests], "metadata.yaml": described}
+    signed = {} if signature is None else {"signature": signature.hex()}
+    return (json.dumps({**content, **signed}, indent=2) + "\n").encode()
 
 
 def _pem(option: str, file: Path) -> bytes:
@@ -90,21 +95,21 @@ def public_key(option: str, file: Path) -> Ed25519PublicKey:
     return key
 
 
-def write_signature(file: Path, chains: Sequence[Chain], key: Ed25519PrivateKey) -> Path:
-    """Sign the digests that end the chains of the files of a bag, `file` the first of them; the signature's path."""
+def write_signature(file: Path, digests: Sequence[bytes], key: Ed25519PrivateKey) -> Path:
+    """Sign the digests of the files of a bag, `file` the first of them; the signature's path."""
     target = signature_file(file)
-    content = {**_content(chains), "signature": key.sign(_statement(chains)).hex()}
-    write_text(target, json.dumps(content, indent=2) + "\n")
+    write_text(target, _text(file, digests, key.sign(_text(file, digests))).decode())
     return target
 
 
-def is_signed_by(file: Path, chains: Sequence[Chain], key: Ed25519PublicKey) -> bool:
-    """Whether the signature beside the first file is that of `key` for these chains."""
+def is_signed_by(file: Path, digests: Sequence[bytes], key: Ed25519PublicKey) -> bool:
+    """Whether the signature beside the first file is that of `key` for these digests, and nothing else is in it."""
     from cryptography.exceptions import InvalidSignature
 
     try:
-        content = load_json(read_text(signature_file(file), SECRET), "signature")
-        key.verify(bytes.fromhex(content["signature"]), _statement(chains))
+        text = read_text(signature_file(file), SECRET)
+        signature = bytes.fromhex(load_json(text, "signature")["signature"])
+        key.verify(signature, _text(file, digests))
     except (OSError, ValueError, KeyError, TypeError, InvalidSignature):
         return False
-    return True
+    return text.encode() == _text(file, digests, signature)

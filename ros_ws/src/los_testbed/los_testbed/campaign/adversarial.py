@@ -41,16 +41,10 @@ def _searched(
     base: RunConfig, ascents: int, seed: int, workers: Workers | None
 ) -> tuple[tuple[float, dict[str, float]], ...]:
     from los_design.search.worst_case_search import Search, SearchOptions
-    from los_loop.implemented_loop import ImplementedLoop
-    from los_loop.open_loop import OpenLoop
 
-    parts = RunParts(replace(base, scenario="design"))
-    controllers = parts.models
+    loop = RunParts(replace(base, scenario="design")).implemented_loop()
     with one_thread():
-        options = SearchOptions(ascents=ascents, seed=seed)
-        open_loop = OpenLoop(parts.family.control_loop, parts.telescope)
-        loop = ImplementedLoop(open_loop, controllers["k_fsm"], controllers["k_pma"], base.loop)
-        found = Search(loop, options).run(METRICS, workers=workers)
+        found = Search(loop, SearchOptions(ascents=ascents, seed=seed)).run(METRICS, workers=workers)
     points = [point for band in found.values() for point in band]
     return tuple((p.gamma, dict(p.parameters)) for p in sorted(points, key=lambda p: -p.gamma))
 

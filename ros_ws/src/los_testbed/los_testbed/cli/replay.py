@@ -30,7 +30,8 @@ DIFFERENT = 1
 REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
 With the recorded controllers, the replay reproduces the recorded estimates and commands bit for bit if the bag holds
-every sample that the loop used (exit code 1 if not). With other controllers it gives their estimates, knowledge errors
+every sample that the loop used (exit code 1 if not). The bag is complete where it is whole, too, as `bag verify` finds,
+and has all ticks of its plan. With other controllers it gives their estimates, knowledge errors
 and commands. The recorded telescope does not respond to those commands, so a replay has no verdict: `analyse BAG
 --requirements FILE` judges the recorded line of sight, and `run --k-fsm FILE` that of another controller.
 
@@ -91,6 +92,8 @@ def replay(
         content = _to_ros(console, run, output, domain, timeout)
     else:
         content = _through(console, run, (k_fsm, k_pma, loop, ports_in_order), output, transient)
+        if content["as_recorded"] and content["identical"]:
+            content["complete"] = _is_complete(console, bag, content["ticks"], chunk_limit(max_chunk))
     if json_:
         print_json({**content, "contradictions": list(run.contradictions)})
     for text in run.contradictions:
@@ -124,6 +127,22 @@ def _through(
         replay_run.write_bag(output, run, replayed, chosen)
         say(console, f"bag     {output}")
     return {**content, "output": None if output is None else str(output)}
+
+
+def _is_complete(console: Console, bag: Path, replayed: int, max_chunk: int) -> bool:
+    """Whether a bag is whole and its run of as many ticks as were replayed; a line says it, or why not."""
+    from los_testbed.bags.check import check_bag as verify
+
+    found = verify(bag, max_chunk)
+    missing = found.title
+    if not found.code and found.ticks == replayed:
+        missing = ""
+    elif not found.code and found.ticks is not None:
+        missing = f"{replayed} of the {found.ticks} ticks of its plan were replayed"
+    elif missing == "whole":
+        missing = "whole, and does not say what was planned"
+    say(console, f"the bag is not shown to be complete: {missing}" if missing else "the bag is complete")
+    return not missing
 
 
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None, timeout: float) -> dict[str, Any]:

@@ -6,8 +6,6 @@ and the metadata of the bag.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -244,10 +242,6 @@ class RunConfig(PhysicalSettings):
         return cls.from_mapping(read_yaml(path))
 
 
-CHANGED = ("plant", "device", "nonlinear", "disturbance_source", "disturbance_files")
-"""Fields that change the plant itself; part of its hash where they are set."""
-
-
 def is_library(text: str) -> bool:
     """Whether the name of a controller is that of a flight library.
 
@@ -301,17 +295,3 @@ def parse_value(name: str, text: str) -> Any:
     if RunConfig.SETTINGS[name].kind is tuple and "[" not in text:
         text = f"[{', '.join(text.split())}]"
     return load_yaml(text, name)
-
-
-def physical_hash(config: RunConfig) -> str:
-    """SHA-256 of the settings that the plant is built from."""
-    plain = config.to_plain()
-    changed = [name for name in CHANGED if getattr(config, name)]
-    values = {name: plain[name] for name in (*PhysicalSettings.SETTINGS, "worst_of", *changed)}
-    if config.profile == RunConfig.SETTINGS["profile"].default:  # bags older than profiles keep their hash
-        del values["profile"]
-    if config.frequencies is None:  # nor did these exist
-        del values["frequencies"]
-    del values["tau"]
-    values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

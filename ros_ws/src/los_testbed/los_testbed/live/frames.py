@@ -62,7 +62,7 @@ class ViewerFrames:
         self._computed = 0
         self._next = 0.0
         self._indices: list[dict[str, Any]] = []
-        self._spectrum: dict[str, list[float]] | None = None
+        self._spectrum: dict[str, Any] = {}
         self._fixed = {
             "namespace": config.namespace,
             "mode": config.mode,
@@ -75,7 +75,7 @@ class ViewerFrames:
         """Start of another run: the plant was reset or restarted."""
         self.history.clear()
         self._run += 1
-        self._indices, self._spectrum, self._next = [], None, 0.0
+        self._indices, self._spectrum, self._next = [], {}, 0.0
         self._exposed = -1
 
     def put(self, name: str, data: bytes) -> None:

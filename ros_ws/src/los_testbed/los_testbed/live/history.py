@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
+from lftkit.errors import InputError
 from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, TopicDefinition
 from pointing_analysis.indices.errors import RAD_PER_MAS
@@ -111,15 +112,15 @@ class History:
         ticks = self._ticks(max(self.tick - SPAN_TICKS, -1))
         return np.asarray(self._values["los"][ticks % CAPACITY])
 
-    def spectrum(self) -> dict[str, list[float]] | None:
-        """Power spectral density [mas2/Hz], both axes together, over frequency [Hz]; None while there is too little."""
+    def spectrum(self) -> dict[str, Any]:
+        """Power spectral density [mas2/Hz], both axes together, over frequency [Hz]; a `reason` where there is none."""
         error = self.recent()
         if len(error) < 1.5 * SEGMENT_S / DT:
-            return None
+            return {"reason": f"shown after {1.5 * SEGMENT_S:g} s"}
         try:
             found = psd(error, DT, SEGMENT_S)
-        except ValueError:  # a sample is missing in every segment
-            return None
+        except InputError as refusal:  # a sample is missing in every segment
+            return {"reason": str(refusal)}
         kept = slice(1, None)
         density = found.density.sum(axis=1)
         return {"frequency": _short(found.frequency[kept]), "density": _short(density[kept])}

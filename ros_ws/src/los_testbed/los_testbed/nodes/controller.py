@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fsm_pma_controller.fade import Fade
-from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config.plugins import made_by
-from los_testbed.config.run_config import ACTIVE, RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -24,7 +23,8 @@ from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.parts.run_parts import RunParts, build_controller
 from los_testbed.parts.user_blocks import watched
-from los_testbed.run.loop.changes import Apply
+from los_testbed.run.identity import announced
+from los_testbed.run.loop.changes import appliers_of
 from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import DesignBasis
@@ -74,6 +74,8 @@ class ControllerLaw:
         Number of its inputs.
     command : ndarray, shape (8 or more,)
         Its output [rad, N], the same array at every tick.
+    digest : str
+        By which the node announces it (:func:`los_testbed.run.identity.announced`).
     """
 
     def __init__(self, context: NodeContext, build: Callable[[RunConfig], ControllerCore] = build_controller) -> None:
@@ -83,6 +85,7 @@ class ControllerLaw:
         controller = made_by(build, context.config, "controller") if own else run.controller()
         if not own:
             context.warn_alone(run.check())
+        self.digest = "" if own else announced(run)["controller"]
         ports = REFERENCE_PORTS if own else run.used["k_pma"]
         self._reset, control = watched(controller.reset, "reset"), watched(controller.step, "step")
         self.further = sensor_topics(ports.further_sensors)
@@ -100,8 +103,7 @@ class ControllerLaw:
             lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), self.size, fill=fill
         )
         self._fade = Fade(context.config.fade_ticks)
-        changing = {ACTIVE: self._fade.turn, **_appliers(controller)}
-        self.changes = context.allow_changes(changing, _limits(run.basis))
+        self.changes = context.allow_changes(appliers_of(controller, self._fade), _limits(run.basis))
 
     def compose(self, estimate: FloatArray, columns: IntArray, bundle: TickBundle) -> None:
         """Read the estimate of an observer in this process; publish the commands in one message before their topics.
@@ -143,17 +145,6 @@ class ControllerLaw:
     def settle(self) -> None:
         """Wait until the subscribers have received the last messages."""
         settle([publisher for publisher, _, _ in self._outputs])
-
-
-def _appliers(controller: ControllerCore) -> dict[str, Apply]:
-    """Settings that a controller can change, those of the package's own at least."""
-    if not isinstance(controller, FsmPmaController):
-        return {}
-    return {
-        "loop": controller.switch,
-        "fsm_authority": lambda value: controller.limit(fsm_authority=value),
-        "pma_authority": lambda value: controller.limit(pma_authority=value),
-    }
 
 
 def _limits(telescope: DesignBasis) -> dict[str, float]:

@@ -12,7 +12,7 @@ from fsm_pma_controller.fade import Fade
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config.plugins import made_by
-from los_testbed.config.run_config import ACTIVE, RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import (
     CAMERA_LOS,
     FSM_ANGLE,
@@ -27,6 +27,8 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.parts.run_parts import RunParts, build_estimator
 from los_testbed.parts.user_blocks import watched
+from los_testbed.run.identity import announced
+from los_testbed.run.loop.changes import appliers_of
 from los_testbed.run.loop.slow_sensor import SlowSensor
 from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from pointing_analysis.replay.gap_stepping import GapStepper
@@ -80,6 +82,8 @@ class EstimatorLaw:
         Number of its inputs.
     los : ndarray, shape (2,)
         Its output [rad], the same array at every tick.
+    digest : str
+        By which the node announces it (:func:`los_testbed.run.identity.announced`).
     """
 
     def __init__(self, context: NodeContext, build: Callable[[RunConfig], EstimatorCore] = build_estimator) -> None:
@@ -87,7 +91,9 @@ class EstimatorLaw:
         own = build is not build_estimator
         estimator = made_by(build, context.config, "estimator") if own else build(context.config)
         self._reset = watched(estimator.reset, "reset")
-        self.further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].further_sensors)
+        parts = RunParts(context.config)
+        self.digest = "" if own else announced(parts)["estimator"]
+        self.further = () if own else sensor_topics(parts.used["k_fsm"].further_sensors)
         self.size = MEASUREMENTS + sum(topic.size for topic in self.further)
         self.columns: IntArray | None = None
         self.los = np.zeros(ESTIMATES)
@@ -95,7 +101,7 @@ class EstimatorLaw:
         self._codec = codec_for(LOS_ESTIMATE)
         self._publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         self._fade = Fade(context.config.fade_ticks)
-        self.changes = context.allow_changes({ACTIVE: self._fade.turn})
+        self.changes = context.allow_changes(appliers_of(estimator, self._fade))
         self._step = GapStepper(watched(estimator.step, "step"), self.size, HELD, context.config.lost_samples)
 
     def reset(self) -> None:

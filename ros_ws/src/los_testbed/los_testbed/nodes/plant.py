@@ -35,6 +35,7 @@ from los_testbed.parts.image_camera import frame_counts, image_camera_of
 from los_testbed.parts.run_parts import RunParts, build_plant
 from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
 from los_testbed.parts.user_blocks import BlockFailedError, beyond, watched
+from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.run.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
 from los_testbed.run.loop.compiled_loop import compile_telescope
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
             context.warn_alone([OWN_PLANT])
         compile_telescope(plant, context.config.ticks)
         with one_thread():
-            return PlantLoop(context, plant, command).run(others)
+            return PlantLoop(context, plant, command, "" if own else announced(parts)["plant"]).run(others)
 
     return run_node("plant", arguments, body)
 
@@ -106,12 +107,17 @@ class PlantLoop:
         The simulated telescope.
     first_command : ndarray, shape (8,), optional
         Command that the first tick applies [rad, N]; default: zero.
+    digest : str
+        By which the node announces the plant (:func:`los_testbed.run.identity.announced`); of another one empty.
     """
 
-    def __init__(self, context: NodeContext, plant: SteppedPlant, first_command: FloatArray | None = None) -> None:
+    def __init__(
+        self, context: NodeContext, plant: SteppedPlant, first_command: FloatArray | None = None, digest: str = ""
+    ) -> None:
         self.context = context
         self.plant = plant
         self._first_command = first_command
+        self._digest = digest
         self.io = PlantIo(context)
         self._pacer = LockstepPacer(context, self.io) if context.config.mode == "lockstep" else None
         self._begin_counts()
@@ -140,7 +146,7 @@ class PlantLoop:
         self.unsent: Counter[str] = Counter()
         self._pending: Counter[str] = Counter()
         self.sent = 0
-        self._next_report = RATE
+        self._next_report = 0
         self.clock = TickClock(TICK_NS)
         self.lateness = LatencyHistogram()
         self.latency = LatencyHistogram()
@@ -359,8 +365,6 @@ class PlantLoop:
             self.context.service()
         elif phase % 20 == 15 and self.io.fading() != self._faded:
             self._report(now)  # reported at once, not at the end of the second
-        elif self.sent == 1:
-            self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
         elif self.ticks > self._next_report:
             self._next_report = self.ticks - self.ticks % RATE + RATE
             self._report(now)
@@ -387,9 +391,7 @@ class PlantLoop:
                 next_service = end + SERVICE_NS
                 context.event("progress", tick=self.ticks)
                 context.service()
-            if k == 0:
-                self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
-            elif k % RATE == 0:
+            if k % RATE == 0:
                 self._report(now)
             context.work()
         if self.ticks:
@@ -401,6 +403,7 @@ class PlantLoop:
         lockstep = self.context.config.mode == "lockstep"
         outside = self.ticks - self.sent - self.unsent[UNSENT_TICKS]
         return {
+            **({DIGEST: self._digest} if self._digest else {}),
             "ticks": str(self.ticks),
             PLANNED: str(self.context.config.ticks),
             "missed_ticks": str(self.missed),

@@ -26,6 +26,7 @@ from los_testbed.nodes.support.transport.raw_topics import RawPublisher
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST
 from los_testbed.run.bag_names import free_name
+from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.run.loop.scheduling import enlarge_receive_buffers
 from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
@@ -69,6 +70,7 @@ class Recorder:
         check_new_bag(self.path)
         self._base = self.path
         self.parts = RunParts(config)
+        self._announced = announced(self.parts)
         final_metadata(self.parts, {})  # its imports take most of a second: not at real-time priority
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else self.parts.start
@@ -103,6 +105,7 @@ class Recorder:
             count = sum(track.drain() for track in self.tracks)
             self._moving |= count > 0
             count += sum(report.drain() for report in self.reports.values())
+            self._refuse_others()
             now = time.monotonic()
             self._look()
             if count:
@@ -122,6 +125,27 @@ class Recorder:
             time.sleep(PERIOD_S if not self.simulated else PERIOD_S / 4)
         self._close()
         return 0
+
+    def _refuse_others(self) -> None:
+        """End where a node announces another plant or law than the settings of this node make: the bag would have them.
+
+        What was recorded until then stays.
+
+        Raises
+        ------
+        InputError
+            A node does.
+        """
+        for name, report in self.reports.items():
+            own, said = self._announced.get(name, ""), report.statistics.get(DIGEST, "")
+            if said and said != own:
+                if self.bag is not None:
+                    self._write_chunk()
+                    self._finish_bag()
+                raise InputError(
+                    f"the settings of the recorder must be those of the node {name}, whose digest is {said}, got "
+                    f"{own or 'none'}: give both the same options"
+                )
 
     def _look(self) -> None:
         """Match publishers; report a second one immediately."""
@@ -184,12 +208,15 @@ class Recorder:
             track.begin_again()
 
     def _write_chunk(self) -> None:
+        for name, report in self.reports.items():
+            if report.statistics:
+                self.statistics[name] = report.statistics
         if self.bag is None:
             if not any(track.data for track in self.tracks):
                 return
             self.bag = BagWriter(
                 self.path,
-                {METADATA_NAME: {**run_metadata(self.parts, self.start), **self._remapped()}},
+                {METADATA_NAME: {**run_metadata(self.parts, self.start, self.statistics), **self._remapped()}},
                 attachments(self.parts, self.start),
                 diagnostics=not self.simulated,
                 topics=self.parts.topics,
@@ -197,9 +224,6 @@ class Recorder:
             )
         for track in self.tracks:
             self._write(self.bag, track)
-        for name, report in self.reports.items():
-            if report.statistics:
-                self.statistics[name] = report.statistics
         merged = merge(list(self.reports.values()))
         if not self.simulated:  # values of the wall clock would make two equal runs differ
             self._write(self.bag, merged)

@@ -46,6 +46,7 @@ from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 from titop_plant.telescope.placed.readings import SensorReadings
 
 if TYPE_CHECKING:
+    from los_loop.implemented_loop import ImplementedLoop
     from los_loop.sampled_loop import Delays
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
@@ -231,11 +232,11 @@ class RunParts:
         actuators = len(self._used("k_pma").further_actuators)
         still = [np.zeros(n) for n in (alone.states.command.size + actuators, *sizes, alone.states.camera.size)]
         states = replace(alone.states, **dict(zip(("command", "k_fsm", "k_pma", "camera"), still)))
-        unknown = [text for name, text in self.code.items() if self._model_of(name) is None]
+        unknown = [text for name, text in self.code.items() if self.model_of(name) is None]
         note = SWITCHED_ON.format(" and ".join(unknown)) + (TONE_WITHOUT.format(opened) if alone.tone else "")
         return replace(alone, states=states, note=note, switched_on=True)
 
-    def _model_of(self, name: str) -> SampledSystem | None:
+    def model_of(self, name: str) -> SampledSystem | None:
         """A controller as a linear system; None of code without a model."""
         law = getattr(self, name)
         found = law.linear if isinstance(law, UserBlock) else law
@@ -244,7 +245,7 @@ class RunParts:
     @property
     def linear(self) -> dict[str, SampledSystem] | None:
         """Both controllers as linear systems; None where one of them is code without a model."""
-        laws = {name: self._model_of(name) for name in LAWS}
+        laws = {name: self.model_of(name) for name in LAWS}
         found = {name: law for name, law in laws.items() if law is not None}
         return found if len(found) == len(laws) else None
 
@@ -270,7 +271,7 @@ class RunParts:
         """
         if isinstance(self.k_fsm, SampledSystem):
             LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
-        assemble_controller(self.controllers, self.basis, self.config.loop, ports=self._used("k_pma"))
+        self.control_law()
         self._check_commanded()
         return (*self.compare(), *([self.idle_devices] if self.idle_devices else []))
 
@@ -304,7 +305,7 @@ class RunParts:
 
     def _drives_nothing(self, name: str) -> bool:
         """Whether the outputs of a controller to the loop are zero whatever it measures."""
-        law = self._model_of(name)
+        law = self.model_of(name)
         size = {"k_fsm": ESTIMATES, "k_pma": COMMANDS - FORCES.start}[name]
         return law is not None and not (law.C[:size].any() or law.D[:size].any())
 
@@ -328,13 +329,17 @@ class RunParts:
         Its reset leads to the start of the run. ValueError as :meth:`check`.
         """
         self.compare()
-        config = self.config
-        controller = assemble_controller(
-            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
-        )
+        controller = self.control_law()
         if self.states is not None:
             controller.start_at(self.states.k_pma)
         return controller
+
+    def control_law(self) -> FsmPmaController:
+        """Mirror and proof-mass laws at rest; ValueError as :meth:`check`."""
+        config = self.config
+        return assemble_controller(
+            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
+        )
 
     def plant(self, *, readings: bool = True) -> SteppedPlant:
         """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.
@@ -517,6 +522,30 @@ class RunParts:
         from los_testbed.parts.disturbance_files import sources_of
 
         return sources_of(self.config, self.telescope)
+
+    def implemented_loop(self, values: Mapping[str, float] | None = None) -> ImplementedLoop:
+        """Model of the loop of the stage, with the devices that the controllers use; uncertain, or at values.
+
+        Raises
+        ------
+        ValueError
+            User code, or a file that is missing or not a controller.
+        """
+        from los_loop.implemented_loop import ImplementedLoop
+        from los_loop.open_loop import OpenLoop
+        from titop_plant.telescope.control_plant import loop_plant
+
+        laws, telescope = self.models, self.telescope
+        ports = telescope.loop_ports.used_by(*laws.values())
+        with one_thread():
+            plant = (
+                loop_plant(telescope, ports, isolated=self.family.isolated)
+                if ports.further
+                else self.family.control_loop
+            )
+            # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
+            open_loop = OpenLoop(plant if values is None else plant.at(values), telescope, ports=ports)
+            return ImplementedLoop(open_loop, laws["k_fsm"], laws["k_pma"], self.config.loop)
 
     def tone_model(self, delays: Delays | None = None) -> ToneModel:
         """Model of the loop that runs, with its tones, for comparisons with a record; `delays` are those of a rig.

@@ -7,25 +7,36 @@ no design depends on. The rows of a campaign, the runs of `stages` and those of 
 from __future__ import annotations
 
 import hashlib
-import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import scipy
 
+from lftkit.proofs.trusted.digests import digest
+from los_design.synthesis.provenance import law_digest
 from los_testbed import __version__
 from los_testbed.config.plugins import source_hashes
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import needs_tone
+from los_testbed.parts.user_blocks import LAWS
 from los_testbed.run.input_files import content_of, map_files
+from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.telescope.telescope import Telescope
 
 DIGITS = 16
 """Hexadecimal digits of a digest that is compared and shown."""
 
 
+DIGEST = "digest"
+"""Key under which a node announces in its reports what it runs."""
+
+
 def software() -> dict[str, str]:
     """Versions that affect a result bitwise."""
+    import scipy  # nodes, which announce what they run, need not load it
+
     return {"version": __version__, "numpy": np.__version__, "scipy": scipy.__version__}
 
 
@@ -55,25 +66,61 @@ def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
     if controllers:
         found |= {name: content_digest(path) for name, path in parts.model_files.items()}
     if config.files_of_disturbance:
-        from los_testbed.parts.disturbance_files import digest, entries_of
+        from los_testbed.parts.disturbance_files import digest as files_digest
+        from los_testbed.parts.disturbance_files import entries_of
 
-        found["disturbances"] = digest(entries_of(config.files_of_disturbance))
+        found["disturbances"] = files_digest(entries_of(config.files_of_disturbance))
     if config.motion_from_file:
         found["profile"] = content_digest(Path(config.profile))
     found |= source_hashes(config.code_of_user)
     return {**software(), **{name: text[:DIGITS] for name, text in found.items()}}
 
 
+def announced(parts: RunParts) -> dict[str, str]:
+    """Digests by which the nodes of a run announce what they run, by node; empty where it is not known.
+
+    Of the ``plant`` its telescope, settings and disturbances count, and the laws where its tone or its start are those
+    of their loop; of the ``estimator`` the numbers of K_FSM; of the ``controller`` those of K_PMA, the gain of the
+    mirror, and stage, limits and fade at the start. It is not known of another plant than the telescope, nor of code
+    without a model. The length of a run, its name and the machine do not count.
+
+    Raises
+    ------
+    ValueError
+        A file that cannot be read, a law that cannot be used.
+    """
+    config, laws = parts.config, {name: parts.model_of(name) for name in LAWS}
+    found = {name: "" if law is None else law_digest(law) for name, law in laws.items()}
+    control = parts.control_law()
+    values = [control.loop, control.mirror_gain, control.limits.tolist(), config.fade_ticks]
+    controller = digest([found["k_pma"], *values]) if found["k_pma"] else ""
+    plant = "" if config.other_plant else digest(_of_plant(parts, found))
+    return {"plant": plant, "estimator": found["k_fsm"], "controller": controller}
+
+
+def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
+    """All that the plant of a run is built from; code counts by its name."""
+    config, plain = parts.config, parts.config.to_plain()
+    names = {*PhysicalSettings.SETTINGS, "nonlinear", *(("disturbance_source",) if config.disturbance else ())}
+    found = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
+    found |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
+    found |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
+    found["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile
+    if config.start != "rest" or needs_tone(config):
+        named = {name: laws[name] or getattr(config, name) for name in laws}
+        found |= {"loop": config.loop, "worst_of": config.worst_of, "laws": named}
+    return found
+
+
 def telescope_digest(telescope: Telescope) -> str:
-    """SHA-256 of all values of a telescope and of the content of the files that it names, wherever they are.
+    """Digest of all values of a telescope and of the content of the files that it names, wherever they are.
 
     Raises
     ------
     ValueError
         A file that cannot be read.
     """
-    content = map_files(telescope.named_values(), content_digest)
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()
+    return digest(map_files(telescope.named_values(), content_digest))
 
 
 def content_digest(path: Path) -> str:

@@ -8,20 +8,20 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 
 import yaml
 
 from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
 from los_testbed.config.plugins import source_hashes
-from los_testbed.config.run_config import physical_hash
 from los_testbed.config.topics import SENSORS, sensor_topics
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.parts.user_blocks import UserBlock, read_law
 from los_testbed.run.conditions import conditions
-from los_testbed.run.proven_loop import PROOF_KEYS, proof_of
+from los_testbed.run.identity import DIGEST
 from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
@@ -34,6 +34,8 @@ from titop_plant.telescope.guide_camera import NOISE_CURVE, TABLE
 from titop_plant.telescope.load import differences
 from titop_plant.telescope.telescope import Telescope
 
+NOTHING: Mapping[str, Mapping[str, str]] = MappingProxyType({})
+
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
@@ -41,8 +43,10 @@ FURTHER_AUTHORITY = "actuator_authority"
 """Key of the largest forces [N] of further actuators."""
 
 
-def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
-    """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
+def run_metadata(
+    parts: RunParts, start: RunStart = AT_REST, statistics: Mapping[str, Mapping[str, str]] = NOTHING
+) -> dict[str, str]:
+    """Configuration, constants of the loop and the telescope, digest of the plant, software and commit.
 
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
     telescope. ``los_sensitivity`` is the telescope's, ``fsm_frequency`` and ``fsm_damping`` are those of its mirror, in
@@ -53,13 +57,15 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     ``requirements`` are those of the telescope, by which the bag is judged;
     ``optics`` are those of its images, ``camera`` the table of a guide camera that takes images; ``sensors`` are topic,
     unit, rate and noise of each sensor.
-    ``acting`` names all that acts, ``member`` the parameter values (:mod:`los_testbed.run.conditions`).
-    ``proof`` says what is proven of the loop, with fine control (:mod:`los_testbed.run.proven_loop`).
+    ``acting`` names all that acts, ``member`` the parameter values (:mod:`los_testbed.run.conditions`). These, the
+    noise of the sensors and ``plant_hash`` are there where the plant has announced its digest: `statistics` of each
+    node, as far as they are known.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
     """
     config, warnings = parts.config, parts.compare()
     mirror = zip(("fsm_frequency", "fsm_damping"), parts.telescope.fsm.dynamics) if config.device else ()
+    plant = statistics.get("plant", {}).get(DIGEST, "")
     return {
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in (*parts.basis.to_mapping().items(), *mirror)},
@@ -67,19 +73,17 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         "requirements": json.dumps(entries(parts.telescope.requirements)),
         **optics_of(parts),
         **_camera(parts),
-        "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
+        "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts, bool(plant))]),
         **_further_limits(parts),
         "rate_hz": str(RATE),
         **_start_up(parts, start),
         **_sources(parts),
-        **conditions(parts, start),
+        **({"plant_hash": plant, **conditions(parts, start)} if plant else {}),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **({"idle_devices": parts.idle_devices} if parts.idle_devices else {}),
-        **proof_of(parts),
         **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config.code_of_user).items()},
         **tables_of(parts),
-        "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
         "python": sys.version.split()[0],
@@ -139,14 +143,16 @@ def _further_limits(parts: RunParts) -> dict[str, str]:
     return {FURTHER_AUTHORITY: json.dumps(limits)} if limits else {}
 
 
-def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
-    """The sensors of a run, those of the loop first; without noise where it has none."""
+def _sensors(parts: RunParts, known: bool) -> tuple[RecordedSensor, ...]:
+    """The sensors of a run, those of the loop first; without noise where it has none or it is not `known`."""
     acts, further = float(parts.config.noise), parts.ports.further_sensors
     noise = parts.telescope.loop_ports.reference.noise * acts
     found = [(topic, noise[topic.columns]) for topic in SENSORS]
     found += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
     return tuple(
-        RecordedSensor(t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()))
+        RecordedSensor(
+            t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()) if known else ()
+        )
         for t, sigma in found
     )
 
@@ -173,12 +179,8 @@ def final_metadata(
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.spectra.tone_budget`).
     """
     budget = _budget(parts.telescope, parts.config.loop)
-    record = run_metadata(parts, start)
-    record |= {key: "" for key in PROOF_KEYS if key in record}  # a key that is left out stays as at the start
-    record |= {**proof_of(parts, statistics), BUDGET: json.dumps(budget)}
+    record = {**run_metadata(parts, start, statistics), BUDGET: json.dumps(budget)}
     plant = dict(statistics.get("plant", {}))
-    if "plant" in plant:  # an object of a program, of which it is not known what acts
-        record |= dict.fromkeys(conditions(parts, start), "")
     for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
             record[name] = plant.pop(name)

@@ -1,4 +1,4 @@
-"""Proven statements about the loop of a run, for its bag; without a proof, the reasons.
+"""Proven statements about the loop of a run; without a proof, the reasons.
 
 Proofs are of one loop (:mod:`los_loop.implemented_loop`): the linear telescope at any point of its box that does not
 move, the camera of 50 frames per second of which none is lost, both laws each tick, and tones. A setting that
@@ -7,21 +7,15 @@ changes the loop, or is unknown here, leaves no proof.
 
 from __future__ import annotations
 
-import contextlib
-import json
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from los_testbed.config.run_config import ACTIVE, RunConfig
+from los_design.verification.error_sum import WITH_NOISE
+from los_design.verification.statements import Statement, statement_of
+from los_design.verification.subject import Subject
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from pointing_analysis.requirements import guarantee
-from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
-from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
+from pointing_analysis.requirements.guarantee import ErrorBounds, ProvenBound
 from pointing_analysis.units import ANGLES
-from titop_plant.interface import MIRROR_STAGES
-
-if TYPE_CHECKING:
-    from los_design.verification.statements import Statement
 
 ADMITTED = frozenset(
     {
@@ -54,68 +48,35 @@ JUDGED = frozenset(
 )
 """Settings that a proof admits with some values, see :func:`reasons_against`; any other must have its default."""
 
-PROOF_KEYS = ("proof", guarantee.NOISE, PROOF_RPE, PROOF_BOUNDS)
-"""Keys of a bag's metadata that :func:`proof_of` makes."""
-
 OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
 """Settings whose change during a run makes another loop."""
 
 
-def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, str]:
-    """Proven bounds of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
+def proof_of(parts: RunParts) -> Statement | None:
+    """What is proven of the controllers of a run on its telescope, for its stage; None where no bundle fits.
 
-    Bounds with noise are under ``proof_bounds`` (:mod:`pointing_analysis.requirements.guarantee`), also of a run of
-    which there is no proof for nothing else than ticks with an older command. Nothing for a stage without fine control.
-
-    Parameters
-    ----------
-    parts : RunParts
-    statistics : mapping, optional
-        Of each node, at the end of the run: ticks without a command, and changes by request, leave no proof.
+    It is of the run where nothing is against it (:func:`reasons_against`) and where its record shows that this loop ran
+    (:mod:`los_testbed.run.summary.ran_loop`). A ProofError says why a bundle cannot be read.
     """
-    config = parts.config
-    if config.loop not in MIRROR_STAGES:
-        return {}
-    from los_design.verification.statements import NO_PROOF, statement_of
-    from los_design.verification.subject import Subject
-
-    missed, changed = _missed(statistics or {}), _happened(statistics or {})
-    late = [f"{_ticks(missed)} had an older command"] * (missed > 0)
-    against = [*reasons_against(parts), *changed]
-    if against:
-        return {"proof": f"no proof of this run: {'; '.join([*late, *against])}"}
     folders = {path.parent for path in parts.files.values()}
     folder = folders.pop() if len(folders) == 1 else None
     subject = Subject.of(**parts.models, telescope=parts.telescope.digest)
-    found = statement_of(subject, config.loop, folder, parts.telescope)
-    if found is None:
-        return {"proof": NO_PROOF}
-    bounds = _bounds(parts, found, missed)
-    if late:
-        return {"proof": f"no proof of this run: {late[0]}", **bounds}
-    stated = bounds | {"proof": found.text} | ({guarantee.NOISE: found.noise_text} if found.noise_text else {})
-    if found.relative is None:
-        return stated
-    window = parts.telescope.weights.rpe_window
-    return {**stated, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
+    return statement_of(subject, parts.config.loop, folder, parts.telescope)
 
 
-def _bounds(parts: RunParts, found: Statement, missed: int) -> dict[str, str]:
-    """Bounds with noise, for the tone of norm 1 that the scenario makes, or for none; nothing for others."""
-    from los_design.verification.error_sum import WITH_NOISE
-
-    config = parts.config
-    if not found.sums or not (config.scenario == "worst_case" or not config.scenario_acts):
-        return {}
-    kinds = {
-        "APE": guarantee.ABSOLUTE,
-        "slow tone": guarantee.SLOW,
-        "fast tone": guarantee.FAST,
-        "both": guarantee.BOTH,
+def bounds_of(parts: RunParts, proven: Statement) -> ErrorBounds | None:
+    """Bounds with noise, for the tone of norm 1 that the scenario makes, or for none; None for other disturbances."""
+    config, tone = parts.config, "both"
+    if config.scenario_acts:
+        if config.scenario != "worst_case" or parts.start.tone is None:
+            return None
+        tone = "slow tone" if parts.start.tone.omega <= parts.telescope.weights.band_edge else "fast tone"
+    found = {
+        WITH_NOISE[row.name]: ProvenBound(row.value * ANGLES[row.unit], row.probability)
+        for row in proven.sums
+        if row.probability is not None
     }
-    content = {kinds[WITH_NOISE[row.name]]: (row.value * ANGLES[row.unit], row.probability) for row in found.sums}
-    window = parts.telescope.weights.rpe_window
-    return {PROOF_BOUNDS: json.dumps({**content, "window_s": window, "condition": _ticks(missed, "missed ")})}
+    return ErrorBounds(found.get("APE"), found.get(tone), parts.telescope.weights.rpe_window) if found else None
 
 
 def reasons_against(parts: RunParts) -> list[str]:
@@ -134,12 +95,11 @@ def reasons_against(parts: RunParts) -> list[str]:
         for name, setting in RunConfig.SETTINGS.items()
         if name not in ADMITTED | JUDGED and (value := getattr(config, name)) != setting.default
     ]
-    found += [f"{name} is code: {text}" for name, text in parts.code.items()]
     if config.other_plant:
         return found  # nothing more is known of it
     found += [
         f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
-        for name, ports in ({} if parts.code else parts.used).items()  # code is not made for its ports
+        for name, ports in parts.used.items()
         if ports.further and parts.acts(name)
     ]
     own = parts.telescope.design_basis
@@ -165,32 +125,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _missed(statistics: Mapping[str, Mapping[str, str]]) -> int:
-    """Ticks for which no command came in time."""
-    missed = str(statistics.get("plant", {}).get("missed_ticks", "0"))
-    return int(missed) if missed.isdecimal() else 0
-
-
-def _ticks(count: int, which: str = "") -> str:
-    """Number of ticks in words; empty without any."""
-    return f"{count} {which}{'tick' if count == 1 else 'ticks'}" if count else ""
-
-
-def _happened(statistics: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Changes of the loop during the run, one phrase each."""
-    plant = statistics.get("plant", {})
-    found = ["plant is an object of a program"] if "plant" in plant else []
-    rows = [row for values in statistics.values() for row in _changes(values.get("changes", ""))]
-    changed = {str(row["name"]) for row in rows if row.get("name") in OTHER_LOOP}
-    changed |= {"what was active" for row in rows if row.get("name") == ACTIVE and not row.get("value")}
-    return found + [f"{name} changed" for name in sorted(changed)]
-
-
-def _changes(text: str) -> list[dict[str, Any]]:
-    """Changes that a node reports (:meth:`los_testbed.run.loop.changes.Changes.record`), if it is such a list."""
-    with contextlib.suppress(ValueError, TypeError, RecursionError):
-        rows = json.loads(text)
-        return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
-    return []

@@ -7,12 +7,14 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsm_pma_controller.fade import FADE_TICKS, Fade
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.support.atomic_output import atomic_folder
@@ -30,6 +32,8 @@ from los_testbed.parts.controllers import assemble_controller, compare_with_tele
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.parts.user_blocks import LAWS, UserBlock, make_law, read_law, with_further_ports
+from los_testbed.run.change_requests import changes_in
+from los_testbed.run.loop.changes import appliers_of
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.contract import first_not_finite
 from los_testbed.run.metadata import METADATA_NAME
@@ -47,7 +51,7 @@ from pointing_analysis.read.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
-from pointing_analysis.replay.replay import LoopLayout
+from pointing_analysis.replay.replay import UNCHANGED, LawChanges, LoopLayout
 from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.requirements.verdict import NOT_JUDGED, not_judged_by
 from titop_plant.interface import DT, FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
@@ -83,6 +87,8 @@ class Controllers:
         States in which they start, with the others of the run; None for a bag without states: at rest.
     warnings : tuple of str
         One line for each controller that was made for other parameters or limits than those of the bag.
+    changes : (LawChanges, LawChanges)
+        Of observer and controller during the run; none in another stage.
     """
 
     files: Mapping[str, bytes]
@@ -93,6 +99,7 @@ class Controllers:
     layout: LoopLayout
     start: LoopStart | None = None
     warnings: tuple[str, ...] = ()
+    changes: tuple[LawChanges, LawChanges] = (UNCHANGED, UNCHANGED)
 
 
 def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
@@ -165,11 +172,15 @@ def controllers(
     warnings = compare_with_telescope(chosen, telescope, stage)
     rows = {name: _rows_of(run, law) for name, law in chosen.items()}
     fsm, pma = (_in_order(name, law, rows[name]) for name, law in chosen.items())
-    controller = assemble_controller({"k_fsm": fsm, "k_pma": pma}, _completed(telescope), stage, ports=rows["k_pma"])
+    laws, fade_ticks = (
+        {"k_fsm": fsm, "k_pma": pma},
+        RunConfig(fade_ticks=run.parameters.get("fade_ticks", FADE_TICKS)).fade_ticks,
+    )
+    controller = assemble_controller(laws, _completed(telescope), stage, fade_ticks, rows["k_pma"])
     files = {_file_name(name, law): data for name, (law, data) in found.items() if data}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
     estimator = LosEstimator(fsm, rows["k_fsm"].further_measured) if isinstance(fsm, SampledSystem) else fsm
-    start, resting = _started(run, {"k_fsm": fsm, "k_pma": pma}, closed=stage == recorded)
+    start, resting = _started(run, laws, closed=stage == recorded)
     if start is not None:
         estimator.start_at(start.k_fsm, start.camera)
         controller.start_at(start.k_pma)
@@ -180,7 +191,21 @@ def controllers(
         stage == recorded and len(files) == len(found) and all(same.values()),
         layout_of(rows["k_fsm"], rows["k_pma"]),
     )
-    return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings)
+    changes = UNCHANGED, UNCHANGED
+    if stage == recorded:
+        changes = (
+            changes_of(run, "estimator", estimator, fade_ticks),
+            changes_of(run, "controller", controller, fade_ticks),
+        )
+    return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings, changes)
+
+
+def changes_of(run: Run, node: str, law: object, fade_ticks: int) -> LawChanges:
+    """Changes of a law by its node during a recorded run."""
+    fade = Fade(fade_ticks)
+    appliers = appliers_of(law, fade)
+    rows = [row for row in changes_in(run, node) if row["name"] in appliers]
+    return LawChanges(tuple((row["tick"], partial(appliers[row["name"]], row["value"])) for row in rows), fade.scale)
 
 
 def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tuple[Law, bytes]:
@@ -277,7 +302,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
         Outputs of observer or controller are not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
-        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, chosen.layout)
+        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, chosen.layout, chosen.changes)
     _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
     _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed
@@ -407,6 +432,7 @@ def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found:
         "loop": chosen.loop,
         "as_recorded": chosen.as_recorded,
         "identical": comparison.identical,
+        "ticks": min((found.compared for found in comparison.differences), default=0),
         "incomplete_ticks": comparison.incomplete,
         "differences": [vars(d) for d in comparison.differences],
         **{

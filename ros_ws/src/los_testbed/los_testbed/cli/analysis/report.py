@@ -81,7 +81,7 @@ def report(
 
     with Progress("report"):
         result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
-        result.write_page(outputs, start, stop)
+        result.write_page(outputs)
     found, console, names = result.summaries, Screen(stderr=json_), labels(result.runs)
     show(console, names, found)
     for text in dict.fromkeys(text for texts in result.remarks for text in texts):

@@ -78,8 +78,8 @@ def _show(console: Console, found: Mapping[str, Any]) -> None:
     lines |= {key: str(value) for key, value in (found["run"] | found["hashes"]).items()}
     lines |= {f"SHA-256 of {name}": value for name, value in found["sha256"].items()}
     lines |= {f"SHA-256 of {name}": about["sha256"] for name, about in found["attachments"].items()}
-    if found["chain"]:
-        lines["chain"] = ", ".join(found["chain"])
+    if found["digest"]:
+        lines["digest"] = ", ".join(found["digest"])
     lines["signature"] = "present, not checked: los-testbed bag verify" if found["signed"] else "none"
     width = max(map(len, lines))
     for name, value in lines.items():

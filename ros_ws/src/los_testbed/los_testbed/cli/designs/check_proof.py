@@ -149,6 +149,7 @@ def _check_system(file: Path, json_: bool) -> None:
     box = ", ".join(f"{_named(name)} in {_interval(*ends)}" for name, ends in checked.box.items())
     upper = "on" if band[1] is None else f"to {at_least(checked.band[1], 6)} rad/s"
     frequencies = f"from {at_most(checked.band[0], 6)} rad/s {upper}"
+    sys.stdout.write(f"plant {checked.plant}\n")
     if checked.kind == "gain":
         sys.stdout.write(f"proven: gain below {at_most(checked.level or 0.0, 6)} at all frequencies {frequencies}\n")
     sys.stdout.write("proven: stable\n" if checked.stable else f"{_stability(0.0)}\n")
@@ -186,6 +187,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
         mismatches = {"of": str(designs or "shipped"), "mismatches": list(compared.mismatches)}
         print_json({**vars(checked), "stable_below": below, **mismatches})
         return
+    sys.stdout.write(f"plant {checked.plant}\n")
     if compared.same:
         sys.stdout.write(f"for {whose}: the loop was rebuilt, and the scalings of the file prove the bound for it\n")
     else:

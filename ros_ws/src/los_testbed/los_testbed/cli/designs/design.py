@@ -121,7 +121,7 @@ def _make(
     from lftkit.support.job import Job
     from lftkit.support.threads import one_thread
     from los_design.redesign import OUT_OF_TIME, ROUNDS_FILE
-    from los_design.synthesis.provenance import digest
+    from los_design.synthesis.provenance import law_digest
     from los_design.synthesis.store import design_file
     from los_design.synthesis.synthesis import design_actuators, design_observer
     from titop_plant.interface import design_warnings
@@ -141,7 +141,7 @@ def _make(
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
             warn(design_warnings([k_fsm], telescope.design_basis, closed=True))
-            job = Job(kind, {**key, "k_fsm": digest(k_fsm)}, rounds)
+            job = Job(kind, {**key, "k_fsm": law_digest(k_fsm)}, rounds)
             system = design_actuators(telescope, k_fsm, options, bar.print, job)
     system.to_file(path)
     if system.provenance["status"] != OUT_OF_TIME:

@@ -322,7 +322,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
     from los_design.verification.bundle import write_bundle
     from los_design.verification.noise_certificate import NOISE
-    from los_design.verification.proof_comparison import compare_proof, same_noise
+    from los_design.verification.proof_comparison import compare_noise, compare_proof
     from los_design.verification.subject import BUNDLE
 
     proofs = {}
@@ -331,11 +331,13 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
         if stage not in loops or not file.is_file():
             continue
         if figure == NOISE:
-            same = same_noise(read_noise_proof(file), loops[stage])
+            compared = compare_noise(read_noise_proof(file), loops[stage])
         else:
-            same = compare_proof(read_loop_proof(file), loops[stage], figure).same
-        if same:
+            compared = compare_proof(read_loop_proof(file), loops[stage], figure)
+        if compared.same:
             proofs[stage, figure] = file
+        else:
+            sys.stderr.write(f"{file.name} is not in {BUNDLE}: {'; '.join(compared.mismatches)}\n")
     loop = next(iter(loops.values()))
     write_bundle(output / BUNDLE, loop.telescope, loop.pair, proofs)
 

@@ -207,7 +207,10 @@
     if (frame.nodes) addNodes(frame.nodes);
     if (frame.image) drawStar(frame.image);
     if (frame.indices) addIndices(frame.indices);
-    if (frame.spectrum) charts.spectrum.setData([frame.spectrum.frequency, frame.spectrum.density]);
+    if (frame.spectrum) {
+      charts.spectrum.setData([frame.spectrum.frequency || [], frame.spectrum.density || []]);
+      show("spectrum-note", frame.spectrum.reason || "");
+    }
     charts.los.setData([recent.t, recent.x, recent.y]);
     charts.actuators.setData([recent.t, recent.fsm, recent.pma]);
     drawCloud();

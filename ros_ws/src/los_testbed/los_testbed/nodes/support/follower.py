@@ -13,6 +13,7 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_clock import PlantClock
 from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
+from los_testbed.run.identity import DIGEST
 from los_testbed.run.loop.changes import Changes
 from los_testbed.run.loop.health import OK, WARN, LoopHealth
 from los_testbed.run.loop.latency_histogram import LatencyHistogram
@@ -34,6 +35,7 @@ class NodeLaw(Protocol):
 
     context: NodeContext
     changes: Changes
+    digest: str
 
     def reset(self) -> None:
         """Reset at the start of a run or while the plant holds; the output is zero."""
@@ -121,6 +123,7 @@ class LawLoop:
         off_grid = {f"off_grid_{names[i]}": str(n) for i, n in sorted(synchronizer.off_grid.items()) if n}
         frames = {name: text for sensor in synchronizer.slow.values() for name, text in sensor.statistics().items()}
         return {
+            **({DIGEST: self.law.digest} if self.law.digest else {}),
             "ticks": str(self.ticks),
             "gap_ticks": str(synchronizer.gaps),
             **self.execution.summary("execution"),

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from fsm_pma_controller.fade import Fade
+from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.errors import InputError
 from los_testbed.config.run_config import ACTIVE, RunConfig
 from pointing_analysis.files.structured_text import is_number
@@ -83,6 +85,16 @@ def owner_of(name: str) -> str:
             return node
     known = ", ".join(sorted({*ALIASES, *(n for names in NAMES.values() for n in names)}))
     raise InputError(f"name must be a setting that can change during a run ({known}), got {name!r}")
+
+
+def appliers_of(law: object, fade: Fade) -> dict[str, Apply]:
+    """What the settings that may change during a run do with an observer or a controller, and its fade."""
+    found: dict[str, Apply] = {ACTIVE: fade.turn}
+    if isinstance(law, FsmPmaController):
+        found["loop"] = law.switch
+        found["fsm_authority"] = lambda value: law.limit(fsm_authority=value)
+        found["pma_authority"] = lambda value: law.limit(pma_authority=value)
+    return found
 
 
 @dataclass

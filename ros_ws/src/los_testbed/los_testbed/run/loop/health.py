@@ -52,8 +52,10 @@ class LoopHealth:
             Execution times so far.
         """
         last, self._last = self._last, (ticks, now_ns, execution.count, execution.total_ns)
-        if last is None or ticks == last[0]:
+        if ticks == (0 if last is None else last[0]):
             return STALE, "nothing done since the last report", {}
+        if last is None:
+            return OK, "running", {}
         rate = (ticks - last[0]) * 1e9 / max(now_ns - last[1], 1)
         calls = execution.count - last[2]
         mean = (execution.total_ns - last[3]) / calls / 1000 if calls else 0.0

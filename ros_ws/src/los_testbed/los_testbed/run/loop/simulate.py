@@ -16,6 +16,7 @@ from los_testbed.parts.image_camera import frame_counts
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST
 from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
+from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.loop.closed_loop import SampleBlock, SimulatedLoop
 from los_testbed.run.loop.contract import check_plant
 from los_testbed.run.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
@@ -93,11 +94,13 @@ def record(
         start = parts.start
     else:
         name = {"plant": parts.config.plant or f"{type(own).__module__}:{type(own).__qualname__}"}
-    statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
+    digests = {node: {DIGEST: text} for node, text in announced(parts).items() if text}
+    counts = {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}
+    statistics = {**digests, "plant": counts if own is not None else {**digests.get("plant", {}), **counts}}
     topics = parts.topics if own is None else TOPICS
     bag = BagWriter(
         bag_path,
-        {METADATA_NAME: run_metadata(parts, start)},
+        {METADATA_NAME: run_metadata(parts, start, statistics)},
         attachments(parts, start),
         topics=topics,
     )

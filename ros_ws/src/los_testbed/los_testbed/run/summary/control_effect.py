@@ -1,4 +1,4 @@
-"""Whether fine control removes more of the error than it adds, from the bag alone.
+"""Whether fine control removes more of the error than it adds.
 
 The telescope on its isolator without fine control, under the disturbance of the run, is modelled; the run itself is
 measured. Where its error is larger, sensor noise through the loops outweighs the disturbance that they remove.
@@ -11,13 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lftkit.support.threads import one_thread
-from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.run.replay import models_of_controllers
-from pointing_analysis.files.structured_text import load_yaml
+from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.indices.errors import RAD_PER_MAS
-from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary
 from titop_plant.interface import MIRROR_STAGES
 
@@ -48,36 +43,24 @@ class ControlEffect:
         )
 
 
-def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
+def control_effect(loop: RanLoop, summary: Summary) -> ControlEffect | None:
     """Effect of control in a recorded run; None where it is not known.
 
-    It is known for a stage with fine control, a telescope of constant parameters, a disturbance of tones and a bag that
-    holds how its run started.
+    It is known for a loop that is known to have run, in a stage with fine control, with constant parameters and a
+    disturbance of tones.
 
     Parameters
     ----------
-    run : Run
+    loop : RanLoop
     summary : Summary
         Of the run.
     """
-    needed = {"run.yaml", START_FILE, "k_fsm.json", "k_pma.json"}
-    known = "plant_parameters_hash" in run.parameters and needed <= set(run.attachments)
-    if not known or summary.loop not in MIRROR_STAGES or run.parameters.get("mode") == "replay":
+    if summary.loop not in MIRROR_STAGES or loop.unknown or loop.differs or not np.isfinite(summary.rpe_rms):
         return None
-    try:
-        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
-        start = RunStart.from_bytes(run.attachments[START_FILE])
-        if (
-            config.ramp_duration
-            or config.disturbance_source
-            or RunParts(config).sources
-            or not np.isfinite(summary.rpe_rms)
-        ):
-            return None
-        controllers = models_of_controllers(run)
-        with one_thread():
-            model = RunParts(replace(config, loop="isolator"), controllers, start).tone_model()
-            isolated = model.relative_error(summary.window)
-    except (ValueError, OSError, OverflowError):
+    parts = loop.known
+    config = parts.config
+    if config.ramp_duration or config.disturbance_source or parts.sources:
         return None
-    return ControlEffect(summary.rpe_rms, isolated / RAD_PER_MAS)
+    with one_thread():
+        isolated = replace(parts, config=replace(config, loop="isolator"), recorded_start=parts.start).tone_model()
+        return ControlEffect(summary.rpe_rms, isolated.relative_error(summary.window) / RAD_PER_MAS)

@@ -14,17 +14,11 @@ from dataclasses import asdict
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.errors import InputError
-from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.loop.source_alone import parts_of
-from los_testbed.run.replay import models_of_controllers
-from pointing_analysis.files.structured_text import load_yaml
+from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.indices.errors import ErrorSeries, default_transient, performance_error
 from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.indices.window_rows import ROUNDING, windows_of
-from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.conditions import ACTING
@@ -44,25 +38,23 @@ LATE = 100
 """Ticks that may be missing at the end of a record."""
 
 
-def source_shares(run: Recording) -> tuple[SourceShare, ...]:
+def source_shares(loop: RanLoop | None) -> tuple[SourceShare, ...]:
     """Rows of all that acted in a run with sources, or a disturbance, of the user, and of the whole; else empty.
 
     Raises
     ------
     ValueError
-        The files of the sources, or the telescope, are no longer those of the run; a bag that does not say what acted.
+        The loop is not known to be the one that ran; code of the user that cannot be loaded.
     """
+    if loop is None:
+        return ()
+    run = loop.run
     acting = run.parameters.get(ACTING)
     own = acting is not None and any(entry.get("kind") != "scenario" for entry in acting)
-    if not isinstance(run, Run) or "run.yaml" not in run.attachments or not (own or "disturbances" in run.parameters):
+    if not (own or "disturbances" in run.parameters):
         return ()
-    if acting is None:
-        raise InputError("the bag is of an older version without its disturbances")
-    config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
-    start = RunStart.from_bytes(run.attachments[START_FILE]) if START_FILE in run.attachments else AT_REST
-    parts = RunParts(config, models_of_controllers(run), start)
-    if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
-        raise InputError("the disturbance files have changed since the run")
+    parts = loop.known
+    config = parts.config
     ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
     found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]

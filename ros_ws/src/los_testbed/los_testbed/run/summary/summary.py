@@ -16,7 +16,8 @@ from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
-from los_testbed.run.summary.local_proofs import stated_lines, with_confirmed
+from los_testbed.run.summary.loop_proof import with_proof
+from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.screen import marked, met, on_screen, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
 from pointing_analysis.formatting.number_text import ABSENT
@@ -27,10 +28,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.report.outputs import NO_REPORT, ReportOutputs
 from pointing_analysis.report.source_share import SourceShare, source_table
-from pointing_analysis.requirements.conditions import differences
-from pointing_analysis.requirements.guarantee import NOISE as PROOF_NOISE
-from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
-from pointing_analysis.requirements.image_guarantee import proven_text
+from pointing_analysis.requirements.conditions import ACTING, MEMBER, WHEEL_SPEEDS, differences
 from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import BRIEF, requirement_table
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
@@ -119,6 +117,8 @@ class JudgedRuns:
         Contributions of the disturbance sources of each run.
     remarks : tuple of tuple of str
         Of each run sentences beside its verdict; what is assumed, and why there are no shares.
+    loops : tuple of RanLoop or None
+        Of each bag of this testbed the loop that it holds.
     transient : float or None
         Seconds of start-up that are left out.
     requirements : sequence of Requirement or None
@@ -129,23 +129,16 @@ class JudgedRuns:
     summaries: tuple[Summary, ...]
     shares: tuple[tuple[SourceShare, ...], ...]
     remarks: tuple[tuple[str, ...], ...]
+    loops: tuple[RanLoop | None, ...]
     transient: float | None
     requirements: Sequence[Requirement] | None
 
-    def write_page(
-        self,
-        outputs: ReportOutputs,
-        start: float = 0.0,
-        stop: float = math.inf,
-        lines: ExpectedLines | None = None,
-    ) -> None:
+    def write_page(self, outputs: ReportOutputs, lines: ExpectedLines | None = None) -> None:
         """Write the report, and its figures and tables.
 
         Parameters
         ----------
         outputs : ReportOutputs
-        start, stop : float
-            Part of each bag that was read [s].
         lines : mapping, optional
             Of the :class:`pointing_analysis.report.model_results.ModelResults` of the page.
         """
@@ -154,12 +147,13 @@ class JudgedRuns:
         from pointing_analysis.report.model_results import ModelResults
         from pointing_analysis.report.report import report_content  # with matplotlib, which nothing else of a run needs
 
-        predicted = predictions(self.runs, self.transient, start, stop)
+        predicted, curves = predictions(self.loops, self.transient), [loop_curves(loop) for loop in self.loops]
+        loops, without = zip(*curves)
         content = report_content(
             self.runs,
             transient=self.transient,
             requirements=self.requirements,
-            model=ModelResults(lines or {}, predicted, self.shares, loop_curves(self.runs)),
+            model=ModelResults(lines or {}, predicted, self.shares, loops, without),
             remarks=self.remarks,
             summaries=self.summaries,
         )
@@ -171,42 +165,51 @@ def judged(
 ) -> JudgedRuns:
     """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
     assumed = [requirements is None and is_older(run) for run in found]
-    runs = tuple(with_requirements(run) if older else run for run, older in zip(found, assumed))
-    measured = summarise_all(runs, transient=transient, requirements=requirements)
-    summaries = tuple(
-        with_confirmed(run, summary) if isinstance(run, Run) else summary for run, summary in zip(runs, measured)
+    loops = tuple(RanLoop.of(run) if isinstance(run, Run) else None for run in found)
+    runs = tuple(
+        _without_claims(with_requirements(run) if older else run, loop)
+        for run, older, loop in zip(found, assumed, loops)
     )
-    shares = [_shares_or_reason(run) for run in runs]
+    measured = summarise_all(runs, transient=transient, requirements=requirements)
+    proofs = [(summary, ()) if loop is None else with_proof(loop, summary) for loop, summary in zip(loops, measured)]
+    shares = [_shares_or_reason(loop) for loop in loops]
     remarks = tuple(
         (
-            *(remarks_of(run, summary) if isinstance(run, Run) else ()),
+            *(() if loop is None else remarks_of(loop, summary, lines)),
             *([REMARK] if older else []),
             *missing,
             *([other] if other else []),
         )
-        for run, summary, older, (_, missing), other in zip(runs, summaries, assumed, shares, differences(runs))
+        for loop, (summary, lines), older, (_, missing), other in zip(loops, proofs, assumed, shares, differences(runs))
     )
-    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), remarks, transient, requirements)
+    summaries = tuple(summary for summary, _ in proofs)
+    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), remarks, loops, transient, requirements)
 
 
-def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:
+def _without_claims(run: Recording, loop: RanLoop | None) -> Recording:
+    """The recording; a bag of a loop that is not known to have run without what it says of the member and what acts."""
+    if loop is None or not loop.unknown:
+        return run
+    kept = {key: value for key, value in run.parameters.items() if key not in (ACTING, MEMBER, WHEEL_SPEEDS)}
+    return loop.run.changed(kept, {})
+
+
+def _shares_or_reason(loop: RanLoop | None) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:
     try:
-        return source_shares(run), ()
-    except (ValueError, OSError) as error:
+        return source_shares(loop), ()
+    except ValueError as error:
         return (), (f"no shares of sources: {error}",)
 
 
-def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
-    """Sentences beside the verdict of a run."""
+def remarks_of(loop: RanLoop, summary: Summary, proofs: Sequence[str] = ()) -> tuple[str, ...]:
+    """Sentences beside the verdict of a run, those on proofs among them."""
     from los_testbed.run.summary.control_effect import control_effect
 
-    effect = control_effect(run, summary)
+    run = loop.run
+    effect = control_effect(loop, summary)
     notes = (str(run.parameters.get(name, "")) for name in ("start_note", "idle_devices"))
-    proven, star = run.parameters.get(PROOF_RPE), summary.star
-    image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
-    lines = {name: str(run.parameters.get(name, "")) for name in ("proof", PROOF_NOISE)} | {PROOF_RPE: image}
     camera, lost = ON_CAMERA if on_camera(run) else "", _lost_periods(run, summary)
-    found = (effect.remark if effect else "", camera, lost, *notes, *stated_lines(run, lines), *requested(run))
+    found = (effect.remark if effect else "", camera, lost, *notes, *proofs, *requested(run))
     return tuple(text for text in found if text)
 
 
