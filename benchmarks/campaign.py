@@ -68,7 +68,7 @@ def cost(base: RunConfig, count: int) -> dict[str, float]:
             run_in_process(replace(base, **MemberParameters.of().settings(member)), bag)
             summary = summarise(Run.open(bag))
             seconds["recorded"] += time.process_time() - start
-            found.append((summary.rpe_p997, summary.ape_max))
+            found.append((summary.rpe_quantile, summary.ape_max))
     rows = []
     for depth in ("model", "time"):
         forget()

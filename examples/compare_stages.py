@@ -31,7 +31,8 @@ with tempfile.TemporaryDirectory() as folder:
     runs = [Run.open(bag) for bag in bags]
     for run in runs:
         s = summarise(run)
-        print(f"{run.title:10s} APE max {s.ape_max:.3g} arcsec, RPE rms {s.rpe_rms:.3g}, 99.7 % {s.rpe_p997:.3g} mas")
+        relative = f"RPE rms {s.rpe_rms:.3g}, {100 * s.probabilities.rpe:g} % {s.rpe_quantile:.3g} mas"
+        print(f"{run.title:10s} APE max {s.ape_max:.3g} arcsec, {relative}")
     page = write_report(runs, arguments.output or Path(folder) / "report.html")
     print(
         f"report of {page.stat().st_size // 1000} kB"

@@ -14,6 +14,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, _panels, legend_above, picture, stroke
+from pointing_analysis.requirements.exposure import probabilities_of
 from pointing_analysis.requirements.requirement import Requirement
 
 POINTS = 24
@@ -21,9 +22,6 @@ POINTS = 24
 
 WINDOWS = 10
 """Fewest whole windows in the run of the longest exposure."""
-
-PROBABILITY = 0.997
-"""Part of the windows of the curve that is drawn where no requirement asks for one."""
 
 DASHES = ("-", "-.", (0, (6, 2)), (0, (4, 1, 1, 1)))
 """Of the curves of the parts, the largest first."""
@@ -48,7 +46,7 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
     """
     own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
     asked = sorted({(r.times[0], r.limit, r.probability) for r in own})
-    wanted = sorted({r.probability for r in own} or {PROBABILITY}, reverse=True)
+    wanted = sorted({r.probability for r in own} or {probabilities_of(requirements).windows}, reverse=True)
     curves = [(i, view, *_curve(view, wanted, [window for window, *_ in asked])) for i, view in enumerate(views)]
     curves = [curve for curve in curves if curve[2].size > 1]
     if not curves:

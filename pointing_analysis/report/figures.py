@@ -24,6 +24,7 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorS
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figure_data import curves_csv
+from pointing_analysis.requirements.exposure import USUAL_PROBABILITY
 from pointing_analysis.requirements.requirement import Requirement, time_text
 from pointing_analysis.spectra.spectra import SpectralLine, Spectrum
 
@@ -75,6 +76,8 @@ class RunView:
     """Lines that the recording names and that the run does not show."""
     without_spectrum: str = ""
     """Why there is no spectrum; empty where there is one."""
+    image_part: float = USUAL_PROBABILITY
+    """Part of the exposures that keeps the figures of a star's image."""
 
 
 def windows_text(views: Sequence[RunView]) -> str:

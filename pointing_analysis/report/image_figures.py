@@ -1,6 +1,6 @@
 """Pictures of what the telescope sees: a star and a test target in one exposure of each run, transfer, energy, shape.
 
-The exposure that is shown of a run is that of 1000 which three are worse than, by the Strehl ratio of the motion. The
+The exposure that is shown of a run is the worst of the required part of them, by the Strehl ratio of the motion. The
 axes of the pictures are the two components of the line of sight.
 """
 
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.image.motion_blur import centred, sizes, some_exposures, worst_transfer
 from pointing_analysis.image.optics import METADATA, NONE_KNOWN, Optics, optics_of
 from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
@@ -25,7 +26,7 @@ from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.report.figures import Picture, RunView, legend_above, picture, stroke
 from pointing_analysis.requirements.image_samples import share
-from pointing_analysis.requirements.image_summary import MOST, PART
+from pointing_analysis.requirements.image_summary import MOST
 
 HALF = 10
 """Pixels on either side of the star."""
@@ -54,6 +55,7 @@ class ImageView:
     paths : (m, N + 1, 2) exposures [rad]
     time : (m,) of their starts [s]
     strehl, ellipticity : (m,)
+    part : of the exposures, that the pictures hold for
     """
 
     label: str
@@ -62,11 +64,12 @@ class ImageView:
     time: FloatArray
     strehl: FloatArray
     ellipticity: FloatArray
+    part: float
 
     @cached_property
     def _chosen(self) -> int:
         order = np.lexsort((-sizes(self.paths), self.strehl))
-        return int(order[math.floor((1 - PART) * (len(order) - 1))])
+        return int(order[math.floor((1 - self.part) * (len(order) - 1))])
 
     @property
     def shown(self) -> FloatArray:
@@ -105,7 +108,7 @@ def exposed_view(view: RunView) -> ImageView:
         raise InputError(f"{view.label}: the run must have an exposure without a missing sample, got none")
     found = figures(paths, optics, ("strehl", "ellipticity"))
     time = np.asarray(view.series.start + view.window * index)
-    return ImageView(view.label, optics, paths, time, found["strehl"], found["ellipticity"])
+    return ImageView(view.label, optics, paths, time, found["strehl"], found["ellipticity"], view.image_part)
 
 
 def image_views(views: Sequence[RunView]) -> tuple[tuple[ImageView, ...], tuple[str, ...]]:
@@ -176,16 +179,17 @@ def stars(views: Sequence[ImageView]) -> Picture | None:
     if not views:
         return None
     blocks = -(-len(views) // COLUMNS)
-    alt = f"Star on the pixels of the detector in the exposure that 3 of 1000 are worse than; {views[0].optics.text}: "
+    worst = f"in the worst exposure of {percent(views[0].part, 10)}"
+    alt = f"Star on the pixels of the detector {worst}; {views[0].optics.text}: "
     alt += "; ".join(f"{v.label}: {v.strehl_text}" for v in views)
     height = 2.3 * blocks * max(1.0, 2.0 / min(len(views), COLUMNS)) + 0.4
     return picture("star", "Star as the detector sees it", alt, height, lambda figure: draw_stars(figure, views))
 
 
 def transfer_curve(view: ImageView, frequencies: FloatArray) -> FloatArray:
-    """Transfer of the motion along the worst direction that 99.7 % of the exposures are above: (f,)."""
+    """Transfer of the motion along the worst direction that the part of the exposures is above: (f,)."""
     some = view.paths[np.unique(np.linspace(0, len(view.paths) - 1, min(CURVE_EXPOSURES, len(view.paths))).astype(int))]
-    return np.array([share(worst_transfer(some, float(f))[0], PART, lower=True) for f in frequencies])
+    return np.array([share(worst_transfer(some, float(f))[0], view.part, lower=True) for f in frequencies])
 
 
 def draw_transfer(figure: Figure, views: Sequence[ImageView]) -> None:
@@ -203,7 +207,7 @@ def draw_transfer(figure: Figure, views: Sequence[ImageView]) -> None:
     axis.set_ylim(0.0, 1.02)
     axis.set_xlim(0.0, float(line[-1]) * scale)
     axis.set_xlabel("spatial frequency [cycles/arcsec]")
-    axis.set_ylabel("MTF, 99.7 % of the exposures above")
+    axis.set_ylabel(f"MTF, {percent(views[0].part, 10)} of the exposures above")
     legend_above(figure, axis)
 
 

@@ -37,7 +37,8 @@ from pointing_analysis.report.outputs import ReportOutputs
 from pointing_analysis.report.paper import Paper
 from pointing_analysis.report.spectrum_figure import density
 from pointing_analysis.requirements.conditions import WHEEL_SPEEDS
-from pointing_analysis.requirements.summary import Summary, exposure_of_run, scenario_of, summarise_all
+from pointing_analysis.requirements.exposure import probabilities_of
+from pointing_analysis.requirements.summary import Summary, exposure_of_run, requirements_of, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
 from pointing_analysis.spectra.sidebands import FoundLine
@@ -76,9 +77,14 @@ def view(
     transient: float | None = None,
     found: Sequence[FoundLine] = (),
     window: float | None = None,
+    part: float | None = None,
 ) -> RunView:
-    """Everything the pictures need from one run; `found` are lines of its spectrum, the window by default its own."""
+    """Everything the pictures need from one run; `found` are lines of its spectrum.
+
+    The window, and the part of its exposures, are by default those of its own requirements.
+    """
     window = exposure_of_run(run) if window is None else window
+    part = probabilities_of(requirements_of(run) or ()).image if part is None else part
     series = performance_error(run, transient)
     spectrum, without = None, ""
     try:
@@ -89,7 +95,7 @@ def view(
     more = spectra.found_lines(found, named, series.duration, window, series.dt)
     named, within_noise = spectra.above_noise(named, series.values, series.dt)
     tones = sorted((*named, *more), key=lambda line: -line.rpe)
-    return RunView(label, run, series, spectrum, tuple(tones), window, within_noise, without)
+    return RunView(label, run, series, spectrum, tuple(tones), window, within_noise, without, part)
 
 
 def _authority(runs: Sequence[Recording]) -> dict[str, float]:
@@ -233,7 +239,10 @@ def report_content(
         raise InputError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
-    views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]
+    views = [
+        view(run, name, transient, s.found, s.window, s.probabilities.image)
+        for run, name, s in zip(runs, names, summaries)
+    ]
     drawn, missing = pictures(Drawn(views, [v.requirement for s in summaries for v in s.verdicts], model))
     untimed = [v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size]
     missing += [f"No timing histogram for {name}: the messages carry simulated times only." for name in untimed]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.number_text import ABSENT, digits, percent
 from pointing_analysis.formatting.tables import Heading, TextTable, numbers, texts
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.recorded_sensors import sensors_of
@@ -33,7 +33,9 @@ def metric_table(names: Sequence[str], summaries: Sequence[Summary]) -> TextTabl
 def _metrics(summary: Summary) -> dict[str, str]:
     found = {figure.name: figure.text for figure in summary.figures}
     if summary.knowledge:
-        found["AKE 99.7 %"] = f"{digits(summary.knowledge.ake_p997_arcsec)} arcsec"
+        found[f"AKE {percent(summary.probabilities.knowledge, 10)}"] = (
+            f"{digits(summary.knowledge.ake_quantile_arcsec)} arcsec"
+        )
         found["RKE rms"] = f"{digits(summary.knowledge.rke_rms_mas)} mas"
     return found
 

@@ -10,15 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pointing_analysis.formatting.number_text import (
-    ABSENT,
-    at_most,
-    digits,
-    digits_beside,
-    number,
-    percent,
-    with_unit,
-)
+from pointing_analysis.formatting.number_text import ABSENT, at_most, digits, digits_beside, number, percent, with_unit
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 from pointing_analysis.requirements.guarantee import ProvenBound
 from pointing_analysis.requirements.verdict import Status, Verdict
@@ -136,7 +128,7 @@ class RequirementRow:
             run=run,
             name=r.name,
             text=str(r),
-            quantity=f"{r.quantity}, {100 * r.probability:g} %{tail}",
+            quantity=f"{r.quantity}, {percent(r.probability, 10)}{tail}",
             unit=r.unit,
             value=verdict.quantile.value / scale if judged else math.nan,
             limit=r.limit / scale,

@@ -13,7 +13,7 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.formatting.number_text import digits, number, with_unit
+from pointing_analysis.formatting.number_text import digits, number, percent, with_unit
 from pointing_analysis.image.optics import optics_of
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
@@ -36,7 +36,14 @@ from pointing_analysis.read.run_end import missed_share, run_end, statistics_of
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
-from pointing_analysis.requirements.exposure import exposure_of, finest
+from pointing_analysis.requirements.exposure import (
+    USUAL_PROBABILITY,
+    Probabilities,
+    exposure_of,
+    finest,
+    probabilities_of,
+    quantile_key,
+)
 from pointing_analysis.requirements.guarantee import NO_PROOF
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.requirement import time_text
@@ -51,33 +58,34 @@ from pointing_analysis.requirements.verdict import Requirement, Verdict, from_en
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.spectra import highest_frequency, lines
-from pointing_analysis.spectra.tone_budget import PART as BUDGET_PART
 from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_budget
 
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
 UNKNOWN = "no requirements are known for this recording: metrics have no limit (give --requirements FILE)"
+USUAL_PROBABILITIES = Probabilities()
+
 CAMERAS = frozenset({"camera/los"})
 """Topics whose samples may be lost in a recording that does not describe its sensors."""
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Knowledge errors of the observer: 99.7 % quantile of the AKE [arcsec] and rms of the RKE [mas]."""
+    """Knowledge errors of the observer: quantile of the AKE [arcsec] and rms of the RKE [mas]."""
 
-    ake_p997_arcsec: float
+    ake_quantile_arcsec: float
     rke_rms_mas: float
 
     @classmethod
-    def of(cls, error: FloatArray, dt: float, window: float) -> Knowledge:
-        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s], in windows [s].
+    def of(cls, error: FloatArray, dt: float, window: float, part: float = USUAL_PROBABILITY) -> Knowledge:
+        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s], in windows [s]; the quantile of `part`.
 
         Raises
         ------
         ValueError
             Shorter than a window.
         """
-        ake = SortedValues(metrics.radial(error)).quantile(0.997) / RAD_PER_ARCSEC
+        ake = SortedValues(metrics.radial(error)).quantile(part) / RAD_PER_ARCSEC
         rke = float(np.hypot(*metrics.rpe_rms(error, dt, window))) / RAD_PER_MAS
         return cls(float(ake), rke)
 
@@ -87,33 +95,34 @@ class Performance:
     """Metrics of a performance error, as in :class:`Summary`; NaN for what needs a window and has none."""
 
     ape_max: float
-    ape_p997: float
+    ape_quantile: float
     rpe_rms: float
-    rpe_p997: float
+    rpe_quantile: float
     rpe_axis: tuple[float, float]
     windows: int
     windows_skipped: int
-    rpe_windows_p997: float
+    rpe_windows_quantile: float
 
     @classmethod
-    def of(cls, error: FloatArray, dt: float, window: float) -> Performance:
+    def of(cls, error: FloatArray, dt: float, window: float, parts: Probabilities = USUAL_PROBABILITIES) -> Performance:
         """Of an error (n, 2) [rad], NaN where a sample is missing, with the period `dt` [s], in windows [s]."""
         ape = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_ARCSEC, error))
         nan = float("nan")
         rms: FloatArray = np.full(2, nan)
-        p997, of_windows, cut, skipped = nan, nan, 0, 0
+        of_instants, of_windows, cut, skipped = nan, nan, 0, 0
         if metrics.holds(window, dt) and dt * len(error) >= window:
             w = metrics.windows(error, dt, window)
             rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
             instant = metrics.rpe_instant(error, dt, window)
-            p997 = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)).quantile(0.997)
+            radial = by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)
+            of_instants = SortedValues(radial).quantile(parts.rpe)
             sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
-            of_windows = SortedValues(sizes).quantile(0.997)
+            of_windows = SortedValues(sizes).quantile(parts.windows)
         return cls(
             float(ape.at(ape.size - 1)[0]) if ape.size else nan,
-            ape.quantile(0.997) if ape.size else nan,
+            ape.quantile(parts.ape) if ape.size else nan,
             float(np.hypot(*rms)),
-            p997,
+            of_instants,
             (float(rms[0]), float(rms[1])),
             cut,
             skipped,
@@ -146,10 +155,11 @@ class Summary:
     ticks : samples of the truth topic that are there or should be
     duration : length of the recording [s]
     transient : seconds dropped at the start
-    ape_max, ape_p997 : largest and 99.7 % radial APE [arcsec]
+    ape_max, ape_quantile : radial APE, largest and quantile [arcsec]
+    probabilities : parts that the quantiles hold for
     window : of the relative error and of a star's exposure [s] (:mod:`pointing_analysis.requirements.exposure`)
     rpe_rms : radial RPE rms of disjoint windows, window estimator [mas]
-    rpe_p997 : 99.7 % quantile of the radial RPE, over every instant of disjoint windows [mas]
+    rpe_quantile : quantile of the radial RPE, over every instant of disjoint windows [mas]
     rpe_axis : RPE rms per axis [mas]
     windows, windows_skipped : complete windows, and those left out because a sample is missing
     samples_lost : samples missing in the bag, all topics
@@ -160,7 +170,7 @@ class Summary:
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
     contradictions : where the bag contradicts its own digests, one sentence each; in `problems` as well
-    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint windows, both axes [mas]
+    rpe_windows_quantile : quantile of the rms in disjoint windows, both axes [mas]
     requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
     open_end : whether the recording is truncated and the number of missing samples at its end is unknown
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
@@ -183,9 +193,9 @@ class Summary:
     transient: float
     window: float
     ape_max: float
-    ape_p997: float
+    ape_quantile: float
     rpe_rms: float
-    rpe_p997: float
+    rpe_quantile: float
     rpe_axis: tuple[float, float]
     windows: int
     windows_skipped: int
@@ -199,7 +209,8 @@ class Summary:
     contradictions: tuple[str, ...] = ()
     budget: ToneBudget | None = None
     found: tuple[FoundLine, ...] = ()
-    rpe_windows_p997: float = math.nan
+    rpe_windows_quantile: float = math.nan
+    probabilities: Probabilities = USUAL_PROBABILITIES
     requirements_known: bool = True
     open_end: bool = False
     sensors: tuple[RecordedSensor, ...] = ()
@@ -227,13 +238,14 @@ class Summary:
     @property
     def figures(self) -> tuple[Figure, ...]:
         """Metrics that need no requirement; those that need a window only where there is one."""
-        window = time_text(self.window)
+        window, parts = time_text(self.window), self.probabilities
+        ape, rpe, windows = (percent(part, 10) for part in (parts.ape, parts.rpe, parts.windows))
         found = (
             Figure("APE max", self.ape_max, "arcsec"),
-            Figure("APE 99.7 %", self.ape_p997, "arcsec", "|APE|, 99.7 %"),
+            Figure(f"APE {ape}", self.ape_quantile, "arcsec", f"|APE|, {ape}"),
             Figure(f"RPE rms, {window} windows", self.rpe_rms, "mas"),
-            Figure("RPE of a window, 99.7 %", self.rpe_windows_p997, "mas", f"rms RPE({window}), 99.7 %"),
-            Figure("RPE at every instant, 99.7 %", self.rpe_p997, "mas", f"|RPE({window})|, 99.7 %"),
+            Figure(f"RPE of a window, {windows}", self.rpe_windows_quantile, "mas", f"rms RPE({window}), {windows}"),
+            Figure(f"RPE at every instant, {rpe}", self.rpe_quantile, "mas", f"|RPE({window})|, {rpe}"),
             *(() if self.image is None else (Figure(*row) for row in self.image.rows)),
         )
         return tuple(figure for figure in found if not math.isnan(figure.value))
@@ -253,6 +265,7 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics for JSON; infinities and NaN become None."""
+        parts = self.probabilities
         return {
             "bag": str(self.path),
             "kind": self.kind,
@@ -264,12 +277,12 @@ class Summary:
             **({"member": self.conditions.member} if self.conditions.member else {}),
             "ticks": self.ticks,
             "transient_s": self.transient,
-            "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
+            "ape_arcsec": {"max": number(self.ape_max), quantile_key(parts.ape): number(self.ape_quantile)},
             "window_s": self.window,
             "rpe_mas": {
                 "rms": number(self.rpe_rms),
-                "p997": number(self.rpe_p997),
-                "windows_p997": number(self.rpe_windows_p997),
+                quantile_key(parts.rpe): number(self.rpe_quantile),
+                f"windows_{quantile_key(parts.windows)}": number(self.rpe_windows_quantile),
             },
             "windows": self.windows,
             "windows_skipped": self.windows_skipped,
@@ -279,7 +292,7 @@ class Summary:
             "knowledge": None
             if self.knowledge is None
             else {
-                "ake_p997_arcsec": number(self.knowledge.ake_p997_arcsec),
+                f"ake_{quantile_key(parts.knowledge)}_arcsec": number(self.knowledge.ake_quantile_arcsec),
                 "rke_rms_mas": number(self.knowledge.rke_rms_mas),
             },
             "requirements_known": self.requirements_known,
@@ -411,13 +424,13 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
             problems.append(f"{name}: {counted(short, 'sample')} missing at the start or the end of the run")
 
 
-def _knowledge(run: Recording, transient: float | None, window: float) -> tuple[Knowledge | None, str]:
+def _knowledge(run: Recording, transient: float | None, window: float, part: float) -> tuple[Knowledge | None, str]:
     """Knowledge errors of a recording with estimates, or why they cannot be computed."""
     if "los_estimate" not in run:
         return None, ""
     try:
         series = knowledge_error(run, transient)
-        return Knowledge.of(series.values, series.dt, window), ""
+        return Knowledge.of(series.values, series.dt, window, part), ""
     except InputError as error:
         return None, f"no AKE and RKE: {str(error).replace(str(run.path), run.path.name)}"
 
@@ -452,22 +465,24 @@ def summarise(
         raise
     asked = applicable(known or (), run)
     window = exposure_of(known or (), requirements_of(run) or ())  # of all stages: their summaries are compared
-    error, budget, judged = Performance.of(series.values, series.dt, window), None, metrics.holds(window, series.dt)
+    parts = probabilities_of(known or requirements_of(run) or ())
+    error, judged = Performance.of(series.values, series.dt, window, parts), metrics.holds(window, series.dt)
+    budget: ToneBudget | None = None
     found: tuple[FoundLine, ...] = ()
     motion, unread = read_motion(run)
     still = motion is None and not unread
     if judged and series.duration >= window and still:
-        budget = tone_budget(run, series, window, error.rpe_windows_p997)
+        budget = tone_budget(run, series, window, error.rpe_windows_quantile, parts.windows)
         others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
-        if others or not _of_budget(asked, window):
+        if others or not _of_budget(asked, window, parts.windows):
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
     elif not judged and still:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, lines(series.values, series.dt, named_tones(run), window))
     lost, problems, dropped = _integrity(run)
-    star, unusable = _star(run, series, window) if metrics.is_whole(window, series.dt) else (None, "")
+    star, unusable = _star(run, series, window, parts.image) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
-    knowledge, without = _knowledge(run, transient, window)
+    knowledge, without = _knowledge(run, transient, window, parts.knowledge)
     sensors, unknown = read_sensors(run)
     remarks = dict.fromkeys((*series.remarks, *(one.remark for one in settled)))
     problems += [text for text in (damaged, unusable, unread, without, unknown, *remarks) if text]
@@ -486,6 +501,7 @@ def summarise(
         transient=series.start,
         window=window,
         **vars(error),
+        probabilities=parts,
         samples_lost=sum(lost.values()),
         lost_by_topic=lost,
         camera_dropped=dropped,
@@ -507,15 +523,15 @@ def summarise(
     )
 
 
-def _of_budget(requirements: Sequence[Requirement], window: float) -> bool:
-    """Whether the allowances of a bag are parts of a limit on what its budget shows: 99.7 % of the windows.
+def _of_budget(requirements: Sequence[Requirement], window: float, part: float) -> bool:
+    """Whether the allowances of a bag are parts of a limit on what its budget shows: a part of the windows.
 
     They are parts of the strictest limit on windows.
     """
     strictest = finest(requirements)
     if strictest is None or not strictest.of_windows:
         return True
-    return strictest.times == (window,) and abs(strictest.probability - BUDGET_PART) < 1e-9
+    return strictest.times == (window,) and strictest.probability == part
 
 
 def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> list[str]:
@@ -531,7 +547,7 @@ def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> l
     return found
 
 
-def _star(run: Recording, series: ErrorSeries, window: float) -> tuple[StarExposures | None, str]:
+def _star(run: Recording, series: ErrorSeries, window: float, part: float) -> tuple[StarExposures | None, str]:
     """Exposures of a star, and what is wrong with the optics of the recording."""
     try:
         optics = optics_of(run)
@@ -539,7 +555,7 @@ def _star(run: Recording, series: ErrorSeries, window: float) -> tuple[StarExpos
         return None, str(error)
     if optics is None or len(series.values) <= round(window / series.dt):
         return None, ""
-    return StarExposures.of(series, optics, window), ""
+    return StarExposures.of(series, optics, window, part), ""
 
 
 def scenario_of(run: Recording) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
+from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
@@ -31,8 +32,6 @@ from pointing_analysis.spectra.sidebands import FoundLine
 BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
 
-PART = 0.997
-"""Part of the windows that keeps the total."""
 PARTS = ("noise", "slow", "fast", "total")
 UNRESOLVED = "tones cannot be distinguished from the rest: their sum would exceed the total (a drift or a pulse?)"
 
@@ -58,10 +57,11 @@ class ToneBudget:
     ----------
     noise : rms of what the tones leave, norm of both axes; NaN, as are the tones, if they cannot be resolved
     slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
-    total : 99.7 % quantile of the rms in each window, both axes
+    total : quantile of the rms in each window, both axes
     allowances : allowed values of the same parts; empty if not stated
     noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
     found : lines among the tones that the recording does not name
+    part : of the windows, that the total holds for
     spectrum : frequencies [Hz] and powers of the noise in the relative error, both axes; None where it is not known
     """
 
@@ -73,13 +73,14 @@ class ToneBudget:
     noise_error: float = math.nan
     found: tuple[FoundLine, ...] = ()
     spectrum: tuple[FloatArray, FloatArray] | None = None
+    part: float = 0.997
 
     def __str__(self) -> str:
-        texts = []
+        texts, whole = [], f"total ({percent(self.part, 10)}) {{}}"
         if math.isnan(self.slow) and math.isnan(self.fast):
             limit = f" of {self.allowances['total']:.3g}" if "total" in self.allowances else ""
-            return f"budget of the RPE [mas]: {UNRESOLVED}; total (99.7 %) {_short(self.total)}{limit}"
-        for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", "total (99.7 %) {}")):
+            return f"budget of the RPE [mas]: {UNRESOLVED}; {whole.format(_short(self.total))}{limit}"
+        for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", whole)):
             value, allowed = getattr(self, part), self.allowances.get(part)
             texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))
         return f"budget of the RPE [mas]: {', '.join(texts)}"
@@ -98,7 +99,7 @@ def named_tones(run: Recording) -> FloatArray:
     return np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)
 
 
-def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
+def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float, part: float) -> ToneBudget:
     """Budget of a run; without tones all of the error is noise.
 
     Where the parts exceed the whole (:func:`pointing_analysis.spectra.spectra.exceeds`), they are NaN.
@@ -111,7 +112,9 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     window : float
         [s].
     total : float
-        99.7 % quantile of the rms in each window, both axes [mas].
+        Quantile of the rms in each window, both axes [mas].
+    part : float
+        Of the windows, that the total holds for.
     """
     given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
@@ -124,13 +127,13 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     powers = [(line.omega, line.rpe**2) for line in named]
     powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
     if spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
-        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=found)
+        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=found, part=part)
     noise, noise_error = _rms(metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2)
     slow, fast = (
         math.sqrt(2.0 * sum(one for omega, one in powers if (omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
-    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found, _spectrum(rest, series.dt, window))
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found, _spectrum(rest, series.dt, window), part)
 
 
 def _spectrum(rest: FloatArray, dt: float, window: float) -> tuple[FloatArray, FloatArray] | None:

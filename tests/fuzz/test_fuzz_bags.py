@@ -162,7 +162,8 @@ def figures(bag: Path) -> str:
         s = summarise(Run.open(bag))
     except BagError as error:
         return str(error).replace(str(bag), "")
-    performance = (s.ape_max, s.ape_p997, s.rpe_rms, s.rpe_p997, s.rpe_windows_p997, s.rpe_axis, s.knowledge)
+    quantiles = (s.ape_quantile, s.rpe_quantile, s.rpe_windows_quantile)
+    performance = (s.ape_max, s.rpe_rms, quantiles, s.rpe_axis, s.knowledge)
     data = (s.ticks, s.windows, s.windows_skipped, s.samples_lost, s.lost_by_topic, s.camera_dropped, s.open_end)
     return repr((performance, data, s.verdicts))
 

@@ -88,7 +88,7 @@ def test_wrong_verdicts_are_as_rare_as_the_confidence_says(pole: float) -> None:
 def test_a_recording_without_requirements_has_metrics_and_no_verdict(noise_run) -> None:
     """Nobody's limits are taken for those of another; damaged ones are named."""
     found = summarise(noise_run(2.0, 25.0, loop="fsm"))
-    assert found.verdicts == () and not found.requirements_known and found.ape_p997 > 0
+    assert found.verdicts == () and not found.requirements_known and found.ape_quantile > 0
     assert found.as_dict()["requirements"] == [] and not found.as_dict()["requirements_known"]
     for damaged in ("APE", [{"name": "no text"}], [{"text": "APE below 1"}], [{"text": 3}], ["prob"]):
         wrong = summarise(noise_run(2.0, 25.0, 1 + len(str(damaged)), requirements=damaged))

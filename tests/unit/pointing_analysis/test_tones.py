@@ -34,7 +34,7 @@ def test_tones_and_noise_of_known_size_are_found() -> None:
     slow, fast = 20.0, 300.0
     tones = np.column_stack([100.0 * np.sin(slow * T), 15.0 * np.cos(fast * T + 0.3)])
     noise = 5.0 * rng.standard_normal(tones.shape)
-    found = tone_budget(run_with(tones_rad_s=[slow, fast]), series(tones + noise), 0.02, 40.0)
+    found = tone_budget(run_with(tones_rad_s=[slow, fast]), series(tones + noise), 0.02, 40.0, 0.997)
     weights = rpe_discrete(np.array([slow, fast]), 20, 1e-3)
     assert found.slow == pytest.approx(100.0 * weights[0], rel=0.01)
     assert found.fast == pytest.approx(15.0 * weights[1], rel=0.02)
@@ -49,7 +49,7 @@ def test_the_noise_of_short_records_scatters_as_its_error_says(pole: float) -> N
     for seed in range(60):
         white = np.random.default_rng(seed).standard_normal((6000, 2))
         values = lfilter([1.0], [1.0, -pole], white, axis=0)[1000:]
-        found.append(tone_budget(run_with(tones_rad_s=[300.0]), series(values), 0.02, 1.0))
+        found.append(tone_budget(run_with(tones_rad_s=[300.0]), series(values), 0.02, 1.0, 0.997))
     noise, errors = np.array([f.noise for f in found]), np.array([f.noise_error for f in found])
     assert errors.mean() == pytest.approx(noise.std(ddof=1), rel=0.3)
     below = np.mean(noise - 1.645 * errors > math.sqrt(np.mean(noise**2)))
@@ -61,7 +61,7 @@ def test_tones_that_nobody_has_named_are_tones_and_no_noise() -> None:
     cooler = 2.0 * np.pi * 45.0
     tones = np.column_stack([100.0 * np.sin(20.0 * T) + 30.0 * np.sin(cooler * T), 12.0 * np.cos(2.0 * cooler * T)])
     values = series(tones + 5.0 * rng.standard_normal(tones.shape))
-    found = tone_budget(run_with(tones_rad_s=[20.0]), values, 0.02, 40.0)
+    found = tone_budget(run_with(tones_rad_s=[20.0]), values, 0.02, 40.0, 0.997)
     weights = rpe_discrete(np.array([20.0, cooler, 2.0 * cooler]), 20, 1e-3)
     assert found.slow == pytest.approx(100.0 * weights[0], rel=0.01)
     assert found.fast == pytest.approx(math.hypot(30.0 * weights[1], 12.0 * weights[2]), rel=0.02)
@@ -111,7 +111,7 @@ def with_pulse(size: float) -> ErrorSeries:
 def test_a_pulse_is_no_tone(size: float) -> None:
     """Without a taper the tones would be several times the whole."""
     record = with_pulse(size)
-    found = tone_budget(run_with(tones_rad_s=[*SLOW_TONES, 300.0]), record, 0.02, 40.0)
+    found = tone_budget(run_with(tones_rad_s=[*SLOW_TONES, 300.0]), record, 0.02, 40.0, 0.997)
     weights = rpe_discrete(np.array([SLOW_TONES[4], 300.0]), 20, 1e-3)
     assert found.slow == pytest.approx(30.0 * weights[0], abs=0.5)
     assert found.fast == pytest.approx(15.0 * weights[1], rel=0.03)
@@ -133,7 +133,7 @@ def test_a_drift_is_no_line_of_a_wheel() -> None:
 
 def test_tones_that_cannot_be_told_are_not_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spectra, "LEAK", 0.5)
-    found = tone_budget(run_with(tones_rad_s=[300.0], rpe_budget_mas={"total": 40}), with_pulse(0.0), 0.02, 33.0)
+    found = tone_budget(run_with(tones_rad_s=[300.0], rpe_budget_mas={"total": 40}), with_pulse(0.0), 0.02, 33.0, 0.997)
     assert "tones cannot be distinguished from the rest" in str(found) and "total (99.7 %) 33 of 40" in str(found)
     content = found.as_dict()
     assert [content[part] for part in ("noise", "slow", "fast", "total")] == [None, None, None, 33.0]

@@ -37,7 +37,7 @@ def test_a_limit_judges_its_own_window(tmp_path: Path, monkeypatch: pytest.Monke
     (table,), page, (metrics,) = outputs([run], LONG, tmp_path / "page.html", monkeypatch)
     samples = index_samples(performance_error(run, 0.0), LONG[0])
     own = decide(LONG[0], samples.values, samples.most, 60.0).quantile.value / RAD_PER_MAS
-    assert own > 150.0 > 100.0 > summarise(run, requirements=()).rpe_windows_p997
+    assert own > 150.0 > 100.0 > summarise(run, requirements=()).rpe_windows_quantile
     assert metrics["window_s"] == 0.25
     assert [row[0] for row in table[:2]] == ["long exposure: |RPE(250 ms)|, 99.7 %", "drift: |PDE(1 s, 10 s)|, 99.7 %"]
     assert table[0][1:3] == [f"{digits(own)} mas", "100 mas"] and table[0][4] == "not compliant"

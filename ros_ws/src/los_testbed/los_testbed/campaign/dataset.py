@@ -22,12 +22,14 @@ from lftkit.support.job import Job
 from lftkit.support.structured_text import load_json
 from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
+from los_testbed.campaign.campaign_verdict import judged
+from los_testbed.campaign.meanings import TOTAL, WITHOUT_LIMIT, RequirementColumns
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import SIMULATED, with_scenario
 from los_testbed.parts.run_parts import RunParts
-from pointing_analysis.requirements.exposure import exposure_of
+from pointing_analysis.requirements.exposure import exposure_of, finest
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
@@ -144,6 +146,14 @@ class Campaign:
         """Requirements of the telescope but `refusals`."""
         refusals = self.refusals
         return tuple(r for r in self.requirements if r not in refusals)
+
+    @property
+    def ranked(self) -> str:
+        """Metric by which members are ranked: that of the strictest limit of the stage on the relative error."""
+        if self.depth == "model":
+            return TOTAL
+        strictest = finest(judged(self.judged, self.base.loop))
+        return WITHOUT_LIMIT if strictest is None else RequirementColumns.of(strictest, self.exposure).quantile
 
     @property
     def metrics(self) -> tuple[str, ...]:

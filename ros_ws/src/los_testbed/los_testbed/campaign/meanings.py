@@ -36,8 +36,11 @@ MEANINGS = {
     "rpe_peak_rad_s": "frequency of the worst tone [rad/s]",
 }
 
-RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
-"""Metric by which the members of a depth are ranked: that of the limits of the relative error."""
+TOTAL = "total_mas"
+"""Metric by which members of the depth ``model`` are ranked."""
+
+WITHOUT_LIMIT = "rpe_window_p997_mas"
+"""Metric by which simulated members are ranked where nothing is required of the relative error."""
 
 SCENARIOS = {
     "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst. Their "

@@ -254,7 +254,7 @@ class MemberEvaluator:
         found: dict[str, float] = {}
         for index, name in enumerate(self.sources):
             alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT, self.exposure)
-            found |= dict(zip(source_columns(name), (alone.ape_p997, alone.rpe_rms)))
+            found |= dict(zip(source_columns(name), (alone.ape_quantile, alone.rpe_rms)))
         return found
 
     @cached_property
@@ -304,10 +304,10 @@ class _Record:
         usual = [samples.metrics(r) for r in always(exposure)]
         found = {
             "ape_max_arcsec": performance.ape_max,
-            "ape_p997_arcsec": performance.ape_p997,
+            "ape_p997_arcsec": performance.ape_quantile,
             "rpe_rms_mas": performance.rpe_rms,
-            "rpe_p997_mas": performance.rpe_p997,
-            "ake_p997_arcsec": knowledge.ake_p997_arcsec,
+            "rpe_p997_mas": performance.rpe_quantile,
+            "ake_p997_arcsec": knowledge.ake_quantile_arcsec,
             "rke_rms_mas": knowledge.rke_rms_mas,
             "mirror_max_mrad": 1e3 * float(largest[0]),
             "force_max_n": float(largest[1]),

@@ -12,7 +12,7 @@ from lftkit.support.counted_nouns import counted
 from los_testbed.campaign.campaign_verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, PairEffect, influences, pair_effects
-from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_text
+from los_testbed.campaign.meanings import TOTAL, RequirementColumns, scenario_text
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import RANDOM
 from pointing_analysis.formatting.number_text import digits, percent, with_unit
@@ -38,7 +38,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
     status = Counter(table.column("status").to_pylist())
     lower = {name for r in campaign.judged if r.lower for name in RequirementColumns.of(r, campaign.exposure).values}
     metrics = {name: _quantiles(table.column(name).to_numpy(), name in lower) for name in campaign.metrics}
-    ranked = table.column(RANKED[campaign.depth]).to_numpy()
+    ranked = table.column(campaign.ranked).to_numpy()
     lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     key = np.where(lost, np.inf, np.where(np.isnan(ranked), -np.inf, ranked))
     order = np.argsort(-key, kind="stable")[:worst]
@@ -51,7 +51,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "status": dict(sorted(status.items())),
         "metrics": metrics,
         "rows_hash": folder.rows_hash(),
-        "ranked_by": RANKED[campaign.depth],
+        "ranked_by": campaign.ranked,
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
         "not_judged": [f"{requirement.exact_text}: {why}" for requirement, why in _not_judged(campaign).items()],
         "scenario": scenario_text(campaign.base.scenario or "", campaign.depth, campaign.sources),
@@ -82,7 +82,7 @@ def _not_judged(campaign: Campaign) -> dict[Requirement, str]:
 def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
     status, random = table.column("status").to_pylist(), campaign.sampling in RANDOM
     if campaign.depth == "model":
-        total = table.column(RANKED["model"]).to_numpy()
+        total = table.column(TOTAL).to_numpy()
         return model_verdicts(total, status, campaign.base.loop, campaign.requirements, random)
     columns = {name: table.column(name).to_numpy() for name in campaign.metrics}
     return verdicts(columns, status, campaign.base.loop, campaign.judged, random, campaign.exposure)
@@ -93,11 +93,11 @@ def _points(campaign: Campaign, table: Any) -> dict[str, FloatArray]:
 
 
 def _influences(campaign: Campaign, table: Any) -> list[Influence]:
-    return influences(_points(campaign, table), table.column(RANKED[campaign.depth]).to_numpy())
+    return influences(_points(campaign, table), table.column(campaign.ranked).to_numpy())
 
 
 def _pairs(campaign: Campaign, table: Any) -> list[PairEffect]:
-    return pair_effects(_points(campaign, table), table.column(RANKED[campaign.depth]).to_numpy())
+    return pair_effects(_points(campaign, table), table.column(campaign.ranked).to_numpy())
 
 
 def _shown(values: dict[str, Any]) -> dict[str, Any]:
@@ -119,12 +119,12 @@ def verdict_table(summary: dict[str, Any]) -> TextTable:
 
 
 def _member(row: dict[str, Any], campaign: Campaign) -> dict[str, Any]:
-    value = row[RANKED[campaign.depth]]
+    value = row[campaign.ranked]
     return {
         "index": row["index"],
         "status": row["status"],
         "value": float(f"{value:.6g}") if np.isfinite(value) else None,
-        "figure": figure_text(row, campaign.depth),
+        "figure": figure_text(row, campaign.ranked, campaign.depth),
         "command": member_command(row, campaign.base, campaign.depth),
     }
 

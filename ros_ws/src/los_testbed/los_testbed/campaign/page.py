@@ -18,7 +18,7 @@ from lftkit.support.atomic_output import write_text
 from los_testbed.campaign.campaign_verdict import LOST
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import MOST_BINS, PER_BIN, yield_curve
-from los_testbed.campaign.meanings import MEANINGS, RANKED, meaning
+from los_testbed.campaign.meanings import TOTAL, meaning
 from los_testbed.campaign.overview import quantile_heads
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
@@ -44,8 +44,8 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
         An existing file is replaced.
     """
     columns = campaign.parameters.columns
-    table = folder.table([*columns, RANKED[campaign.depth], "status"])
-    metric = table.column(RANKED[campaign.depth]).to_numpy()
+    table = folder.table([*columns, campaign.ranked, "status"])
+    metric = table.column(campaign.ranked).to_numpy()
     lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     metric = np.where(lost, np.inf, metric)
     points = {name: table.column(name).to_numpy() for name in columns}
@@ -76,8 +76,8 @@ def _pictures(summary: dict[str, Any], points: Mapping[str, FloatArray], metric:
     finite = metric[np.isfinite(metric)]
     if not finite.size:
         return []
-    name = MEANINGS[summary["ranked_by"]]
-    given = sorted({v["limit"] for v in summary["verdicts"] if summary["ranked_by"] in (v["column"], RANKED["model"])})
+    name = meaning(summary["ranked_by"])
+    given = sorted({v["limit"] for v in summary["verdicts"] if summary["ranked_by"] in (v["column"], TOTAL)})
     limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
     made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
     if any(entry["first_order"] is not None for entry in summary["influence"]):

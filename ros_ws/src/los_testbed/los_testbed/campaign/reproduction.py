@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from lftkit.errors import InputError
-from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import SIMULATED, command_options
@@ -69,15 +68,17 @@ def member_of(text: str, parameters: str | None) -> dict[str, float]:
     return values
 
 
-def figure_text(row: Mapping[str, Any], depth: str) -> str:
+def figure_text(row: Mapping[str, Any], metric: str, depth: str) -> str:
     """Figure by which the members of a depth are ranked, as its command prints it; of a lost member its status.
 
     Examples
     --------
-    >>> figure_text({"status": "ok", "total_mas": 38.50072}, "model"), figure_text({"status": "diverged"}, "time")
-    ('38.5007 mas', 'diverged')
+    >>> figure_text({"status": "ok", "total_mas": 38.50072}, "total_mas", "model")
+    '38.5007 mas'
+    >>> figure_text({"status": "diverged"}, "rpe_window_p997_mas", "time")
+    'diverged'
     """
-    value = float(row.get(RANKED[depth], math.nan))
+    value = float(row.get(metric, math.nan))
     if not math.isfinite(value):
         return str(row["status"])
     return with_unit(digits(value, MODEL_DIGITS) if depth == "model" else digits(value), "mas")

@@ -17,8 +17,9 @@ from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transi
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, on_screen, say, warn
-from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.number_text import ABSENT, digits, percent
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
+from pointing_analysis.requirements.exposure import probabilities_of, quantile_key
 
 if TYPE_CHECKING:
     from pointing_analysis.read.run import Run
@@ -48,7 +49,7 @@ and commands. The recorded telescope does not respond to those commands, so a re
 
 ROWS = (
     ("knowledge error, rms", "ake_rms_arcsec", "arcsec"),
-    ("knowledge error, 99.7 %", "ake_p997_arcsec", "arcsec"),
+    ("knowledge error, {part}", "ake_{key}_arcsec", "arcsec"),
     ("RKE rms, {window} windows", "rke_rms_mas", "mas"),
     ("largest mirror command", "fsm_peak_rad", "rad"),
     ("largest force", "pma_peak_n", "N"),
@@ -112,8 +113,6 @@ def _through(
 ) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
     from pointing_analysis.replay.replay import compare
-    from pointing_analysis.requirements.requirement import time_text
-    from pointing_analysis.requirements.summary import exposure_of_run
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)
@@ -121,7 +120,7 @@ def _through(
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
     found = replay_run.metrics(run, replayed, transient)
-    _show(console, comparison, found, chosen.as_recorded, time_text(exposure_of_run(run)))
+    _show(console, comparison, found, chosen.as_recorded, run)
     content = replay_run.as_dict(run, chosen, comparison, found)
     if output is not None:
         replay_run.write_bag(output, run, replayed, chosen)
@@ -177,16 +176,20 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
 
 def _show(
-    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool, window: str
+    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool, run: Run
 ) -> None:
+    from pointing_analysis.requirements.requirement import time_text
+    from pointing_analysis.requirements.summary import exposure_of_run, requirements_of
+
     say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were excluded", soft_wrap=True)
+    window, part = time_text(exposure_of_run(run)), probabilities_of(requirements_of(run) or ()).knowledge
     rows = []
     for text, key, unit in ROWS:
-        values = [found[side].get(key) for side in ("recorded", "replayed")]
+        values = [found[side].get(key.format(key=quantile_key(part))) for side in ("recorded", "replayed")]
         if any(value is not None for value in values):
             shown = (ABSENT if value is None else f"{digits(value, 4)} {unit}" for value in values)
-            rows.append((text.format(window=window), *shown))
+            rows.append((text.format(window=window, part=percent(part, 10)), *shown))
     table = TextTable.of((*texts("metric"), *numbers("recorded", "replayed")), rows, "Recorded and replayed")
     console.print(on_screen(table))

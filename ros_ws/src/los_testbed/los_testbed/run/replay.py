@@ -52,7 +52,8 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
 from pointing_analysis.replay.replay import UNCHANGED, LawChanges, LoopLayout
-from pointing_analysis.requirements.summary import exposure_of_run
+from pointing_analysis.requirements.exposure import probabilities_of, quantile_key
+from pointing_analysis.requirements.summary import exposure_of_run, requirements_of
 from pointing_analysis.requirements.verdict import NOT_JUDGED, not_judged_by
 from titop_plant.interface import DT, FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
@@ -320,14 +321,14 @@ def _check_finite(who: str, signals: Mapping[str, FloatArray], stamp: NDArray[np
             )
 
 
-def _knowledge(series: ErrorSeries, window: float) -> dict[str, float]:
+def _knowledge(series: ErrorSeries, window: float, part: float) -> dict[str, float]:
     size = radial(series.values)
     ranked = SortedValues(size)
     rke = float(np.hypot(*rpe_rms(series.values, series.dt, window))) if series.duration >= window else float("nan")
     return {
-        "ake_rms_arcsec": math.sqrt(sum(np.nansum(size[part] ** 2) for part in parts(len(size))) / ranked.size)
+        "ake_rms_arcsec": math.sqrt(sum(np.nansum(size[rows] ** 2) for rows in parts(len(size))) / ranked.size)
         / RAD_PER_ARCSEC,
-        "ake_p997_arcsec": ranked.quantile(0.997) / RAD_PER_ARCSEC,
+        f"ake_{quantile_key(part)}_arcsec": ranked.quantile(part) / RAD_PER_ARCSEC,
         "rke_rms_mas": rke / RAD_PER_MAS,
     }
 
@@ -344,14 +345,14 @@ def _commands(signals: Signals) -> dict[str, float]:
 
 def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
     """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
-    window = exposure_of_run(run)
+    window, part = exposure_of_run(run), probabilities_of(requirements_of(run) or ()).knowledge
     recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
     found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
     if {"truth/los", "fsm/strain_gauge"} <= set(run.topics):
         if "los_estimate" in recorded:
-            found["recorded"] = {**_knowledge(knowledge_error(run, transient), window), **found["recorded"]}
+            found["recorded"] = {**_knowledge(knowledge_error(run, transient), window, part), **found["recorded"]}
         series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-        found["replayed"] = {**_knowledge(series, window), **found["replayed"]}
+        found["replayed"] = {**_knowledge(series, window, part), **found["replayed"]}
     return found
 
 

@@ -52,8 +52,8 @@ PLAN = "plan.json"
 REPORTED = "fast"
 """Index of the worst-case runs that the report shows side by side."""
 
-METRICS = ("ape_max_arcsec", "ape_p997_arcsec", "rpe_rms_mas", "rpe_windows_p997_mas", "mtf_nyquist", "strehl")
-"""Of a run; the last two, of its star's image, are those that 99.7 % of the exposures are above."""
+METRICS = ("ape_max_arcsec", "ape_quantile_arcsec", "rpe_rms_mas", "rpe_windows_quantile_mas", "mtf_nyquist", "strehl")
+"""Of a run; the last two, of its star's image, are those that the required part of the exposures is above."""
 
 
 @dataclass(frozen=True)
@@ -311,7 +311,7 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     """Metrics of a recorded run."""
     opened = Run.open(bag)
     summary: Summary = summarise(opened, requirements=None if run.part == "all" else ())
-    values = [summary.ape_max, summary.ape_p997, summary.rpe_rms, summary.rpe_windows_p997]
+    values = [summary.ape_max, summary.ape_quantile, summary.rpe_rms, summary.rpe_windows_quantile]
     if summary.image is not None:
         values += [summary.image.mtf, summary.image.strehl]
     alone = run.part == "disturbance" and run.scenario != MOVING and not run.config.ramp_duration

@@ -10,10 +10,10 @@ from typing import Any
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
 from los_testbed.run.summary import worst_case_rows
-from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.number_text import ABSENT, digits, percent
 from pointing_analysis.formatting.tables import Heading, TextTable, numbers, texts
 from pointing_analysis.indices.errors import RAD_PER_MAS
-from pointing_analysis.requirements.exposure import exposure_of
+from pointing_analysis.requirements.exposure import Probabilities, exposure_of, probabilities_of
 from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import BRIEF, requirement_table
 
@@ -22,12 +22,13 @@ SETTLED = 0.02
 """The settled response of the model is shown where it differs by more from that in the record."""
 HEADS = {
     "ape_max_arcsec": "APE max [arcsec]",
-    "ape_p997_arcsec": "APE 99.7 % [arcsec]",
+    "ape_quantile_arcsec": "APE {ape} [arcsec]",
     "rpe_rms_mas": "RPE rms [mas]",
-    "rpe_windows_p997_mas": "RPE 99.7 % of windows [mas]",
-    "mtf_nyquist": "MTF at Nyquist, 99.7 %",
-    "strehl": "Strehl ratio, 99.7 %",
+    "rpe_windows_quantile_mas": "RPE {windows} of windows [mas]",
+    "mtf_nyquist": "MTF at Nyquist, {image}",
+    "strehl": "Strehl ratio, {image}",
 }
+"""Headings, with the part that a quantile holds for, by the names of ``Probabilities``."""
 LOWER = ("mtf_nyquist", "strehl")
 """Metrics of which the smallest is the worst."""
 ALONE = ("ape_max_arcsec", "rpe_rms_mas")
@@ -65,11 +66,13 @@ def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
     return worst_case_rows.rows(cells)
 
 
-def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
+def columns(results: Sequence[StageResult], probabilities: Probabilities) -> list[tuple[str, str, str]]:
     """Part, metric and heading of each column."""
+    values = {name: percent(part, 10) for name, part in vars(probabilities).items()}
+    heads = {metric: head.format(**values) for metric, head in HEADS.items()}
     parts = dict.fromkeys(r.run.part for r in results if r.run.scenario != WORST)
     return [
-        (part, metric, HEADS[metric] if part == "all" else f"{part} alone: {HEADS[metric]}")
+        (part, metric, heads[metric] if part == "all" else f"{part} alone: {heads[metric]}")
         for part in parts
         for metric in PART_METRICS[part]
     ]
@@ -117,14 +120,15 @@ def requirements(results: Sequence[StageResult], scenario: str) -> TextTable:
 
 def tables(results: Sequence[StageResult], plan: Plan) -> Iterable[tuple[str, TextTable]]:
     """Tables of all scenarios, each with what stands above it in Markdown; those without a row are left out."""
-    window = time_text(exposure_of(RunParts(plan.base).telescope.requirements))
+    required = RunParts(plan.base).telescope.requirements
+    window = time_text(exposure_of(required))
     for scenario in plan.scenarios:
         title = f"{scenario}: {worst_caption(plan) if scenario == WORST else caption(results, plan)}"
         above = f"**Scenario `{scenario}`** ({title.partition(': ')[2]}; RPE: windows of {window})"
         if scenario == WORST:
             yield above, TextTable.of(worst_case_rows.COLUMNS, worst_rows(results, plan), title)
             continue
-        shown = columns(results)
+        shown = columns(results, probabilities_of(required))
         heads = (*texts("stage"), *numbers(*(head for _, _, head in shown)))
         yield above, TextTable.of(heads, rows(results, scenario, shown), title)
         yield "Requirements, nominal telescope:", requirements(results, scenario)

@@ -24,7 +24,7 @@ from los_testbed.run.input_files import map_files
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.simulate import run_in_process
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
-from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.number_text import digits, number
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.load import load_telescope
@@ -251,9 +251,9 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     -------
     dict
         ``magnitude``, ``rate_hz``, ``noise_mas`` (of a frame, in the model), ``frames`` and ``without_angles``, the
-        latter by reason, ``ape_arcsec``, ``rpe_mas`` and ``mtf_nyquist``, of which 99.7 % of the instants or exposures
-        are better, ``strehl``; None for the values of a run that diverged, or is left out because its loop is known to
-        be unstable, which ``failure`` says.
+        latter by reason, ``ape_arcsec``, ``rpe_mas``, ``mtf_nyquist`` and ``strehl``, which the required part of the
+        instants or exposures keeps; None for the values of a run that diverged, or is left out because its loop is
+        known to be unstable, which ``failure`` says.
     """
     from pointing_analysis.read.run import Run
     from pointing_analysis.requirements.summary import summarise
@@ -272,14 +272,13 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     row |= {"frames": int(counts.get("frames", 0)), "without_angles": missing, "failure": failure}
     if failure:
         return {**row, "ape_arcsec": None, "rpe_mas": None, "mtf_nyquist": None, "strehl": None}
-    found = summarise(Run.open(bag)).as_dict()
-    image = found.get("image", {})
+    found = summarise(Run.open(bag))
     return {
         **row,
-        "ape_arcsec": found["ape_arcsec"]["p997"],
-        "rpe_mas": found["rpe_mas"]["windows_p997"],
-        "mtf_nyquist": image.get("mtf_nyquist_p997"),
-        "strehl": image.get("strehl_p997"),
+        "ape_arcsec": number(found.ape_quantile),
+        "rpe_mas": number(found.rpe_windows_quantile),
+        "mtf_nyquist": None if found.image is None else number(found.image.mtf),
+        "strehl": None if found.image is None else number(found.image.strehl),
     }
 
 
@@ -292,7 +291,7 @@ HEADS = (
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the rows; quantiles of 99.7 % of the instants or exposures of a run."""
+    """Table of the rows; quantiles at the required parts of the instants or exposures of a run."""
     cells = []
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")
@@ -312,7 +311,11 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
-    names = ("RPE, 99.7 % [mas]", "MTF of the motion at Nyquist, 99.7 %", "frames without angles [%]")
+    names = (
+        "RPE of the required part of the windows [mas]",
+        "MTF of the motion at Nyquist",
+        "frames without angles [%]",
+    )
     for rate in sorted({row["rate_hz"] for row in rows}):
         mine = sorted((row for row in rows if row["rate_hz"] == rate), key=lambda row: float(row["magnitude"]))
         stars = [row["magnitude"] for row in mine]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FIGURES_EXAMPLES = """Draw a star and a test target as the detector sees them, MTF, encircled energy and ellipticity.
 
 One run or several side by side, as PNG, SVG and PDF. The exposures are the windows of the strictest requirement on the
-relative error, or 20 ms; the exposure shown is the 99.7 % quantile of the run.
+relative error, or 20 ms; the exposure shown is the worst of the required part of them, or of 99.7 %.
 
 **Examples**
 

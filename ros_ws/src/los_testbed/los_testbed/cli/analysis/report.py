@@ -97,19 +97,23 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
-    from pointing_analysis.formatting.number_text import digits
+    from pointing_analysis.formatting.number_text import digits, percent
     from pointing_analysis.requirements.requirement import time_text
     from pointing_analysis.requirements.rows import css_class
     from pointing_analysis.requirements.summary import UNKNOWN
 
+    absolute, relative = (
+        " or ".join(dict.fromkeys(percent(getattr(s.probabilities, name), 10) for s in found))
+        for name in ("ape", "rpe")
+    )
     heads = (
         *text_columns("run", "verdict"),
-        *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"),
+        *numbers(f"APE max, {absolute} [arcsec]", f"RPE rms, {relative} [mas]", "left out", "lost"),
     )
     windows = ", ".join(dict.fromkeys(time_text(s.window) for s in found))
     rows = []
     for name, s in zip(names, found):
-        ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
+        ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_quantile)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_quantile)}"
         verdict = Marked(s.overall, css_class(s.overall))
         rows.append((name, verdict, ape, rpe, f"{s.transient:g} s", s.lost_text()))
     table = TextTable.of(heads, rows, f"Pointing without start-up; windows of {windows}")

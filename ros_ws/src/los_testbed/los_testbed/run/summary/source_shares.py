@@ -22,8 +22,9 @@ from pointing_analysis.indices.window_rows import ROUNDING, windows_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.conditions import ACTING
+from pointing_analysis.requirements.exposure import probabilities_of
 from pointing_analysis.requirements.settling import is_settled
-from pointing_analysis.requirements.summary import Performance, exposure_of_run
+from pointing_analysis.requirements.summary import Performance, exposure_of_run, requirements_of
 from pointing_analysis.spectra.tone_budget import named_tones
 from titop_plant.interface import DT
 
@@ -69,12 +70,12 @@ def source_shares(loop: RanLoop | None) -> tuple[SourceShare, ...]:
     power = _covariance(whole, whole, window)
     shares = [_covariance(los, whole, window) / power if power else 0.0 for *_, los in rows]
     rows.append((TOGETHER, "", f"{ticks * DT:g} s", whole))
-    tones = named_tones(run)
+    tones, probabilities = named_tones(run), probabilities_of(requirements_of(run) or ())
 
     def row(name: str, kind: str, place: str, los: FloatArray, share: float) -> SourceShare:
-        error = Performance.of(los, DT, window)
+        error = Performance.of(los, DT, window, probabilities)
         settled = is_settled(ErrorSeries(los, DT, first * DT, 0), window, tones)
-        return SourceShare(name, kind, place, error.ape_p997, error.rpe_rms, share, settled)
+        return SourceShare(name, kind, place, error.ape_quantile, error.rpe_rms, share, probabilities.ape, settled)
 
     return tuple(row(*one, share) for one, share in zip(rows, [*shares, sum(shares)]))
 

@@ -149,7 +149,7 @@ def levels_text(tone: WorstToneRun) -> str:
     levels = {level.probability: level.value for level in tone.levels}
     if len(levels) < 2:
         return "".join(figure(value, tone.unit) for value in levels.values())
-    return ", ".join(f"{figure(value, tone.unit)} ({percent(p)})" for p, value in levels.items())
+    return ", ".join(f"{figure(value, tone.unit)} ({percent(p, 10)})" for p, value in levels.items())
 
 
 def limits_met(tone: WorstToneRun) -> str:
@@ -167,7 +167,7 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]]) -> list[list[str]]:
     table = []
     for loop, tone, summary in cells:
         # the slowest tone of the APE takes longer than most records: their share of its instants is no quantile of it
-        of_windows = "" if tone.index == "APE" else figure(summary.rpe_windows_p997, tone.unit)
+        of_windows = "" if tone.index == "APE" else figure(summary.rpe_windows_quantile, tone.unit)
         table.append(
             [
                 loop,
