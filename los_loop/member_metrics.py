@@ -31,7 +31,7 @@ from los_loop.spec import LOS_ROWS
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, window_ratio
 from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise, combined_level
 
 TURN = 2.0
@@ -195,12 +195,13 @@ class MemberMetrics:
         return {name: _peak(self.model.omega[index], gain) for name, gain in gains.items()}
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
-        """:func:`titop_plant.telescope.window_noise.combined_level` of windows with a tone [rad/s], `least` or more.
+        """:func:`titop_plant.telescope.window_noise.combined_level` of windows with a weighted tone, `least` or more.
 
         The noise has the spectrum of the nominal member.
         """
         turn = omega * self.telescope.weights.rpe_window
-        return combined_level(tone, self._window_noise.changed(noise), self._probability, turn, least=least)
+        in_windows = tone * float(window_ratio(turn))
+        return combined_level(in_windows, self._window_noise.changed(noise), self._probability, turn, least=least)
 
     @cached_property
     def _probability(self) -> float:

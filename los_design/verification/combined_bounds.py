@@ -4,7 +4,8 @@ A tone of amplitude a along one axis and noise keep :func:`titop_plant.telescope
 part of windows or instants that the requirement behind the stage's limit asks for; it grows with both, so that bounds
 of them give a bound. The part of the noise that can be on the axis of the tone, and its power in each band, are proven
 with the noise. A fast tone counts with the angles that it turns in a window in the part of the band that its bound is
-of: the largest level at :data:`TURNS` of them.
+of: the largest level at :data:`TURNS` of them. Bounds have the rational weight of the paper; the error in windows is
+up to 4.5 % larger (:func:`titop_plant.telescope.weights.window_ratio`), the largest ratio from a frequency to the next.
 
 Two things hold only for a required part of :data:`LEAST_PART` or more: a tone along one axis is worse than one whose
 line of sight goes round an ellipse, and more noise is worse than less. For a smaller part the level that this part
@@ -19,6 +20,7 @@ most.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -32,6 +34,7 @@ from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import window_ratio
 from titop_plant.telescope.window_noise import WindowNoise, combined_level
 
 LEAST_PART = 0.9
@@ -40,6 +43,8 @@ SHARES = 17
 """Shares of slow and fast tones between which the largest sum is searched."""
 TURNS = 5
 """Frequencies of a part of the band, its ends among them, at which the level of its tones is computed."""
+BETWEEN = 100
+"""Angles from one of them to the next at which the error in windows is compared with the weight."""
 BANDS, LOWEST = 60, 0.1
 """Bands of the noise, in each of which it counts as of one frequency, and the edge of the lowest one [rad/s]."""
 
@@ -88,7 +93,7 @@ def error_sums(
 
 
 def fast_pieces(telescope: Telescope, tones: Mapping[str, float]) -> list[tuple[float, float]]:
-    """Angles that fast tones turn in a window [rad], and their bounds; empty without a bound of all.
+    """Angles that fast tones turn in a window [rad], and bounds of their errors there; empty without a bound of all.
 
     Parts without a gap from the edge of the band on have bounds of their own where they are proven; above them the
     bound of the whole band counts.
@@ -103,7 +108,13 @@ def fast_pieces(telescope: Telescope, tones: Mapping[str, float]) -> list[tuple[
         end = high
     window = telescope.weights.rpe_window
     bands.append((end, max(math.pi / DT, end), tones[FAST]))
-    return [(window * float(at), bound) for low, high, bound in bands for at in np.geomspace(low, high, TURNS)]
+    pieces = []
+    for low, high, bound in bands:
+        turns = window * np.geomspace(low, high, TURNS)
+        ratios = [float(window_ratio(np.linspace(*ends, BETWEEN)).max()) for ends in itertools.pairwise(turns)]
+        largest = np.maximum([ratios[0], *ratios], [*ratios, ratios[-1]])  # on either side
+        pieces += [(float(turn), bound * float(ratio)) for turn, ratio in zip(turns, largest)]
+    return pieces
 
 
 def window_noise(bound: NoiseBound, unit: float, window: float = 0.0) -> WindowNoise:

@@ -18,7 +18,7 @@ from titop_plant.telescope.telescope import Telescope
 FAST = "fast"
 PART = f"{FAST}, "
 """Beginning of the name of a part of the fast tones' band."""
-NEAR_EDGE = (1.0, 126.0 / 85.0, 128.5 / 85.0, 132.0 / 85.0, 138.0 / 85.0, 150.0 / 85.0, 200.0 / 85.0)
+NEAR_EDGE = (1.0, 126.0 / 85.0, 128.5 / 85.0, 132.0 / 85.0, 138.0 / 85.0, 150.0 / 85.0, 200.0 / 85.0, 250.0 / 85.0)
 """Edges of the parts over that of the band: closer where tones of the reference telescope are largest."""
 
 WITH_NOISE = {

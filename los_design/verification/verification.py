@@ -31,6 +31,7 @@ from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.requirements import instant_probability, window_probability
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import window_ratio
 from titop_plant.telescope.window_noise import WindowNoise, combined_level
 
 ARCSEC = np.pi / 648000.0
@@ -167,6 +168,7 @@ class ImplementedCheck:
 
     def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
         turn = omega * self.telescope.weights.rpe_window
+        tone *= float(window_ratio(turn)) if turn else 1.0
         probability = window_probability(self.telescope.requirements)
         noise = self.noise[stage][1]
         return _level(tone, noise.changed(noise.rms / MAS), probability, turn, least)

@@ -466,19 +466,15 @@ def summarise(
     asked = applicable(known or (), run)
     window = exposure_of(known or (), requirements_of(run) or ())  # of all stages: their summaries are compared
     parts = probabilities_of(known or requirements_of(run) or ())
-    error, judged = Performance.of(series.values, series.dt, window, parts), metrics.holds(window, series.dt)
+    error = Performance.of(series.values, series.dt, window, parts)
+    motion, unread = read_motion(run)
     budget: ToneBudget | None = None
     found: tuple[FoundLine, ...] = ()
-    motion, unread = read_motion(run)
-    still = motion is None and not unread
-    if judged and series.duration >= window and still:
-        budget = tone_budget(run, series, window, error.rpe_windows_quantile, parts.windows)
-        others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
-        if others or not _of_budget(asked, window, parts.windows):
-            budget = replace(budget, allowances={})  # those of the bag are parts of other limits
-        found = budget.found
-    elif not judged and still:  # a spectrum has lines whatever a window's samples are
-        found, _ = unnamed_lines(series.values, series.dt, lines(series.values, series.dt, named_tones(run), window))
+    if motion is None and not unread:
+        budget, found = _lines(run, series, window, error.rpe_windows_quantile, parts.windows)
+    others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
+    if budget is not None and (others or not _of_budget(asked, window, parts.windows)):
+        budget = replace(budget, allowances={})  # those of the bag are parts of other limits
     lost, problems, dropped = _integrity(run)
     star, unusable = _star(run, series, window, parts.image) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
@@ -486,11 +482,7 @@ def summarise(
     sensors, unknown = read_sensors(run)
     remarks = dict.fromkeys((*series.remarks, *(one.remark for one in settled)))
     problems += [text for text in (damaged, unusable, unread, without, unknown, *remarks) if text]
-    if not judged:
-        problems.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
-    problems += _of_start(run, series, transient)
-    if "loop" not in run.parameters and (top := highest_frequency(series.values, series.dt)) is not None:
-        problems.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
+    problems += _of_series(run, series, window, transient)
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
@@ -523,6 +515,19 @@ def summarise(
     )
 
 
+def _lines(
+    run: Recording, series: ErrorSeries, window: float, total: float, part: float
+) -> tuple[ToneBudget | None, tuple[FoundLine, ...]]:
+    """Budget of a run in which no tone moves, where it has a window, and the lines that its recording does not name."""
+    if not metrics.holds(window, series.dt):  # a spectrum has lines whatever a window's samples are
+        named = lines(series.values, series.dt, named_tones(run), window)
+        return None, unnamed_lines(series.values, series.dt, named)[0]
+    if series.duration < window:
+        return None, ()
+    budget = tone_budget(run, series, window, total, part)
+    return budget, budget.found
+
+
 def _of_budget(requirements: Sequence[Requirement], window: float, part: float) -> bool:
     """Whether the allowances of a bag are parts of a limit on what its budget shows: a part of the windows.
 
@@ -534,9 +539,11 @@ def _of_budget(requirements: Sequence[Requirement], window: float, part: float) 
     return strictest.times == (window,) and strictest.probability == part
 
 
-def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> list[str]:
-    """Sentences on a start-up that is shorter than usual, and on a replay."""
+def _of_series(run: Recording, series: ErrorSeries, window: float, transient: float | None) -> list[str]:
+    """Sentences on a period that is too long, a short start-up, a replay, and a spectrum that ends early."""
     found = []
+    if not metrics.holds(window, series.dt):
+        found.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         found.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is excluded, not "
@@ -544,6 +551,8 @@ def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> l
         )
     if run.parameters.get("mode") == "replay":
         found.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")
+    if "loop" not in run.parameters and (top := highest_frequency(series.values, series.dt)) is not None:
+        found.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
     return found
 
 

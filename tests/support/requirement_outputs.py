@@ -67,7 +67,7 @@ def outputs(
     runs: Sequence[Series], requirements: Sequence[Requirement], page: Path, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[list[list[list[str]]], list[dict[str, str]], list[dict[str, Any]]]:
     """Tables of the screen, rows of the page (without its pictures), JSON object of each run."""
-    monkeypatch.setattr(report, "pictures", lambda *args: [])
+    monkeypatch.setattr(report, "pictures", lambda *args: ([], []))
     results = summarise_runs(list(runs), page, 0.0, requirements=requirements)
     stream = io.StringIO()
     print_summary(Console(file=stream, width=400), results)

@@ -65,6 +65,21 @@ def rpe_weight(omega: ArrayLike, window: float) -> FloatArray:
     return np.asarray(np.abs(y * (y + RPE_NUMERATOR) / (y**2 + a1 * y + a0)))
 
 
+def window_ratio(turn: ArrayLike) -> FloatArray:
+    """Rms of a tone's relative error in windows over that of the rational weight; it turns so far [rad] in a window.
+
+    The weight is a fit of the paper, from 2.6 % above the error of the windows to 4.5 % below it.
+
+    Examples
+    --------
+    >>> [round(float(window_ratio(turn)), 3) for turn in (0.01, 2.0, 5.3, 60.0)]
+    [1.0, 0.974, 1.045, 0.999]
+    """
+    from pointing_analysis.indices.weights import rpe_exact
+
+    return np.asarray(rpe_exact(turn, 1.0) / rpe_weight(turn, 1.0))
+
+
 def relative_error_weight(window: float, size: int = 2) -> System:
     """:func:`rpe_weight` as a system, ``s t (s t + sqrt 12) / ((s t)^2 + 6 s t + 12)`` on each axis; 2 states per axis.
 

@@ -18,6 +18,7 @@ from los_design.verification.subject import Subject
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import window_ratio
 from titop_plant.telescope.window_noise import WindowNoise, combined_level, ramp
 
 TONES = {"APE": 6.9 * RAD_PER_ARCSEC, "slow": 19.0 * RAD_PER_MAS, "fast": 20.0 * RAD_PER_MAS}
@@ -54,9 +55,9 @@ def test_tones_and_noise_are_below_the_sum_as_often_as_is_asked() -> None:
     """Errors of slow and fast tones of norm 1 in all, any shares, and Gaussian noise: 99.7 % within the sum."""
     found = sums(TONES, NOISE)
     bound = found["RPE, slow and fast tone, norm 1 in all, and noise"]
-    levels = []
+    levels, (_, fast) = [], fast_pieces(load_telescope(), {"fast": 20.0})[0]
     for angle in np.linspace(0.0, 0.5 * math.pi, 7):
-        errors = window_errors(19.0 * math.cos(angle), 20.0 * math.sin(angle), 60_000)
+        errors = window_errors(19.0 * math.cos(angle), fast * math.sin(angle), 60_000)
         levels.append(float(np.quantile(errors, 0.997)))
     assert max(levels) == pytest.approx(bound, rel=0.01), "kept, and no more than needed"
     assert levels[0] == pytest.approx(found["RPE, slow tone of norm 1 and noise"], rel=0.01)
@@ -65,20 +66,30 @@ def test_tones_and_noise_are_below_the_sum_as_often_as_is_asked() -> None:
 
 
 def test_parts_near_the_edge_count_with_their_own_bounds() -> None:
-    """From the edge on without a gap; above them the bound of the whole band."""
+    """From the edge on without a gap; above them the bound of the whole band; each times the ratio around its turn."""
+
+    def ratio(low: float, high: float) -> float:
+        return float(window_ratio(np.linspace(low, high, 1000)).max())
+
     telescope = load_telescope()
     names = list(parts_of_band(load_telescope()))
     assert fast_pieces(telescope, {}) == []
     whole = fast_pieces(telescope, {"fast": 20.0})
-    assert [bound for _, bound in whole] == [20.0] * TURNS
+    turns = np.geomspace(1.7, 20.0 * math.pi, TURNS)
+    wide = [ratio(turns[max(k - 1, 0)], turns[min(k + 1, TURNS - 1)]) for k in range(TURNS)]
+    assert [bound for _, bound in whole] == pytest.approx(20.0 * np.array(wide), rel=1e-4)
+    assert max(wide) == pytest.approx(1.0450, abs=1e-4)
     assert (whole[0][0], whole[-1][0]) == pytest.approx((1.7, 20.0 * math.pi)), "from the edge to half of the rate"
     assert fast_pieces(telescope, {"fast": 20.0, names[1]: 5.0}) == whole
     levels = {"fast": 20.0, names[0]: 5.0, names[1]: 25.0}
     pieces = fast_pieces(telescope, levels)
-    assert [bound for _, bound in pieces] == [5.0] * TURNS + [20.0] * 2 * TURNS
+    kept = [bound / float(window_ratio(turn)) for turn, bound in pieces]
+    assert kept == pytest.approx([5.0] * TURNS + [20.0] * TURNS + kept[-TURNS:], rel=0.02)
     assert [turn for turn, _ in pieces[::TURNS]] == pytest.approx([1.7, 2.52, 2.57])
     parts = sums(TONES | dict.fromkeys(names, 10.0 * RAD_PER_MAS), NOISE)["RPE, fast tone of norm 1 and noise"]
-    assert parts == pytest.approx(combined_level(20.0, RAMPS, 0.997, 4.0), rel=1e-5), "from 200 rad/s on"
+    above = [(turn, 20.0 * float(window_ratio(turn))) for turn in np.linspace(5.0, 9.0, 81)]
+    beyond = max(combined_level(bound, RAMPS, 0.997, turn) for turn, bound in above)
+    assert beyond <= parts <= combined_level(20.0 * 1.0451, RAMPS, 0.997, 5.0) * (1.0 + 1e-6), "from 250 rad/s on"
 
 
 def test_a_bound_in_few_bands_is_the_same_bound() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from los_testbed.run.summary import summary as screen
 from los_testbed.run.summary.summary import missed_share
-from los_testbed.run.summary.worst_case_rows import Level, WorstToneRun, levels_text, limits_met
+from los_testbed.run.summary.worst_case_rows import ToneLevel, WorstToneRun, levels_text, limits_met
 from rich.table import Table
 
 from pointing_analysis.read.series import series
@@ -118,7 +118,7 @@ def test_lost_samples_are_judged_where_they_are_known(
 
 
 def toned(*levels: tuple[float, float, float]) -> WorstToneRun:
-    return WorstToneRun("slow", 3.0, 0.5, 40.0, 20.0, 20.0, tuple(Level(*level) for level in levels))
+    return WorstToneRun("slow", 3.0, 0.5, 40.0, 20.0, 20.0, tuple(ToneLevel(*level) for level in levels))
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from pointing_analysis.requirements.summary import Summary, exposure_of_run
 from titop_plant.interface import DT, MIRROR_STAGES
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.control_plant import loop_plant
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, window_ratio
 from titop_plant.telescope.window_noise import WindowNoise, combined_level
 
 WORST_INDICES = ("APE", "slow", "fast")
@@ -36,7 +36,7 @@ WORST_INDICES = ("APE", "slow", "fast")
 
 
 @dataclass(frozen=True)
-class Level:
+class ToneLevel:
     """What a part of the instants, or windows, stays below, beside the limit of a requirement.
 
     Parameters
@@ -64,7 +64,7 @@ class WorstToneRun:
     gamma : float
     limit, predicted, measured : float
         Limit of the index and amplitude of the error; arcsec for the APE, else mas.
-    levels : tuple of Level
+    levels : tuple of ToneLevel
         With sensor noise, for each requirement on the index.
     """
 
@@ -74,7 +74,7 @@ class WorstToneRun:
     limit: float
     predicted: float
     measured: float
-    levels: tuple[Level, ...] = ()
+    levels: tuple[ToneLevel, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -103,13 +103,14 @@ def worst_tone_of(run: Run, parts: RunParts) -> WorstToneRun | None:
     angle = tone.omega * DT * np.arange(len(values))
     fit = linalg.lstsq(np.column_stack([np.cos(angle), np.sin(angle)]), values)[0]
     size = float(np.sqrt(np.sum(fit**2)))
-    name, unit, weight, turn = "APE", RAD_PER_ARCSEC, 1.0, 0.0
+    name, unit, weight, turn, ratio = "APE", RAD_PER_ARCSEC, 1.0, 0.0, 1.0
     if tone.index != "APE":
-        name, unit, weight, turn = "RPE", RAD_PER_MAS, float(rpe_weight(tone.omega, window)), tone.omega * window
+        name, unit, turn = "RPE", RAD_PER_MAS, tone.omega * window
+        weight, ratio = float(rpe_weight(tone.omega, window)), float(window_ratio(turn))
     noise = _noise(parts)[name != "APE"]
     noise, gain = noise.changed(noise.rms / unit), tone.gain / unit
     levels = tuple(
-        Level(r.limit / unit, combined_level(gain, noise, r.probability, turn), r.probability)
+        ToneLevel(r.limit / unit, combined_level(gain * ratio, noise, r.probability, turn), r.probability)
         for r in parts.telescope.requirements
         if judges(r, name, window)
     )
@@ -188,7 +189,7 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]]) -> list[list[str]]:
 __all__ = [
     "COLUMNS",
     "WORST_INDICES",
-    "Level",
+    "ToneLevel",
     "WorstToneRun",
     "figure",
     "levels_text",
