@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,6 +135,14 @@ def test_shipped_sums_are_those_of_the_shipped_bounds(stage: str) -> None:
         assert stated.probability == found.probability and (found.name, found.unit) == (row["name"], row["unit"])
 
 
+def in_nine_digits(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: in_nine_digits(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [in_nine_digits(one) for one in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
 @pytest.mark.slow
 def test_the_bundle_passes_and_says_what_is_shipped(bundle: ProofBundle) -> None:
     """With the models made anew; the numbers of windows depend on the processor's rounding."""
@@ -141,7 +150,7 @@ def test_the_bundle_passes_and_says_what_is_shipped(bundle: ProofBundle) -> None
     for one in (found, said):
         one["figures"] = [{k: v for k, v in row.items() if k not in ("windows", "limit")} for row in one["figures"]]
         del one["box"]
-    assert json.loads(json.dumps(found)) == said
+    assert in_nine_digits(json.loads(json.dumps(found))) == in_nine_digits(said)
 
 
 @pytest.mark.slow

@@ -21,10 +21,12 @@ from los_design.figures import paper_numbers, plant_figures
 from los_design.figures.block_diagrams import WIDTH, Diagram, draw_diagram, fsm_synthesis, names, pma_synthesis
 from los_design.figures.paper_case import FAMILY, PaperCase
 from los_design.figures.paper_figures import FIGURES, draw
+from los_design.search.worst_case_search import points_with_ends
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import design_actuators, design_observer
+from los_design.verification.verification import check_paper
 from los_estimator.problem import observer_plant
 from los_loop.continuous_loop import continuous_open_loop
 from titop_plant.disturbances.responses import Curve
@@ -290,3 +292,33 @@ def test_the_nominal_k_pma_is_converged_and_certified(k_fsm) -> None:
     for requirement, upper in zip(asked, found.upper[:, 0], strict=True):
         assert upper == pytest.approx(k_pma.provenance["tuned_values"][requirement.name], rel=5e-3)
         assert upper <= k_fsm.provenance["tuned_values"]["APE"] * 1.001 or requirement.hard
+
+
+ENDS = [
+    # wheels [rad/s], array modes [rad/s], tan(theta / 4): worst members of the pair that was tuned on uniform samples
+    ([-1047.2, -1047.2, 1047.2, 578.2634], 0.7414, 2.76, 0.3766),
+    ([1047.2, -1047.2, -1047.2, 588.763], 0.706, 2.7825, -0.664),
+    ([1047.2, -1047.2, -1047.2, 598.905], 0.764, 2.7825, -0.676),
+]
+
+
+def test_the_robust_pair_keeps_its_limits_where_wheels_are_at_the_ends_of_their_speeds() -> None:
+    """Peaks there are narrow in the speeds: 800 uniform members show none of them."""
+    whole = PaperCase.of(PAPER)
+    names = [f"wheel_{k}.speed" for k in (1, 2, 3, 4)]
+    members = [
+        dict(zip([*names, "solar_array.omega_1", "solar_array.omega_2", "solar_array.tau"], [*speeds, *rest]))
+        for speeds, *rest in ENDS
+    ]
+    found = check_paper(whole.telescope, *whole.pairs["robust"], members)
+    assert max(found["fsm"] + found["pma"]) < 1.0 and found["pma"][1] > 0.95
+
+
+def test_corners_are_among_the_members_and_ends_among_the_samples() -> None:
+    whole = PaperCase.of(PAPER)
+    table = np.array([list(member.values()) for member in whole.members if len(member) == 7])
+    low, high = table.min(axis=0), table.max(axis=0)
+    corners = table[((table == low) | (table == high)).all(axis=1)]
+    assert len(np.unique(corners > low, axis=0)) == 128
+    points = points_with_ends(np.random.default_rng(0), 400, 7)
+    assert 0.6 < np.mean((points == 0.0) | (points == 1.0)) < 0.9 and ((points >= 0.0) & (points <= 1.0)).all()
