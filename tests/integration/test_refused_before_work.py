@@ -53,7 +53,6 @@ OUTPUTS = [
     "design certify --output",
     "design verify --output",
     "export c --output",
-    "keys",
 ]
 ADDRESSES = {
     f"run --device={UDP} --device-address=localhost": "device_address must be HOST:PORT, got 'localhost'",

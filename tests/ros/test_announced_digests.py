@@ -91,7 +91,7 @@ def test_changes_of_the_laws_during_a_run_are_replayed(tmp_path: Path, name: str
 def recording(folder: Path, config: RunConfig) -> subprocess.CompletedProcess[str]:
     """A recorder of its own, as `run --only recorder` starts it, until it ends."""
     parameter_file(config, folder / "recorder.yaml")
-    command = [*node_command("recorder"), *ros_arguments(config.namespace, folder / "recorder.yaml", "recorder")]
+    command = [*node_command("recorder"), *ros_arguments(config.namespace, folder / "recorder.yaml")]
     return subprocess.run(command, env=environment(config.domain), capture_output=True, text=True, timeout=300)
 
 

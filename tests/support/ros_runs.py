@@ -71,7 +71,7 @@ def live_nodes(
     parameter_file(config, parameters)
     started = [
         subprocess.Popen(
-            [*node_command(name), *ros_arguments(config.namespace, parameters, name)],
+            [*node_command(name), *ros_arguments(config.namespace, parameters)],
             env=variables or environment(config.domain, folder),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

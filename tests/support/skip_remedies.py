@@ -55,7 +55,6 @@ REMEDIES = {
     "no make or cmake": "install the programs: apt-get install make cmake",
     "no fused multiply-add": "nothing: the test is for x86 processors with FMA3, from 2013 on",
     "has no share folder": "run beside a full ROS 2 Jazzy, whose packages bring their message definitions",
-    "this middleware has security": "nothing: the test is for a middleware that was built without security",
 }
 """Beginning or part of a reason, and what to do about it."""
 

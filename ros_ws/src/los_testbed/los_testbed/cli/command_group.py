@@ -61,12 +61,6 @@ ENTRIES = {
         "campaign",
         "CAMPAIGN_EXAMPLES",
     ),
-    "keys": CommandEntry(
-        "keys",
-        "Keys, certificates and signed permissions of the nodes, for a ROS 2 with DDS security (SROS 2).",
-        "keys",
-        "KEYS_EXAMPLES",
-    ),
     "bag": CommandEntry("groups", "Describe, check, export, sign, repair and trace recorded runs.", "bag_app"),
     "image": CommandEntry("analysis.image", "Image quality: pictures, and jitter for other programs.", "image_app"),
     "control": CommandEntry(

@@ -23,8 +23,7 @@ from los_testbed.nodes.support.parameters import FAULT
 from los_testbed.nodes.support.transport.middleware import LOCALHOST_PROFILE, choose_middleware
 from los_testbed.run.loop.changes import ALIASES, owner_of
 from los_testbed.run.processes.domains import require_participants
-from los_testbed.run.processes.enclaves import CONTROL
-from los_testbed.run.processes.node_launch import PROFILE_VARIABLES, RANGE_VARIABLE, enclave_arguments
+from los_testbed.run.processes.node_launch import PROFILE_VARIABLES, RANGE_VARIABLE
 from los_testbed.run.processes.ros_variables import domain_of
 
 TRANSITIONS = {"activate": Transition.TRANSITION_ACTIVATE, "deactivate": Transition.TRANSITION_DEACTIVATE}
@@ -134,7 +133,7 @@ def remote_control(domain: int | None, namespace: str, timeout: float) -> Iterat
     if os.environ.get(PROFILE_VARIABLES[0]) == str(LOCALHOST_PROFILE):
         require_participants(domain_of(os.environ) if domain is None else domain, namespace)
     context = Context()
-    rclpy.init(args=["--ros-args", *enclave_arguments(CONTROL, namespace)], context=context, domain_id=domain)
+    rclpy.init(args=[], context=context, domain_id=domain)
     node = Node(f"control_{os.getpid()}", context=context)
     try:
         yield RemoteControl(node, namespace, timeout)

@@ -300,7 +300,7 @@ class Runner:
     def _start(self, name: str) -> None:
         shared = [self._parameters, self._start_file, self._statistics, self._members]
         assert self._parameters is not None
-        command = [*self._commands[name], *ros_arguments(self._config.namespace, self._parameters.path, name)]
+        command = [*self._commands[name], *ros_arguments(self._config.namespace, self._parameters.path)]
         if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end

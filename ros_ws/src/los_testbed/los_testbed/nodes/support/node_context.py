@@ -33,7 +33,6 @@ from los_testbed.nodes.support.requesters import UNKNOWN, Requesters
 from los_testbed.nodes.support.requests import Requests
 from los_testbed.nodes.support.transport.middleware import choose_middleware
 from los_testbed.nodes.support.transport.raw_topics import listed_publisher
-from los_testbed.nodes.support.transport.security import refuse_missing_security
 from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
 from los_testbed.run.loop.changes import NAMES, Apply, Changes
 from los_testbed.run.loop.members import members
@@ -86,7 +85,6 @@ class ProcessContext:
         check_variables(os.environ)
         choose_middleware(os.environ)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
-        refuse_missing_security()
 
     def _on_signal(self, number: int, frame: Any) -> None:
         self.stop, self.signal = True, self.signal or number

@@ -16,7 +16,6 @@ from lftkit.support.atomic_output import write_text
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config.run_config import COMPOSED, RunConfig
 from los_testbed.config.topics import BOTH_LAWS, NODES
-from los_testbed.run.processes.enclaves import enclave_path
 from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, check_variables
 
@@ -74,9 +73,8 @@ def module_of(name: str, device: str | None) -> str:
 def programs(processes: str = COMPOSED, own: bool = True) -> dict[str, tuple[str, ...]]:
     """Programs of a run in the order in which they are started, with their nodes.
 
-    Each node has a process of its own where the setting `processes` says so, where it has keys of its own (DDS
-    security), and where the `own` programs of this package are not the only ones: others speak the topics of single
-    sensors and actuators.
+    Each node has a process of its own where the setting `processes` says so, and where the `own` programs of this
+    package are not the only ones: others speak the topics of single sensors and actuators.
 
     Examples
     --------
@@ -85,7 +83,7 @@ def programs(processes: str = COMPOSED, own: bool = True) -> dict[str, tuple[str
     >>> list(programs("separate"))
     ['plant', 'estimator', 'controller', 'recorder']
     """
-    if processes == COMPOSED and own and not security_is_asked_for():
+    if processes == COMPOSED and own:
         return {"plant": ("plant",), BOTH_LAWS: ("estimator", "controller"), "recorder": ("recorder",)}
     return {name: (name,) for name in NODES}
 
@@ -102,21 +100,10 @@ def parameter_file(config: RunConfig, path: Path) -> None:
     write_text(path, parameter_text(config))
 
 
-def ros_arguments(namespace: str, parameters: str | Path, name: str) -> list[str]:
+def ros_arguments(namespace: str, parameters: str | Path) -> list[str]:
     """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
     quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
-    own = ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={namespace}"]
-    return own + enclave_arguments(name, namespace)
-
-
-def enclave_arguments(name: str, namespace: str) -> list[str]:
-    """Arguments after ``--ros-args`` that name a node's keys; none without DDS security."""
-    return ["--enclave", enclave_path(name, namespace)] if security_is_asked_for() else []
-
-
-def security_is_asked_for() -> bool:
-    """Whether ROS is to use DDS security."""
-    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+    return ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={namespace}"]
 
 
 def environment(domain: int | None, logs: Path | None = None) -> dict[str, str]:
@@ -155,4 +142,4 @@ def run_alone(name: str, config: RunConfig) -> int:
         os.environ[DOMAIN_VARIABLE] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{module_of(name, config.device)}")
-        return int(node.main(ros_arguments(config.namespace, parameters.path, name)))
+        return int(node.main(ros_arguments(config.namespace, parameters.path)))

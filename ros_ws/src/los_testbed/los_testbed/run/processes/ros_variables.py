@@ -26,7 +26,7 @@ def check_variables(environment: Mapping[str, str]) -> None:
     Raises
     ------
     ValueError
-        A domain that is none, a middleware layer that is not installed, a switch that is neither 0 nor 1.
+        A domain that is none, a middleware layer that is not installed, a switch that is neither 0 nor 1, DDS security.
 
     Examples
     --------
@@ -40,6 +40,8 @@ def check_variables(environment: Mapping[str, str]) -> None:
     for name in SWITCHES:
         if (value := environment.get(name, "")) not in ("", "0", "1"):
             raise InputError(f"{name} must be 0 or 1, got {value}")
+    if environment.get("ROS_SECURITY_ENABLE", "").lower() == "true":
+        raise InputError("ROS_SECURITY_ENABLE must be unset, as DDS security is not supported, got true")
 
 
 def check_layer(environment: Mapping[str, str]) -> None:
