@@ -109,10 +109,9 @@ def _of_live_rows(rows: FloatArray, dt: float, start: float, open_end: bool) -> 
     remarks = []
     if hold := hold_of(rows):
         rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)
-        what = "interpolated over" if hold.interpolated else "held for"
         remarks.append(
-            f"each sample is {what} {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no motion above "
-            f"{rate / 2:.4g} Hz"
+            f"each sample is held or interpolated over {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no "
+            f"motion above {rate / 2:.4g} Hz"
         )
         dt *= hold.rows
     dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(rows)}

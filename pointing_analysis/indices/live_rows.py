@@ -42,7 +42,9 @@ class LiveRowSettings:
     band : part of the range that is just below the extreme value
     rounding : part of the largest norm by which norms miss it in rounding
     smooth : change of the typical step, a part of it, up to which a motion is one without noise
-    straight : part of the typical step by which a row may miss the line between its neighbours
+    straight : part of the rms of the steps by which a row may miss the line between its neighbours
+    corners : share of the rows that are not straight, in runs of more than two, beyond which a motion is a curve
+    format : largest part of the largest norm that is the rounding of a number format
     """
 
     fewest: int = 32
@@ -57,6 +59,8 @@ class LiveRowSettings:
     rounding: float = 1e-12
     smooth: float = 0.7
     straight: float = 1e-3
+    corners: float = 0.1
+    format: float = 1e-3
 
 
 SETTINGS = LiveRowSettings()
@@ -99,13 +103,22 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     begins = np.flatnonzero(changed[:PART])[1:]
     if not changed[1:].any():
         return None
-    if not _of_quantisation(e[begins] - e[begins - 1], settings) and (hold := _regular(changed, False, settings)):
+    if _of_quantisation(e[begins] - e[begins - 1], settings):
+        return None
+    if hold := _regular(changed, False, settings):
         return hold
     # A corner of a piecewise linear motion is where the step changes. Neighbours of missing rows count as corners.
-    typical = np.nanmedian(np.abs(np.diff(e[:PART], axis=0)), axis=0)
-    allowed = settings.straight * typical
+    steps = np.diff(e[:PART], axis=0)
+    if not np.isfinite(steps).any(axis=0).all() or not np.nansum(np.abs(steps)):
+        return None
+    allowed = settings.straight * np.sqrt(np.nanmean(steps**2, axis=0))
     corner = _marks(e, lambda rows: ~(np.abs(rows[2:] - 2.0 * rows[1:-1] + rows[:-2]) <= allowed).all(axis=1))
-    return _regular(corner, True, settings) if typical.any() else None
+    # A corner between two rows, and a step between two straight lines, mark both of them.
+    second = np.append(False, corner[1:] & corner[:-1])
+    further = second[1:] & second[:-1]
+    if further.sum() > settings.corners * corner.sum():
+        return None
+    return _regular(corner & ~second, True, settings)
 
 
 def _marks(e: FloatArray, function: Callable[[FloatArray], BoolArray]) -> BoolArray:
@@ -224,7 +237,10 @@ def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolA
     if len(e) < settings.fewest:
         return saturated
     norm = by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
-    saturated |= _at_top(norm, settings, settings.rounding)
+    steps, top = np.abs(np.diff(e[:PART], axis=0)), float(np.nanmax(norm, initial=0.0))
+    quantum = float(np.min(steps, where=steps > 0.0, initial=math.inf))
+    rounded = 2.0 * quantum / top if top else 0.0
+    saturated |= _at_top(norm, settings, max(settings.rounding, rounded if rounded <= settings.format else 0.0))
     for axis in e.T:
         saturated |= _at_top(axis, settings) | _at_top(by_parts(np.negative, axis), settings)
     return saturated

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter, resample
 
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.indices.live_rows import hold_of, saturated_rows, stuck_rows
+from pointing_analysis.indices.live_rows import hold_of, samples_behind, saturated_rows, stuck_rows
 from pointing_analysis.requirements.series_verdict import judge_series
 from pointing_analysis.requirements.summary import Summary
 
@@ -159,3 +159,34 @@ def test_a_motion_without_noise_may_rest_at_zero() -> None:
     assert not stuck_rows(event).any()
     dead = judged(np.where((TIME < 20.0)[:, None], 0.0, white(10.0)))
     assert [verdict.note for verdict in dead.verdicts] == ["stuck: 33.3 % of the samples"] * 2
+
+
+@pytest.mark.parametrize("rate", [24.0, 30.0, 45.0, 60.0, 99.0, 120.0, 150.0])
+def test_samples_between_rows_keep_their_rate_and_the_length_of_the_record(rate: float) -> None:
+    """A 60 Hz camera that was interpolated on 1 kHz became one of 62.5 Hz, of 60 s 93 s, and was compliant."""
+    rows, time = np.arange(20_000) * 1e-3, np.arange(0.0, 20.1, 1.0 / rate)
+    samples = np.random.default_rng(0).standard_normal((len(time), 2))
+    record = np.column_stack([np.interp(rows, time, axis) for axis in samples.T])
+    hold = hold_of(record)
+    assert hold is not None and hold.rows == pytest.approx(1000.0 / rate, rel=1e-3)
+    assert len(samples_behind(record, hold)) == pytest.approx(20.0 * rate, abs=2)
+
+
+def test_held_samples_beside_a_smooth_motion_or_a_little_noise_are_held() -> None:
+    """The error of a held measurement against a target that moves."""
+    held = np.repeat(np.random.default_rng(0).standard_normal((600, 2)), 20, axis=0)
+    target = np.column_stack([np.linspace(0.0, 2.0, len(held)), 0.2 * np.sin(np.linspace(0.0, 5.0, len(held)))])
+    noise = 3e-5 * np.random.default_rng(1).standard_normal(held.shape)
+    for record in (held - target, held + noise):
+        hold = hold_of(record)
+        assert hold is not None and hold.rows == pytest.approx(20.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("digits", [2, 6, 12])
+def test_a_norm_that_is_clipped_is_saturated_whatever_the_digits_of_the_file(digits: int) -> None:
+    motion = 20.0 * np.random.default_rng(0).standard_normal((20_000, 2))
+    norm = np.hypot(*motion.T)
+    clipped = np.round(motion * np.minimum(1.0, 20.0 / norm)[:, None], digits)
+    assert saturated_rows(clipped).mean() == pytest.approx(np.mean(norm > 20.0), abs=0.01)
+    circle = 20.0 * np.column_stack([np.cos(0.05 * np.arange(20_000)), np.sin(0.05 * np.arange(20_000))])
+    assert not saturated_rows(np.round(circle, digits)).any(), "a motion of constant size"

@@ -10,11 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.summary import Summary
 from titop_plant.interface import MIRROR_STAGES
+
+CLEARLY = 0.02
+"""Part by which the error must be larger: one is of a record with its noise, the other of a model."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class ControlEffect:
     @property
     def remark(self) -> str:
         """One line if control increases the error, else empty."""
-        if self.closed <= self.isolated:
+        if self.closed <= self.isolated * (1.0 + CLEARLY):
             return ""
         return (
             f"control increases the error: RPE {self.closed:.3g} mas rms with it, "
@@ -57,7 +61,10 @@ def control_effect(loop: RanLoop, summary: Summary) -> ControlEffect | None:
     """
     if summary.loop not in MIRROR_STAGES or loop.unknown or loop.differs or not np.isfinite(summary.rpe_rms):
         return None
-    parts = loop.known
+    try:
+        parts = loop.known
+    except InputError:
+        return None
     config = parts.config
     if config.ramp_duration or config.disturbance_source or parts.sources:
         return None

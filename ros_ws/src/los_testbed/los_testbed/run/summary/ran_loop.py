@@ -28,6 +28,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.change_requests import changes_in
 from los_testbed.run.identity import DIGEST, announced
+from los_testbed.run.loop.changes import STOP
 from los_testbed.run.proven_loop import OTHER_LOOP, reasons_against
 from los_testbed.run.replay import changes_of, models_of_controllers
 from los_testbed.run.replay_ports import layout_of
@@ -78,15 +79,17 @@ class RanLoop:
 
     @property
     def known(self) -> RunParts:
-        """The parts of a loop that ran.
+        """The parts of a loop that ran, for models of it, which have none of the changes during a run.
 
         Raises
         ------
         InputError
-            It is not known that it did, or the record is not that of this loop.
+            It is not known that it did, the record is not that of this loop, or a setting changed.
         """
         if self.parts is None or self.unknown or self.differs:
             raise InputError(self.unknown or self.differs)
+        if changed := sorted({row["name"] for node in NODES for row in changes_in(self.run, node)} - {STOP}):
+            raise InputError(f"{' and '.join(changed)} changed during the run")
         return self.parts
 
     @cached_property
