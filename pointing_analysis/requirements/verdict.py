@@ -19,7 +19,7 @@ from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.confidence import EffectiveSamples
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
-from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, pooled_number
+from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, period, pooled_number
 from pointing_analysis.indices.mirror_following import COMMAND, GAUGE, not_followed
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
@@ -106,7 +106,7 @@ class Verdict:
             return f"not enough data: {_missing_note(self.requirement, self.missing, self.samples)}"
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
-            return f"{'at' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
+            return f"{'within' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
         after = f" after {self.start:.3g} s of start-up" if self.start else ""
         needs = f"needs {math.ceil(self.seconds_needed)} s{after}"
         at = f"at {100 * self.requirement.confidence:g} % confidence"
@@ -324,7 +324,9 @@ def decide(
         open_share = not unknown and best <= 1 - p < worst  # the samples that are missing would decide
         share = rate if unknown else best if best > 1 - p else worst
         each = seconds / (number if unknown else effective.with_missing)
-        needed = math.inf if open_share else each * confidence.samples_to_decide(p, c, share, unseen * number)
+        again = period(values, float(np.std(values))) < len(values)  # a longer record of it tells no more
+        samples = math.inf if open_share or again else confidence.samples_to_decide(p, c, share, unseen * number)
+        needed = each * samples
         if status_of(requirement, worst, best, effective, runs) == "compliant":
             note = "exceedances come in clusters, of which too few are in the record to say how large they are"
     note = "; ".join(filter(None, (note, _missing_note(requirement, missing, len(values)))))

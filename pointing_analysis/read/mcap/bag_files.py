@@ -107,7 +107,7 @@ def _description(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Content of metadata.yaml, and what is wrong with it."""
     file = path / "metadata.yaml"
     if not file.is_file():
-        return {}, [f"no metadata.yaml (the recorder was killed): {NAME_ORDER}"]
+        return {}, [f"no metadata.yaml: {NAME_ORDER}"]
     try:
         content = load_yaml(read_text(file), "metadata.yaml")
     except InputError as error:

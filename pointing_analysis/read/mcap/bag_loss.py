@@ -8,6 +8,7 @@ less: the counts of their summary, and the index records of the chunks that were
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -302,8 +303,11 @@ class LossLedger:
         after = max(total - number, 0)
         if after:
             last_of_all = _last_of(infos, topic)
-            stop = float("inf") if last_of_all is None else (last_of_all - origin) / NANO
-            spans.append(Span(time, stop if stop > time else float("inf"), after))
+            stop = math.inf if last_of_all is None or (last_of_all - origin) / NANO <= time else last_of_all - origin
+            named = max([e.last_sequence for e in expected], default=total)  # of chunks after them no time is known
+            until = min(max(named - number, 0), after) if np.isfinite(stop) else 0
+            spans += [Span(time, stop / NANO, until)] * (until > 0)
+            spans += [Span(stop / NANO if until else time, math.inf, after - until)] * (after > until)
         missing = sum(span.messages for span in spans)
         recovered = max(total, number) - missing
         return TopicLoss(topic, recovered, missing, before, after, tuple(spans))

@@ -67,12 +67,14 @@ class Unpacked:
     whole : (n,) which records of the manifest are whole; None where all of the content is
     reason : what is wrong with the chunk; empty if nothing is lost
     proved : whether the content has the size and, if there is one, the checksum stated in the chunk or its manifest
+    corrected : whether what the chunk holds is damaged, and the content was found by checksums all the same
     """
 
     content: bytes
     whole: BoolArray | None = None
     reason: str = ""
     proved: bool = True
+    corrected: bool = False
 
     @cached_property
     def digest(self) -> bytes:
@@ -159,15 +161,17 @@ def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> 
     content, all_of_it = _expand(packed, limit)
     if len(content) > limit:
         return Unpacked(b"", None, f"a chunk unpacks to more than the limit of {limit / 1e6:g} MB (--max-chunk)")
-    if not all_of_it and not content and packed.kind == "zstd" and not cut:
+    other_head = not all_of_it and not content and packed.kind == "zstd" and not cut
+    if other_head:
         content, all_of_it = _other_head(packed, manifest, limit)
     if all_of_it and _verified(content, packed, manifest):
-        return Unpacked(content)
+        stated = (packed.size, packed.checksum or zlib.crc32(content))
+        return Unpacked(content, corrected=other_head or (len(content), zlib.crc32(content)) != stated)
     reason = "a chunk is damaged (checksum)" if all_of_it else "a chunk is damaged (it cannot be decompressed)"
     if manifest is None:
         return Unpacked(content if cut and not all_of_it else b"", None, reason, False)
     content, whole = salvage(content, manifest)
-    return Unpacked(content, whole, "" if whole.all() else reason)
+    return Unpacked(content, whole, "" if whole.all() else reason, corrected=bool(whole.all()))
 
 
 def _verified(content: bytes, packed: Packed, manifest: Manifest | None) -> bool:

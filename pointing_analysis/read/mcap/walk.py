@@ -197,6 +197,8 @@ class _Walk:
             return None
         found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut)
         self.left -= len(found.content)
+        if found.corrected and not cut:
+            self.info.note(self.where, frame.at, "a chunk is damaged, and corrected by its checksums")
         if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
             self.left = 0
             found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
 """``early``: intact, but the run did not end as planned, or its messages do not show that it did."""
 
-CHECKSUMS, WHOLE_FILE = "checksums", "digest of the file"
-NO_DIGEST = "the file has none: what is beside its chunks is not covered"
+CHECKSUMS, WHOLE_FILE, SIGNATURE = "checksums", "digest of the file", "signature"
+REFUTED = (SIGNATURE, "contradicts")
+NO_DIGEST = "no digest can be read at the end of the file: what is beside its chunks is not covered"
 NAMED = 3
 """Largest number of agreeing message counts that are listed."""
 
@@ -79,7 +80,10 @@ class BagCheck:
             if (row.name == CHECKSUMS and row.state == "none") or row.found == NO_DIGEST
         )
         whole = "complete" if unproved else "whole"
-        return f"{'not whole' if self.code else whole}{unproved}{early}"
+        if any(row.state in ("damaged", "contradicts") for row in self.rows if row.name != SIGNATURE):
+            whole = "not whole"
+        signed = "".join(f"; signature: {row.found}" for row in self.rows if (row.name, row.state) == REFUTED)
+        return f"{whole}{unproved}{early}{signed}"
 
     @property
     def code(self) -> int:
@@ -328,18 +332,20 @@ def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     lost = sum(found.lost or 0 for found in arrived.values())
     counts = {kind: sum(len(found.of(kind)) for found in arrived.values()) for kind in KINDS}
     parts = [counted(count, kind) for kind, count in counts.items() if count]
-    text = ", ".join([*parts, *([counted(lost, "message", " not recorded")] if lost else [])])
+    text = ", ".join([*parts, *([counted(lost, "message", " missing")] if lost else [])])
     return BagCheckRow("times of the messages", "none" if parts else "agrees", text or "no gap, stall or clock step")
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:
     there = [file for file in bag.files if signature_file(file).is_file()]
     if key is None:
-        return BagCheckRow("signature", "none", "present, not checked: no --public-key" if there else "none")
+        return BagCheckRow(SIGNATURE, "none", "present, not checked: no --public-key" if there else "none")
     if not there:
-        return BagCheckRow("signature", "contradicts", "none, but required by --public-key")
+        return BagCheckRow(SIGNATURE, "contradicts", "none, but required by --public-key")
+    if not all(info.stated for info in infos):
+        return BagCheckRow(SIGNATURE, "damaged", "cannot be checked: no digest can be read at the end of the file")
     if there != [bag.files[0]] or not is_signed_by(there[0], [info.stated for info in infos], key):
-        return BagCheckRow("signature", "contradicts", "does not match this key and bag")
+        return BagCheckRow(SIGNATURE, "contradicts", "does not match this key and bag")
     if not all(info.agrees and _all_agree(info) for info in infos):
-        return BagCheckRow("signature", "damaged", "matches this key, and is of the file before it was damaged")
-    return BagCheckRow("signature", "agrees", "matches this key")
+        return BagCheckRow(SIGNATURE, "damaged", "matches this key, and is of the file before it was damaged")
+    return BagCheckRow(SIGNATURE, "agrees", "matches this key")

@@ -50,6 +50,7 @@ from pointing_analysis.indices.metrics import radial, rpe_rms
 from pointing_analysis.read.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import run_end
 from pointing_analysis.replay import replay
 from pointing_analysis.replay.replay import UNCHANGED, LawChanges, LoopLayout
 from pointing_analysis.requirements.exposure import probabilities_of, quantile_key
@@ -380,7 +381,7 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
         if key not in left_out
     }
     metadata = {**recorded, **sources, "mode": "replay", "replay_loop": chosen.loop, "replay_of": run.path.name}
-    if reason := not_judged_by(run):
+    if reason := not_judged_by(run) or _ends_early(run):
         metadata[NOT_JUDGED] = reason
     if chosen.warnings:
         metadata["controller_warnings"] = "; ".join(chosen.warnings)
@@ -392,6 +393,14 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
     kinds = {".json": "application/json", ".so": "application/octet-stream"}
     files.update({name: (kinds[Path(name).suffix], data) for name, data in chosen.files.items()})
     write_signal_bag(path, metadata, signals, files)
+
+
+def _ends_early(run: Run) -> str:
+    """What a replay of a recording cannot show of its end: it has the samples that are there as all of them."""
+    ends = [topic.open_end or topic.lost_before or topic.lost_after for topic in map(run.__getitem__, run.topics)]
+    if any(ends):
+        return "the recording lacks samples before its first or after its last ones"
+    return run_end(run.parameters, run.covered_ticks).text
 
 
 def write_signal_bag(
