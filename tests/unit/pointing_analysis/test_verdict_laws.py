@@ -169,7 +169,7 @@ def verdict(**changes: Any) -> Verdict:
     [
         ({"exceeding": 0.25}, True, f"within limit; {OPEN}"),
         ({"exceeding": 0.26}, False, f"above limit; {OPEN}"),
-        ({"exceeding": 0.25, "seconds_needed": math.inf}, True, f"at limit; {NEVER}"),
+        ({"exceeding": 0.25, "seconds_needed": math.inf}, True, f"within limit; {NEVER}"),
         ({"exceeding": 0.26, "seconds_needed": math.inf}, False, f"above limit; {NEVER}"),
         ({"exceeding": 0.2, "missing": 6.0}, True, f"within limit; {OPEN}"),
         ({"exceeding": 0.2, "missing": 20.0}, False, f"not enough data: 20 of 120 {MISSING}"),

@@ -20,6 +20,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.system import System
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.verdict import judge, parse
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -65,6 +66,17 @@ def test_a_replay_of_a_recording_that_is_not_judged_is_not_either(call, recorded
     call(tmp_path / "faulty", "--output", tmp_path / "replayed")
     (verdict, *_) = summarise(Run.open(tmp_path / "replayed")).verdicts
     assert verdict.status == "not judged" and verdict.note.startswith("the mirror did not follow its command from 1.")
+
+
+def test_a_replay_of_a_recording_without_its_end_is_not_judged(call, recorded, tmp_path) -> None:
+    """It has the samples that are there as all of them."""
+    part = cut_short(recorded, tmp_path / "part", 2.0)
+    code, _, err = call(part, "--output", tmp_path / "again")
+    assert code == 0, err
+    again = Run.open(tmp_path / "again")
+    limit = parse("prob(|APE| < 1000 arcsec) >= 0.5 at 60 % confidence")
+    verdict = judge(limit, [again], 0.0)
+    assert verdict.status == "not judged" and "the messages cover" in verdict.note
 
 
 def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:
