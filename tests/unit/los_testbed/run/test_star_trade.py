@@ -60,7 +60,7 @@ class Designs:
             made = replace(system, provenance={**system.provenance, "status": status})
             made.to_file(folder / DESIGN_FILES[name])
         return DesignSummary(
-            folder, ImplementedCheck({}, {}, {}, 0.0, {}, telescope), ["fsm RPE 1.2000, must be at most 1"]
+            folder, ImplementedCheck({}, {}, 0.0, {}, telescope), ["fsm RPE 1.2000, must be at most 1"]
         )
 
 
