@@ -116,7 +116,9 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     # A corner between two rows, and a step between two straight lines, mark both of them.
     second = np.append(False, corner[1:] & corner[:-1])
     further = second[1:] & second[:-1]
-    if further.sum() > settings.corners * corner.sum():
+    jumps = np.flatnonzero(second[:PART])
+    saw = len(jumps) > 0 and _of_quantisation(e[jumps] - e[jumps - 1], settings)  # always the same one: a motion
+    if saw or further.sum() > settings.corners * corner.sum():
         return None
     return _regular(corner & ~second, True, settings)
 

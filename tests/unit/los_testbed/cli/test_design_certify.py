@@ -189,7 +189,7 @@ def test_without_a_file_the_shipped_proofs_are_checked(
 ) -> None:
     """One of them here; where they are not installed, or damaged, one line says so."""
     (name,) = (file.name for file in shipped_proofs.FOLDER.glob("*fast, 126 to*"))
-    assert len(list(shipped_proofs.FOLDER.iterdir())) == 17
+    assert len(list(shipped_proofs.FOLDER.iterdir())) == 18
     monkeypatch.setattr(shipped_proofs, "FOLDER", tmp_path)
     with pytest.raises(SystemExit, match="2"):
         main(["design", "check-proof"])
