@@ -136,7 +136,8 @@ def test_a_rig_that_ignores_its_commands_ends_the_run_and_is_not_judged_later(tm
     line = done.stderr.splitlines()[-1]
     assert said in line and CONFIRMED in line, "the rig answers that it is at zero"
     result = analyse(bag)
-    assert result.verdict == "not judged" and said in result.requirements[0]["note"]
+    note = result.requirements[0]["note"]
+    assert result.verdict == "not judged" and (said in note or note.startswith("the mirror did not follow its command"))
 
 
 def test_nothing_is_confirmed_over_a_dead_line(tmp_path):

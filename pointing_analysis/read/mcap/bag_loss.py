@@ -27,7 +27,7 @@ REPEATED = "repeated"
 ORIGIN = "origin"
 """Entry in the record of a repair: log time [ns] from which the times of its losses count."""
 LAST = "last"
-"""Entry in the record of a repair: by topic, log time [ns] of the last message that is known of."""
+"""Entry in the record of a repair: by topic, log time [ns] of its last message, where that is known."""
 ENDS = "ends"
 """Entry in the record of a repair of a bag without such numbers: by topic, what it lost before and after the others."""
 MAX_PIECES = 10_000
@@ -183,7 +183,11 @@ def repair_entries(
     """Record of a repair for readers of the new bag: losses, repeated numbers, contradictions."""
     found: dict[str, object] = {
         ORIGIN: origin,
-        LAST: {loss.topic: last for loss in losses if (last := _last_of(infos, loss.topic)) is not None},
+        LAST: {
+            loss.topic: last
+            for loss in losses
+            if (last := _last_of(infos, loss.topic)) is not None and all(np.isfinite(s.stop) for s in loss.spans[-1:])
+        },
         REPEATED: repeated,
         CONTRADICTIONS: contradictions(infos)[:MAX_TOLD],
         "lost": {loss.topic: loss.missing for loss in losses},
@@ -304,7 +308,9 @@ class LossLedger:
         if after:
             last_of_all = _last_of(infos, topic)
             stop = math.inf if last_of_all is None or (last_of_all - origin) / NANO <= time else last_of_all - origin
-            named = max([e.last_sequence for e in expected], default=total)  # of chunks after them no time is known
+            # Of chunks after those that manifests name no time is known; a repair states that of the last message.
+            stated = topic in _of_repair(infos, LAST)
+            named = total if stated else max([e.last_sequence for e in expected], default=total)
             until = min(max(named - number, 0), after) if np.isfinite(stop) else 0
             spans += [Span(time, stop / NANO, until)] * (until > 0)
             spans += [Span(stop / NANO if until else time, math.inf, after - until)] * (after > until)
