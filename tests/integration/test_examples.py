@@ -217,4 +217,5 @@ def test_notebooks_run(path: Path) -> None:
     nbclient.NotebookClient(notebook, timeout=280, resources={"metadata": {"path": str(path.parent)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
-    assert not [output for output in outputs if output.get("name") == "stderr"]
+    told = "".join(output["text"] for output in outputs if output.get("name") == "stderr").splitlines()
+    assert not [line for line in told if not re.fullmatch(r"\w+: \d+ s", line)], "progress of a slow machine alone"
