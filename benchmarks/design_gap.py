@@ -49,7 +49,7 @@ def reached(check: ImplementedCheck, telescope: Telescope, stage: str, relative:
     found = {}
     for row in figures(stage):
         if row.relative == relative and (row.is_noise or row.is_error):
-            value = check.noise[stage][relative] if row.is_noise else check.gamma(stage, row.name)
+            value = check.noise[stage][relative].rms if row.is_noise else check.gamma(stage, row.name)
             unit = 1.0 if row.is_noise else row.limit(telescope, stage)
             found[row.name] = float(value * unit / row.tuned_for(telescope, stage))
     return found
