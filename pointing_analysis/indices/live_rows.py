@@ -75,13 +75,11 @@ class Hold:
     rows : of the record for each sample
     starts : (m,) row at which each run begins
     repeats : (m,) samples that a run stands for: two samples with equal values make one run
-    interpolated : whether the rows between two samples are on a line; else they repeat the first of them
     """
 
     rows: float
     starts: IntArray
     repeats: IntArray
-    interpolated: bool
 
 
 def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
@@ -93,9 +91,8 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     >>> hold_of(np.repeat(white, 20, axis=0)).rows, hold_of(white)
     (20.0, None)
     >>> time, rows = np.arange(50.0), np.linspace(0.0, 49.0, 981)
-    >>> hold = hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T]))
-    >>> hold.rows, hold.interpolated
-    (20.0, True)
+    >>> hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T])).rows
+    20.0
     """
     if len(e) < settings.fewest:
         return None
@@ -105,7 +102,7 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
         return None
     if _of_quantisation(e[begins] - e[begins - 1], settings):
         return None
-    if hold := _regular(changed, False, settings):
+    if hold := _regular(changed, settings):
         return hold
     # A corner of a piecewise linear motion is where the step changes. Neighbours of missing rows count as corners.
     steps = np.diff(e[:PART], axis=0)
@@ -120,7 +117,7 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     saw = len(jumps) > 0 and _of_quantisation(e[jumps] - e[jumps - 1], settings)  # always the same one: a motion
     if saw or further.sum() > settings.corners * corner.sum():
         return None
-    return _regular(corner & ~second, True, settings)
+    return _regular(corner & ~second, settings)
 
 
 def _marks(e: FloatArray, function: Callable[[FloatArray], BoolArray]) -> BoolArray:
@@ -149,7 +146,7 @@ def _of_quantisation(steps: FloatArray, settings: LiveRowSettings) -> bool:
     return True
 
 
-def _regular(begins: BoolArray, interpolated: bool, settings: LiveRowSettings) -> Hold | None:
+def _regular(begins: BoolArray, settings: LiveRowSettings) -> Hold | None:
     """Runs between rows that begin one, where nearly all of them have a multiple of one length of two rows or more."""
     starts = np.flatnonzero(begins)
     lengths = np.diff(np.append(starts, len(begins)))
@@ -162,7 +159,7 @@ def _regular(begins: BoolArray, interpolated: bool, settings: LiveRowSettings) -
     if length < 2.0 or inner[fits].sum() < settings.regular * inner.sum():
         return None
     rows = float(inner[fits].sum() / repeats[fits].sum())
-    return Hold(rows, starts, np.maximum(np.rint(lengths / rows), 1.0).astype(np.int64), interpolated)
+    return Hold(rows, starts, np.maximum(np.rint(lengths / rows), 1.0).astype(np.int64))
 
 
 def samples_behind(e: FloatArray, hold: Hold) -> FloatArray:
@@ -239,20 +236,24 @@ def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolA
     if len(e) < settings.fewest:
         return saturated
     norm = by_parts(lambda rows: np.hypot(rows[:, 0], rows[:, 1]), e)
-    steps, top = np.abs(np.diff(e[:PART], axis=0)), float(np.nanmax(norm, initial=0.0))
-    quantum = float(np.min(steps, where=steps > 0.0, initial=math.inf))
-    rounded = 2.0 * quantum / top if top else 0.0
-    saturated |= _at_top(norm, settings, max(settings.rounding, rounded if rounded <= settings.format else 0.0))
+    steps = np.abs(np.diff(e[:PART], axis=0))
+    quantum = float(np.min(steps, where=steps > 0.0, initial=math.inf))  # of the number format, where it is small
+    saturated |= _at_top(norm, settings, quantum)
     for axis in e.T:
         saturated |= _at_top(axis, settings) | _at_top(by_parts(np.negative, axis), settings)
     return saturated
 
 
-def _at_top(values: FloatArray, settings: LiveRowSettings, rounding: float = 0.0) -> BoolArray:
-    """Which of the values (n,) are the largest one, where these are more than chance explains; else none."""
+def _at_top(values: FloatArray, settings: LiveRowSettings, quantum: float = 0.0) -> BoolArray:
+    """Which of the values (n,) are the largest one, where these are more than chance explains; else none.
+
+    Values that are computed of numbers with a quantum miss it by rounding.
+    """
     none = np.zeros(len(values), bool)
     top = max(float(np.nanmax(values[part], initial=-math.inf)) for part in parts(len(values)))
-    at_top = by_parts(lambda rows: rows >= top - rounding * top, values, dtype=bool)
+    of_format = 2.0 * quantum if 2.0 * quantum <= settings.format * top else 0.0
+    missed = max(settings.rounding * top, of_format) if quantum else 0.0
+    at_top = by_parts(lambda rows: rows >= top - missed, values, dtype=bool)
     count = int(at_top.sum())
     if top == 0.0 or count <= settings.margin:
         return none
