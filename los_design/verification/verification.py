@@ -168,7 +168,7 @@ class ImplementedCheck:
 
     def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
         turn = omega * self.telescope.weights.rpe_window
-        tone *= float(window_ratio(turn)) if turn else 1.0
+        tone *= float(window_ratio(turn))
         probability = window_probability(self.telescope.requirements)
         noise = self.noise[stage][1]
         return _level(tone, noise.changed(noise.rms / MAS), probability, turn, least)

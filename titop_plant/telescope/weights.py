@@ -72,12 +72,13 @@ def window_ratio(turn: ArrayLike) -> FloatArray:
 
     Examples
     --------
-    >>> [round(float(window_ratio(turn)), 3) for turn in (0.01, 2.0, 5.3, 60.0)]
+    >>> [round(float(window_ratio(turn)), 3) for turn in (0.0, 2.0, 5.3, 60.0)]
     [1.0, 0.974, 1.045, 0.999]
     """
     from pointing_analysis.indices.weights import rpe_exact
 
-    return np.asarray(rpe_exact(turn, 1.0) / rpe_weight(turn, 1.0))
+    turns = np.maximum(turn, 1e-9)  # both vanish with the turn
+    return np.asarray(rpe_exact(turns, 1.0) / rpe_weight(turns, 1.0))
 
 
 def relative_error_weight(window: float, size: int = 2) -> System:
