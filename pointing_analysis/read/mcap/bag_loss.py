@@ -312,8 +312,11 @@ class LossLedger:
             stated = topic in _of_repair(infos, LAST)
             named = total if stated else max([e.last_sequence for e in expected], default=total)
             until = min(max(named - number, 0), after) if np.isfinite(stop) else 0
-            spans += [Span(time, stop / NANO, until)] * (until > 0)
-            spans += [Span(stop / NANO if until else time, math.inf, after - until)] * (after > until)
+            if until:
+                spans.append(Span(time, stop / NANO, until))
+                time = stop / NANO
+            if after > until:
+                spans.append(Span(time, math.inf, after - until))
         missing = sum(span.messages for span in spans)
         recovered = max(total, number) - missing
         return TopicLoss(topic, recovered, missing, before, after, tuple(spans))
