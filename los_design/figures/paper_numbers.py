@@ -14,6 +14,7 @@ from los_design.figures.paper_case import DESIGNS, PaperCase
 from los_design.synthesis.provenance import law_digest
 from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SHORT_NAMES, check_paper
 from los_loop.figures_of_merit import paper_figures
+from pointing_analysis.formatting.number_text import number
 from titop_plant.disturbances.responses import DRIVES, WHEELS, Curve
 from titop_plant.interface import MIRROR_STAGES
 
@@ -37,7 +38,7 @@ def results(case: PaperCase) -> dict[str, Any]:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, float):
-        return float(f"{round(value, 9):.6g}")
+        return number(round(value, 9))
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     return [_rounded(entry) for entry in value] if isinstance(value, list) else value
