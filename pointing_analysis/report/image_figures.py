@@ -24,6 +24,7 @@ from pointing_analysis.image.optics import METADATA, NONE_KNOWN, Optics, optics_
 from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
 from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.report.figures import Picture, RunView, legend_above, picture, stroke
 from pointing_analysis.requirements.image_samples import share
 from pointing_analysis.requirements.image_summary import MOST
@@ -69,7 +70,7 @@ class ImageView:
     @cached_property
     def _chosen(self) -> int:
         order = np.lexsort((-sizes(self.paths), self.strehl))
-        return int(order[math.floor((1 - self.part) * (len(order) - 1))])
+        return int(order[len(order) - 1 - SortedValues(self.strehl).rank(self.part)])  # that of the verdict
 
     @property
     def shown(self) -> FloatArray:
