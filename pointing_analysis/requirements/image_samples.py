@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from pointing_analysis.image.motion_blur import exposure_parts, missing, worst_t
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import ErrorSeries
+from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.requirement import Requirement
 
 
@@ -52,7 +52,14 @@ def finite(values: FloatArray) -> FloatArray:
 
 
 def share(values: FloatArray, probability: float, lower: bool) -> float:
-    """Value that a part of the exposures is below, or above where its limit would be a lower one; NaN of none."""
-    if not len(values):
-        return math.nan
-    return float(np.quantile(values, 1 - probability if lower else probability, method="lower" if lower else "higher"))
+    """Value that a part of the exposures is below, or above where its limit would be a lower one; NaN of none.
+
+    It is the quantile of a verdict on them.
+
+    Examples
+    --------
+    >>> share(np.arange(334.0), 0.997, lower=True), share(np.arange(334.0), 0.997, lower=False)
+    (1.0, 332.0)
+    """
+    sign = -1.0 if lower else 1.0
+    return sign * SortedValues(sign * values).quantile(probability)
