@@ -91,13 +91,13 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
     if not isinstance(parameters.get("statistics"), Mapping):
         return RunEnd(None, None, None, covered)
     counts = statistics_of(parameters, "plant")
-    done, planned = _count(counts.get("ticks")), _count(counts.get(PLANNED))
+    done, planned = count_of(counts.get("ticks")), count_of(counts.get(PLANNED))
     if planned is None:
         planned = _by_duration(parameters.get("duration"), parameters.get("rate_hz"))
     if done is None:
         ours = planned is not None and parameters.get("mode") in BY_NODES
         return RunEnd(planned, None, None, covered, unreported=ours)
-    return RunEnd(planned, done, done - (_count(counts.get(OUTSIDE)) or 0), covered)
+    return RunEnd(planned, done, done - (count_of(counts.get(OUTSIDE)) or 0), covered)
 
 
 def missed_share(plant: Mapping[str, Any]) -> float:
@@ -120,7 +120,7 @@ def missed_share(plant: Mapping[str, Any]) -> float:
     1.29
     """
     names = "missed_ticks", "ticks", "skipped_periods"
-    counts = {name: _count(plant.get(name, 0)) for name in names}
+    counts = {name: count_of(plant.get(name, 0)) for name in names}
     missed, ticks, skipped = (counts[name] for name in names)
     if missed is None or ticks is None or skipped is None:
         raise InputError(f"counts of ticks must be whole numbers, got {[str(plant.get(name))[:20] for name in names]}")
@@ -135,7 +135,7 @@ def _by_duration(duration: object, rate: object) -> int | None:
     return round(ticks) if 0 < ticks < 1e15 else None
 
 
-def _count(value: object) -> int | None:
-    """A number of ticks in a statistic; None for anything else."""
+def count_of(value: object) -> int | None:
+    """A whole number in a statistic; None for anything else."""
     text = str(value)
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else None

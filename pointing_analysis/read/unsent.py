@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, IntArray
-from pointing_analysis.read.run_end import statistics_of
+from pointing_analysis.read.run_end import count_of, statistics_of
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
@@ -34,8 +34,8 @@ def unsent(run: Recording, name: str) -> int:
         Topic without the namespace.
     """
     found = statistics_of(run.parameters, "recorder").items()
-    texts = [str(text) for key, text in found if str(key).startswith(UNSENT) and str(key).endswith(f"/{name}")]
-    return sum(int(text) for text in texts if text.isascii() and text.isdecimal() and len(text) < 16)
+    texts = [text for key, text in found if str(key).startswith(UNSENT) and str(key).endswith(f"/{name}")]
+    return sum(count_of(text) or 0 for text in texts)
 
 
 def lost_gaps(run: Recording, name: str, lost: int) -> int:

@@ -21,7 +21,7 @@ from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, valu
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.file_digest import OTHER_DIGEST
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
-from pointing_analysis.read.run_end import RunEnd, run_end, statistics_of
+from pointing_analysis.read.run_end import RunEnd, count_of, run_end, statistics_of
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -287,10 +287,10 @@ def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Ma
         read = contents.files[number] if number < len(contents.files) else {}
         if info.statistics is not None:
             found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
-    stated = str(statistics_of(known, "recorder").get("messages"))
-    if stated.isascii() and stated.isdecimal() and len(stated) < 16:
+    stated = count_of(statistics_of(known, "recorder").get("messages"))
+    if stated is not None:
         recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
-        found.append(_Source("the run's record", int(stated), None, recorded, at_least=True))
+        found.append(_Source("the run's record", stated, None, recorded, at_least=True))
     return found
 
 

@@ -36,7 +36,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import statistics_of
+from pointing_analysis.read.run_end import count_of, statistics_of
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.replay import replay
 from titop_plant.interface import TICK_NS
@@ -118,10 +118,10 @@ class RanLoop:
 def _counts(run: Run) -> tuple[int, int]:
     """Ticks whose samples the plant has sent, and those that it missed; InputError: it has not counted them."""
     plant, outside = statistics_of(run.parameters, "plant"), f"{UNSENT}outside"
-    texts = [str(found) for found in (plant.get("ticks"), plant.get("missed_ticks"), plant.get(outside, 0))]
-    if not all(text.isascii() and text.isdecimal() and len(text) < 16 for text in texts):
-        raise InputError(f"the plant's counts of ticks, and of those missed, must be whole numbers, got {texts[:2]}")
-    ticks, missed, unsent = map(int, texts)
+    ticks, missed, unsent = map(count_of, (plant.get("ticks"), plant.get("missed_ticks"), plant.get(outside, 0)))
+    if ticks is None or missed is None or unsent is None:
+        stated = [str(plant.get(name)) for name in ("ticks", "missed_ticks")]
+        raise InputError(f"the plant's counts of ticks, and of those missed, must be whole numbers, got {stated}")
     return ticks - unsent, missed
 
 
