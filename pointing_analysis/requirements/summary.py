@@ -574,8 +574,10 @@ def scenario_of(run: Recording) -> str:
     sources = run.parameters.get("disturbances")  # missing in older bags
     if isinstance(sources, list) and sources:
         return ", ".join(str(source.get("name")) for source in sources if isinstance(source, dict))
-    given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))
-    return next((str(name) for name in given if name), "")
+    # a plant that does not announce what it runs need not have the scenario of the recorder's settings
+    unknown = statistics_of(run.parameters, "plant") and "plant_hash" not in run.parameters
+    names = ("disturbance_source", "plant") if unknown else ("disturbance_source", "plant", "scenario")
+    return next((str(name) for name in map(run.parameters.get, names) if name), "")
 
 
 def summarise_all(

@@ -377,3 +377,11 @@ def test_quantiles_are_those_of_the_parts_that_a_mission_asks_for(tmp_path: Path
     assert found.budget is not None and "total (95 %)" in str(found.budget)
     page = render([stated])
     assert "99.7 %" not in page and "99.9 %" in page and "95 %" in page
+
+
+@pytest.mark.parametrize(("plant_hash", "shown"), [({"plant_hash": "ab"}, "worst_case"), ({}, "")])
+def test_a_plant_that_announces_nothing_has_no_scenario(tmp_path: Path, plant_hash: dict[str, str], shown: str) -> None:
+    """The recorder's settings name one also where somebody else's node was the plant."""
+    known = {"scenario": "worst_case", "loop": "fsm", "mode": "lockstep", "transient_s": 0}
+    recorded = bag(tmp_path / "a", **known, **plant_hash, statistics={"plant": {"ticks": "3000"}})
+    assert summarise(recorded).scenario == shown
