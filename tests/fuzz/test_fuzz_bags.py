@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import resource
 import shutil
+import struct
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -35,6 +36,8 @@ from fuzz.record_mutations import (
     RECORD_MUTATIONS,
     Record,
     RecordMutation,
+    as_text,
+    chunk_of,
     places,
     put_together,
     taken_apart,
@@ -231,6 +234,18 @@ def test_records_that_agree_with_their_checksums(
 
 
 # -- single forms of damage, in which a reader was wrong
+
+
+@pytest.mark.further
+def test_a_chunk_with_a_damaged_head_under_the_manifest_of_another_is_whole(recorded: Recorded) -> None:
+    found = taken_apart(recorded.data)
+    first, *_, last = places(found, OP_CHUNK)
+    found[first], found[last] = found[last], found[first]
+    head, kind, data = chunk_of(found[first][1])
+    body = struct.pack("<QQQI", *head[:2], 8306, head[3]) + as_text(kind) + struct.pack("<Q", len(data)) + data
+    found[first] = (OP_CHUNK, body)
+    result = checked(recorded, put_together(found, True))
+    assert result and result.messages == len(recorded.content)
 
 
 @pytest.mark.further

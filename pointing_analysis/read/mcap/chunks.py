@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -148,7 +149,9 @@ def _expand(packed: Packed, limit: int) -> tuple[bytes, bool]:
     return unpack_zstd(packed.data, limit) if packed.kind == "zstd" else _lz4(packed.data, limit)
 
 
-def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> Unpacked:
+def unpack(
+    packed: Packed, manifest: Manifest | None, limit: int, cut: bool, named: Callable[[bytes], bool]
+) -> Unpacked:
     """Unpack and verify a chunk.
 
     Parameters
@@ -157,6 +160,7 @@ def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> 
     manifest : of the same chunk; None if there is none
     limit : largest content that is unpacked [byte]
     cut : whether the file ends inside the chunk
+    named : whether any manifest of the file names a content with this digest
     """
     content, all_of_it = _expand(packed, limit)
     if len(content) > limit:
@@ -167,6 +171,8 @@ def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> 
     if all_of_it and _verified(content, packed, manifest):
         stated = (packed.size, packed.checksum or zlib.crc32(content))
         return Unpacked(content, corrected=other_head or (len(content), zlib.crc32(content)) != stated)
+    if all_of_it and content and named(content_digest(content)):  # its head is damaged, and its manifest elsewhere
+        return Unpacked(content, corrected=True)
     reason = "a chunk is damaged (checksum)" if all_of_it else "a chunk is damaged (it cannot be decompressed)"
     if manifest is None:
         return Unpacked(content if cut and not all_of_it else b"", None, reason, False)

@@ -195,7 +195,7 @@ class _Walk:
         if packed is None:
             self._lost(frame, "the header of a chunk is damaged; it is excluded")
             return None
-        found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut)
+        found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut, self._is_named)
         self.left -= len(found.content)
         if found.corrected and not cut:
             self.info.note(self.where, frame.at, "a chunk is damaged, and corrected by its checksums")
@@ -252,6 +252,9 @@ class _Walk:
             return nearest
         place = self._named().get(found.digest)
         return None if place is None else self._manifest_at(place)
+
+    def _is_named(self, digest: bytes) -> bool:
+        return digest in self._named()
 
     def _named(self) -> dict[bytes, Frame]:
         """Digests in all whole manifests of the file; looked for where a content is not what the nearest one names."""
