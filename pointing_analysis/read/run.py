@@ -198,7 +198,7 @@ class Run:
             some = ", ".join(sorted(names)[:5]) or "no topics"
             raise BagError(
                 f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}: "
-                "name another line of sight (--los, `bag topics` lists them)"
+                "`analyse --los` takes other lines of sight (`bag topics` lists them)"
             )
         if len(found) > 1:
             raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")

@@ -389,7 +389,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
 def _judged(requirement: Requirement, runs: Sequence[Recording], transient: float | None) -> Verdict:
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
-        return not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
+        return not_judged(requirement, f"{what} requirements need several runs, got {len(runs)}")
     if reasons := [text for run in runs if (text := not_judged_by(run))]:
         return not_judged(requirement, reasons[0])
     try:

@@ -332,7 +332,7 @@ def test_a_recorder_that_is_killed_when_the_run_is_over_is_named_with_what_it_ha
         runner.run()
     text = str(told.value)
     assert text.startswith("recorder ended unexpectedly (signal 9)"), text
-    assert text.endswith(f"{tmp_path / 'bag'} (if incomplete: los-testbed bag repair {tmp_path / 'bag'})"), text
+    assert text.endswith(f"{tmp_path / 'bag'} (incomplete: los-testbed bag repair {tmp_path / 'bag'})"), text
     assert "KeyboardInterrupt" not in text and "there is no bag" not in text
     assert told.value.code == 1
 

@@ -153,7 +153,7 @@ def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
         raise InputError(f"{table.path}: line of sight must have two or more rows with both values, got {count}")
     order = np.argsort(stamps, kind="stable")
     same = np.diff(stamps[order]) == 0
-    differ = same & ~(np.diff(xy[order], axis=0) == 0).all(axis=1)
+    differ = same & ~(xy[order[1:]] == xy[order[:-1]]).all(axis=1)
     if differ.any():
         first = int(order[1:][differ].min())
         since = (int(stamps[first]) - int(stamps.min())) / NANO

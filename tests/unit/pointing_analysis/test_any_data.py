@@ -292,3 +292,14 @@ def test_a_sample_that_is_no_angle_counts_as_missing(value: float, rate: float |
     found = judge_series(t, odd, unit="arcsec", rate=rate, requirements=text)
     assert found.verdicts == expected.verdicts and found.ape_max == expected.ape_max
     assert any("1 sample infinite or above" in problem for problem in found.problems)
+
+
+def test_infinite_rows_of_a_table_are_missing_and_rows_of_one_time_may_repeat_them(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    t = np.repeat(np.arange(3000) / RATE, 2)
+    xy = np.repeat(np.random.default_rng(2).standard_normal((3000, 2)), 2, axis=0)
+    xy[2000:2020] = np.inf
+    np.savetxt(tmp_path / "los.csv", np.column_stack([t, xy]), delimiter=",", header="t,x,y", comments="")
+    found = open_los(tmp_path / "los.csv", los="x,y", unit="mas")
+    assert "samples infinite or above" in " ".join(found.problems) and not recwarn.list

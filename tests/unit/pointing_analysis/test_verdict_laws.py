@@ -274,9 +274,9 @@ def test_many_runs_are_refuted_by_chance_no_more_often_than_one() -> None:
 @pytest.mark.parametrize("interpretation", ["ensemble", "mixed"])
 def test_several_runs_are_needed(interpretation: str) -> None:
     found = judge(replace(LOOSE, interpretation=interpretation), [run(samples(30, 0))], 0.0)
-    assert found.status == "not judged" and found.note == f"a {interpretation} requirement needs several runs, got 1"
+    assert found.status == "not judged" and found.note == f"{interpretation} requirements need several runs, got 1"
     pre = judge(parse("prob(|PRE(10 ms)| < 0.5 rad) >= 0.9 at 90 % confidence"), [run(samples(30, 0))], 0.0)
-    assert pre.note == "a PRE requirement needs several runs, got 1"
+    assert pre.note == "PRE requirements need several runs, got 1"
     assert (pre.samples, pre.effective, pre.seconds, pre.quantile.effective) == (0, 0.0, 0.0, 0.0)
     assert all(math.isnan(x) for x in (pre.exceeding, pre.seconds_needed, pre.quantile.value, pre.quantile.lower))
     assert (pre.quantile.probability, pre.quantile.confidence, pre.missing) == (0.9, 0.9, 0.0)

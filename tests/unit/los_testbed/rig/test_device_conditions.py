@@ -223,5 +223,7 @@ def test_at_zero_is_said_only_where_report_and_gauges_of_the_rig_say_it(change, 
     if (said == CONFIRMED and not change) or change == {"report": None}:
         supervisor.finish()
         return
-    with pytest.raises(DeviceError, match=said):
+    with pytest.raises(DeviceError, match=said) as told:
         supervisor.finish()
+    failed = "write" in change or "safe" in change
+    assert failed or "after safe() the rig must report that it is safe" in str(told.value)

@@ -430,6 +430,10 @@ class Supervisor:
         not_zero = ", ".join(self._failures[name] for name in ("write", "safe") if name in self._failures)
         rest = [text for name, text in self._failures.items() if name not in ("write", "safe")]
         zero = f"{self.zero}: {not_zero}" if self.zero == NOT_ZERO else self.zero
+        if not self.fault and not self._failures:
+            angle = self.settings.at_zero * self._authority[0]
+            reported = f"safe, with angles of the mirror below {angle:.2g} rad, within {self.settings.confirmation} ms"
+            rest = [f"after safe() the rig must report that it is {reported}, got no such report"]
         return DeviceError(f"device {self._config.device}: {'; '.join([*filter(None, [self.fault]), *rest, zero])}")
 
     def end(self) -> tuple[str, ...]:

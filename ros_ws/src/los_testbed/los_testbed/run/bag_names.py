@@ -20,8 +20,12 @@ def recorded(base: Path) -> str:
     found = [path for path in sorted(base.parent.glob(f"{glob.escape(base.name)}*")) if _is_bag(path, base)]
     if not found:
         return ""
-    names = ", ".join(str(path) for path in found)
-    return f"; recorded until then: {names} (if incomplete: los-testbed bag repair {found[-1]})"
+    return f"; recorded until then: {', '.join(map(_with_repair, found))}"
+
+
+def _with_repair(bag: Path) -> str:
+    """A bag, with the command that repairs it where its recorder has not closed it."""
+    return f"{bag}" if (bag / "metadata.yaml").is_file() else f"{bag} (incomplete: los-testbed bag repair {bag})"
 
 
 def _is_bag(path: Path, base: Path) -> bool:
