@@ -26,7 +26,6 @@ FURTHER = {
     "ros/test_control.py": "requests: ros/test_senders.py",
     "ros/test_device_runs.py": "rigs: unit/los_testbed/rig/test_device_faults.py",
     "ros/test_faults.py": "nodes that end: ros/test_runs_with_processes.py, ros/test_hung_nodes.py",
-    "ros/test_isolated_runs.py": "names of a run: ros/test_remaps.py",
     "ros/test_live_foxglove.py": "viewers: ros/test_live_page.py, unit/los_testbed/live/test_live_access.py",
     "ros/test_namespaces.py": "names of topics: ros/test_remaps.py",
     "ros/test_node_interfaces.py": "nodes as users see them: ros/test_telescope_in_processes.py",

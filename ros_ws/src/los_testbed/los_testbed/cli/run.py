@@ -117,14 +117,6 @@ def run(
     live_topic: live_options.Topics = None,
     live_tls_cert: live_options.TlsCert = None,
     live_tls_key: live_options.TlsKey = None,
-    isolated: Annotated[
-        bool,
-        typer.Option(
-            "--isolated",
-            help="Own network namespace: no other program is on its ROS domain.",
-            rich_help_panel=ROS,
-        ),
-    ] = False,
     sign_key: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).", rich_help_panel=FILES),
@@ -153,13 +145,7 @@ def run(
         chosen = configure(config, settings or [], given, case, cases, sample, designs, free_mode=free_mode)
         if only is not None:
             _watch_code_of_user(chosen.code_of_user, chosen.bag)
-            _run_alone(only, chosen, sign_key is not None, isolated, trace)
-        if isolated and chosen.mode == "inprocess":
-            raise InputError("mode must be realtime or lockstep with --isolated, got inprocess")
-        if isolated and chosen.device:
-            raise InputError(
-                f"--isolated must not be given with a device, which is on another network, got {chosen.device}"
-            )
+            _run_alone(only, chosen, sign_key is not None, trace)
         if trace is not None:
             check_trace(trace, chosen)
         viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
@@ -170,7 +156,7 @@ def run(
             key = private_key("--sign-key", sign_key)
         _watch_code_of_user(chosen.code_of_user, chosen.bag)
         parts = RunParts(chosen)
-        summary = _run_and_tell(parts, Nodes(viewers, isolated, not free), report, json_, key, trace)
+        summary = _run_and_tell(parts, Nodes(viewers, not free), report, json_, key, trace)
         if gate:
             leave_by_gate([] if summary is None else gate_of([summary]))
 
@@ -182,12 +168,10 @@ def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
         supervise([f"{setting} {name}" for setting, name in code.items()], bag)
 
 
-def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace: Path | None) -> NoReturn:
+def _run_alone(name: str, config: RunConfig, signed: bool, trace: Path | None) -> NoReturn:
     """Run one node in this process."""
     if signed:
         raise InputError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
-    if isolated:
-        raise InputError("--isolated must be given without --only: a single node belongs to a loop over several hosts")
     if trace is not None:
         raise InputError("--trace must be given without --only: los-testbed bag trace reads the recorder's bag")
     from los_testbed.run.processes.node_launch import run_alone

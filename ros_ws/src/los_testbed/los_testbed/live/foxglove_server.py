@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import ssl
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import foxglove
 from foxglove import Channel, Context, Schema, StatusLevel
@@ -40,8 +40,6 @@ class FoxgloveServer:
         Origins whose pages may connect, besides those of this machine and of Foxglove.
     tls : ssl.SSLContext, optional
         The certificate; then the address begins with wss.
-    inherited : sequence of int
-        Descriptors of sockets that listen already; empty: it opens its own.
     controls : FoxgloveControls, optional
         Parameters and services; without them viewers are read-only.
 
@@ -58,10 +56,9 @@ class FoxgloveServer:
         port: int,
         origins: tuple[str, ...] = (),
         tls: ssl.SSLContext | None = None,
-        inherited: Sequence[int] = (),
         controls: FoxgloveControls | None = None,
     ) -> None:
-        sockets = listening_sockets(host, port, inherited)
+        sockets = listening_sockets(host, port)
         self.port = int(sockets[0].getsockname()[1])
         self._context = Context()  # nothing else keeps it alive
         inside = hidden_address()

@@ -12,7 +12,7 @@ import json
 import secrets
 import ssl
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -172,8 +172,6 @@ class PageServer:
         Performs actions; it is called in another thread.
     tls : ssl.SSLContext, optional
         The certificate; then the address begins with https.
-    inherited : sequence of int
-        Descriptors of sockets that listen already; empty: it opens its own.
 
     Raises
     ------
@@ -188,7 +186,6 @@ class PageServer:
         frame: Frame,
         act: Act,
         tls: ssl.SSLContext | None = None,
-        inherited: Sequence[int] = (),
     ) -> None:
         self.frame, self.act, self.access = frame, act, Access(host)
         self.silent = SilentConnections(MAX_SILENT)
@@ -196,7 +193,7 @@ class PageServer:
         self.viewers: set[_Data] = set()
         own = {"server": self}
         handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, own)]
-        sockets = listening_sockets(host, port, inherited)
+        sockets = listening_sockets(host, port)
         self.port = int(sockets[0].getsockname()[1])
         application = Application(handlers, websocket_ping_interval=PING_S, websocket_ping_timeout=PING_S)
         limits = {"max_body_size": MAX_REQUEST, "idle_connection_timeout": IDLE_S, "body_timeout": IDLE_S}

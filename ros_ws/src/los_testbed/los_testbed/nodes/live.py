@@ -56,8 +56,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--tls-cert", default="", help="certificate (PEM)")
     parser.add_argument("--tls-key", default="", help="its private key (PEM)")
-    for name in ("--foxglove-socket", "--page-socket"):
-        parser.add_argument(name, action="append", type=int, default=[], help="descriptor of a listening socket")
     own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
 
     live = Live(
@@ -67,8 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         topics=tuple(own.topic),
         tls_cert=own.tls_cert,
         tls_key=own.tls_key,
-        foxglove_sockets=tuple(own.foxglove_socket),
-        page_sockets=tuple(own.page_socket),
     )
 
     async def serve(context: NodeContext) -> int:
@@ -108,9 +104,9 @@ class LiveNode:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         window = parts.star_camera.camera.window if parts.star_camera is not None else 0
         self.frames = ViewerFrames(config, parts.basis.authority, parts.telescope.requirements, window)
-        self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
+        self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls)
         controls = FoxgloveControls(config.namespace, self.frames.settings, self._act_and_wait, self.page.token)
-        self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets, controls)
+        self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, controls)
         # one request at a time, by a node of its own: this one's executor answers requests to it
         self._user = Node(f"live_control_{os.getpid()}", context=node.context)
         self._remote = RemoteControl(self._user, config.namespace)

@@ -26,12 +26,10 @@ class Nodes:
     Attributes
     ----------
     live : server for viewers
-    isolated : whether they have a network of their own
     lock_domain : whether their domain has to be held; False where it is held already
     """
 
     live: Live | None = None
-    isolated: bool = False
     lock_domain: bool = True
 
 
@@ -120,9 +118,7 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
         from los_testbed.run.runner import Runner
 
         watched = replace(config, wait_for_recorder=True)
-        results = Runner(
-            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain, tell=bar.print
-        ).run()
+        results = Runner(watched, progress, live=nodes.live, lock_domain=nodes.lock_domain, tell=bar.print).run()
     if results.too_slow is not None:
         reason = late_answers(config, results.too_slow)
         if config.mode_choice is None:

@@ -24,7 +24,6 @@ from los_testbed.run.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.run.loop.slow_sensor import frames_in_words
 from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from los_testbed.run.processes.domains import domain_lock, output_lock
-from los_testbed.run.processes.isolation import Network, network_of_nodes
 from los_testbed.run.processes.memory import check_address_space
 from los_testbed.run.processes.memory_file import MemoryFile, memory_file
 from los_testbed.run.processes.node_launch import (
@@ -73,8 +72,6 @@ class Runner:
         Commands for nodes that are not the package's own (another plant, another controller).
     live : Live, optional
         Server for viewers; default: none.
-    isolated : bool
-        The nodes have a separate network without other programs.
     lock_domain : bool
         Refuse another run on the domain and namespace; False where the caller holds them.
     tell : callable
@@ -87,7 +84,6 @@ class Runner:
         progress: Callable[[int], None] = lambda ticks: None,
         commands: Mapping[str, Sequence[str]] | None = None,
         live: Live | None = None,
-        isolated: bool = False,
         lock_domain: bool = True,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -95,8 +91,7 @@ class Runner:
         self._watch = AnswerWatch()
         self._not_answering: list[str] = []
         self._live = live
-        self._isolated, self._lock_domain = isolated, lock_domain and not isolated
-        self._network = Network()
+        self._lock_domain = lock_domain
         self._config = config.at_rest() if commands and "plant" in commands else config
         self._progress = progress
         self._programs = programs(config.processes, own=not commands)
@@ -141,7 +136,7 @@ class Runner:
         Raises
         ------
         ValueError
-            A user error detected before anything is started; isolation that is not permitted.
+            A user error detected before anything is started.
         RunError
             A node failed; the others were ended.
         """
@@ -156,15 +151,13 @@ class Runner:
         with (
             domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
             output_lock(self._config.bag),
-            network_of_nodes(self._isolated) as self._network,
-            self._network.server(self._live) as self._live,
             memory_file(text, "run.yaml") as self._parameters,
             memory_file(start, "start.json") as self._start_file,
             memory_file(b"", "statistics.json") as self._statistics,
             memory_file(self._unlisted().encode(), "members") as self._members,
         ):
             self._variables = {
-                **self._network.environment(environment(self._config.domain)),
+                **environment(self._config.domain),
                 START_VARIABLE: self._start_file.path,
                 STATISTICS_VARIABLE: self._statistics.path,
                 MEMBERS_VARIABLE: self._members.path,
@@ -306,10 +299,8 @@ class Runner:
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
         files = [file.descriptor for file in shared if file is not None]
-        files += self._live.sockets if name == LIVE and self._live is not None else ()
-        files += self._network.descriptors
         nodes = self._programs.get(name, (name,))
-        node = self._nodes[name] = NodeProcess(name, self._network.command(command), self._variables, files, nodes)
+        node = self._nodes[name] = NodeProcess(name, command, self._variables, files, nodes)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)

@@ -12,7 +12,7 @@ import typer
 
 from lftkit.errors import InputError
 from los_testbed.config.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
-from los_testbed.run.processes.viewers import Live, opened_here
+from los_testbed.run.processes.viewers import Live, listening_sockets
 
 LIVE_PORT = 8765
 MAX_PORT = 65534
@@ -95,8 +95,9 @@ def check_live(mode: str, live: Live) -> None:
     for origin in live.origins:
         check_origin(origin)
     certificate(live.tls_cert or None, live.tls_key or None)
-    with opened_here(live):
-        pass
+    for port in (live.port, live.page_port):
+        for one in listening_sockets(live.host, port):
+            one.close()
 
 
 def _tell_addresses(foxglove: str, page: str) -> None:
