@@ -172,7 +172,7 @@ def load_curves(path: Path) -> tuple[NoiseCurve, ...]:
     try:
         return tuple(_curve(entry) for entry in content["curves"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} must hold curves of `los-testbed image noise`, got {_what(error)}") from None
+        raise InputError(f"{path} must hold curves of examples/guide_camera_noise.py, got {_what(error)}") from None
 
 
 def _what(error: Exception) -> str:

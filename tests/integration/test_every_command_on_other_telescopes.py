@@ -72,7 +72,6 @@ def test_commands_without_controllers(command: CommandLine, name: str) -> None:
         "campaign --samples 2 --duration 6 --loop isolator --parameters mine.toml --output rows",
         "campaign --samples 2 --depth model --loop isolator --parameters mine.toml --output gains",
         "stages --mode inprocess --duration 6 --scenario imbalance --parameters mine.toml --output stages",
-        "image trade --keep-controllers --magnitudes 8 --rates 50 --duration 6 --loop isolator --parameters mine.toml",
     ):
         code, _, err = command(*line.split())
         assert code == 0, f"{line}: {err}"

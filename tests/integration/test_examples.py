@@ -7,6 +7,7 @@ import json
 import re
 import runpy
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -219,3 +220,17 @@ def test_notebooks_run(path: Path) -> None:
     assert any("image/png" in output.get("data", {}) for output in outputs)
     told = "".join(output["text"] for output in outputs if output.get("name") == "stderr").splitlines()
     assert not [line for line in told if not re.fullmatch(r"\w+: \d+ s", line)], "progress of a slow machine alone"
+
+
+@pytest.mark.further
+def test_stars_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A star of magnitude 25 is seen in no frame; what is in the folder is not run again."""
+    arguments = ["--magnitudes", "10,25", "--rates", "50", "--duration", "1", "--output", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["guide_star_trade.py", *arguments])
+    tables = []
+    for _ in range(2):
+        run("guide_star_trade")
+        tables.append([line.split() for line in capsys.readouterr().out.splitlines() if line.lstrip()[0].isdigit()])
+    assert tables[0] == tables[1] and [row[:3] for row in tables[0]] == [["10", "50", "2"], ["25", "50", "50"]]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import runpy
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -215,22 +217,16 @@ def test_without_a_curve_it_is_the_bound(changed: str, tmp_path: Path) -> None:
     assert noise_of(file) == noise_equivalent_angle(star_camera(own.image_optics, own.camera, str(file)))
 
 
-def test_a_command_measures_the_curve_of_another_detector(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_measures_the_curve_of_another_detector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Moments: their bias makes them several times as bad as the bound for a bright star."""
-    monkeypatch.setenv("COLUMNS", "160")
     text = 'centroid = "moments"\nmagnitude = 11.3'
     file, stored = user(tmp_path, text), tmp_path / "mine.json"
     arguments = ["--parameters", str(file), "--magnitudes", "11,12,25", "--frames", "200", "--output", str(stored)]
-    main(["image", "noise", *arguments, "--json"])
-    told = capsys.readouterr()
-    printed = json.loads(told.out.splitlines()[-1])
-    assert [line.split()[3] for line in told.err.splitlines() if line.startswith("│")] == ["11", "12", "25"]
-    (curve,) = printed["curves"]
-    assert curve["magnitude"] == [11.0, 12.0] and printed["frames"] == 200  # nobody sees the last one
+    monkeypatch.setattr(sys, "argv", ["guide_camera_noise.py", *arguments])
+    runpy.run_path(str(ROOT / "examples/guide_camera_noise.py"), run_name="__main__")
+    (curve,) = json.loads(stored.read_text())["curves"]
+    assert curve["magnitude"] == [11.0, 12.0]  # nobody sees the last one
     assert curve["noise_mas"][0] > 1.5 * curve["bound_mas"][0]
-    assert json.loads(stored.read_text())["curves"] == printed["curves"]
     found = noise_of(user(tmp_path, text + '\nnoise_curve = "mine.json"'))
     assert min(curve["noise_mas"]) < found / RAD_PER_MAS < max(curve["noise_mas"])
     assert found > 1.5 * noise_of(user(tmp_path, text))
@@ -243,7 +239,7 @@ CURVE = NoiseCurve.of(STAR, [NoisePoint(m, 1e-8, 1e-8, 0.0) for m in (12.0, 13.0
     ("content", "camera", "message"),
     [
         (None, "", "cannot read .*curve.json: No such file"),
-        ('{"curves": [{"detector": {}}]}', "", "must hold curves of `los-testbed image noise`, got no magnitude"),
+        ('{"curves": [{"detector": {}}]}', "", "must hold curves of examples/guide_camera_noise.py, got no magnitude"),
         (json.dumps({"curves": [{**CURVE, "noise_mas": [1.0, -1.0]}]}), "", "a noise that is not positive"),
         (json.dumps({"curves": [{**CURVE, "magnitude": [13.0, 12.0]}]}), "", "magnitudes that do not increase"),
         (json.dumps({"curves": [CURVE]}), "dark = 3.0", "noise_curve must have a curve of this detector, got none in"),

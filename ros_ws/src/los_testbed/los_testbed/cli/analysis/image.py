@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.analysis.camera_noise import NOISE_EXAMPLES, noise
 from los_testbed.cli.analysis.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
-from los_testbed.cli.analysis.star_trade import TRADE_EXAMPLES, trade
-from los_testbed.cli.command_group import GroupedCommand
 from los_testbed.cli.options.options import (
     MAX_CHUNK_MB,
     Json,
@@ -142,7 +139,3 @@ def export(
     say(console, str(output))
     if json_:
         print_json({"output": str(output), **found.values})
-
-
-image_app.command("noise", help=NOISE_EXAMPLES)(noise)
-image_app.command("trade", help=TRADE_EXAMPLES, cls=GroupedCommand)(trade)
