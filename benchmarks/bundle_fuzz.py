@@ -45,7 +45,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lftkit.proofs.earlier_files import present_header
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.trusted import sampled_loop
 from lftkit.proofs.trusted.proof import ProofError, Strip
@@ -192,7 +191,7 @@ def wider_box(data: bytes, chance: random.Random) -> bytes:
     """
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
-    header = present_header(json.loads(bytes(arrays["header"])))
+    header = json.loads(bytes(arrays["header"]))
     claim, names = header["claim"], header["plant"]["parameters"]
     boxes, k, factor = arrays["boxes"].copy(), chance.randrange(len(names)), 1.0 + chance.choice((*SMALL, 0.1))
     ends = claim["box"][names[k]]

@@ -10,16 +10,15 @@ import numpy as np
 
 from lftkit.proofs.axis.proof import KIND as AXIS
 from lftkit.proofs.axis.proof import AxisProof, axis_proof
-from lftkit.proofs.earlier_files import present_header
 from lftkit.proofs.lower_bound import KIND as LOWER_BOUND
 from lftkit.proofs.lower_bound import LowerBoundProof, lower_bound_proof_of
-from lftkit.proofs.proof_files import Content, read_content
+from lftkit.proofs.proof_files import Content
 from lftkit.proofs.sampled_loop.files import LOOP, NOISE, loop_proof, noise_proof
 from lftkit.proofs.trusted.axis import check_axis_proof
 from lftkit.proofs.trusted.cells import KIND as CELLS
 from lftkit.proofs.trusted.cells import check_cells
 from lftkit.proofs.trusted.digests import plant_digest
-from lftkit.proofs.trusted.entries import FORMAT
+from lftkit.proofs.trusted.entries import FORMAT, file_content
 from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.lower_bound import CheckedLowerBound, check_lower_bound
 from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
@@ -127,11 +126,11 @@ def _checked(proof: Any, each: Each) -> Checked:
             return kind.check(proof, each)
     content: Content
     if isinstance(proof, (str, Path)):
-        content = read_content(Path(proof))
+        content = file_content(Path(proof))
     else:
         header = getattr(proof, "content", proof)
         require(isinstance(header, Mapping), f"proof must be a file or the proof of bounds, got {type(proof).__name__}")
-        content = present_header(header), {}
+        content = dict(header), {}
     kind = KINDS[kind_of(content)]
     return kind.check(kind.made(content), each)
 
@@ -153,4 +152,4 @@ def kind_of(content: Content) -> str:
 
 def proof_kind(path: Path) -> str:
     """Kind of the proof in a file; errors as of :func:`kind_of`."""
-    return kind_of(read_content(path))
+    return kind_of(file_content(path))

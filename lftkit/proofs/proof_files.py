@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.earlier_files import present_header
-from lftkit.proofs.trusted.entries import FORMAT, Form, array, file_content, record, refuse
+from lftkit.proofs.trusted.entries import FORMAT, Form, array, record, refuse
 from lftkit.proofs.trusted.proof import Box, Interval, Strip
 
 Content = tuple[dict[str, Any], dict[str, Any]]
@@ -91,18 +90,6 @@ def write_content(path: Path, content: Content) -> None:
         return
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays, header=np.frombuffer(text, dtype=np.uint8))
-
-
-def read_content(path: Path) -> Content:
-    """Header and arrays of a file; those of version 0.1 as if they were of the present format.
-
-    Raises
-    ------
-    ProofError
-        No such file, or no proof.
-    """
-    header, arrays = file_content(path)
-    return present_header(header), arrays
 
 
 def header_entries(kind: str, claim: Mapping[str, Any], plant: Mapping[str, Any], **others: Any) -> dict[str, Any]:

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.errors import InputError
-from lftkit.proofs.proof_files import arrays_of, packed, read_content, unpacked, write_content
+from lftkit.proofs.proof_files import arrays_of, packed, unpacked, write_content
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions
 from lftkit.proofs.sampled_loop.files import write_loop_proof
-from lftkit.proofs.trusted.entries import FORMAT, Form, each, header_of, index, number, pair, text, truth
+from lftkit.proofs.trusted.entries import FORMAT, Form, each, file_content, header_of, index, number, pair, text, truth
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.stability import nominal_windows, whole_axis, windows_above
 from lftkit.proofs.trusted.strips import check_strip, require_strip, windows_of
@@ -283,7 +283,7 @@ def _strips(file: Path) -> tuple[Strip, ...]:
 
 def _read_part(file: Path) -> PartResult:
     """What the file of a part says; a ProofError where it cannot be read."""
-    given, arrays = read_content(file)
+    given, arrays = file_content(file)
     header = header_of(given, PART_KIND, PART_ENTRIES)
     strips = unpacked(arrays_of(arrays, {}, len(header["names"])), len(header["names"]))
     uncovered = list(header["uncovered"])

@@ -20,9 +20,6 @@ WORDS = {*OTHERS - {"rclpy", "mcap"}, "los", "fsm", "pma", "k_fsm", "k_pma"}
 SUBJECTS = re.compile(rf"telescope|mirror|spacecraft|testbed|\b({'|'.join(sorted(WORDS))})\b", re.IGNORECASE)
 """What the packages beside it are about."""
 
-EARLIER_NAMES = "support/format_names.py"
-"""The module of the library with the names that formats of files had before."""
-
 
 def imported(path: Path) -> set[str]:
     """Modules that a file imports, wherever in it."""
@@ -64,7 +61,7 @@ def test_no_test_of_lftkit_reads_what_is_not_a_test() -> None:
 
 
 def test_the_library_names_no_subject_of_another_package() -> None:
-    """Code, messages, docstrings, formats and the README; names of formats that are read as they were once written."""
+    """Code, messages, docstrings, formats and the README."""
     folder = TESTS.parent / "lftkit"
     texts = [*files_of(folder), *folder.glob("*.md"), folder / "pyproject.toml"]
     named = [
@@ -73,6 +70,5 @@ def test_the_library_names_no_subject_of_another_package() -> None:
         for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
         if SUBJECTS.search(line)
     ]
-    wrong = [line for line in named if not line.startswith(f"{EARLIER_NAMES}:")]
-    assert len(texts) > 150 and len(named) > len(wrong)
-    assert not wrong
+    assert len(texts) > 150
+    assert not named

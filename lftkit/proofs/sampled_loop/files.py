@@ -17,7 +17,6 @@ from lftkit.proofs.proof_files import (
     header_entries,
     named_box,
     packed,
-    read_content,
     unpacked,
     write_content,
 )
@@ -26,6 +25,7 @@ from lftkit.proofs.trusted.entries import (
     Form,
     array,
     each,
+    file_content,
     fixed,
     header_of,
     index,
@@ -90,12 +90,12 @@ def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
 
 def read_loop_proof(path: Path) -> LoopProof:
     """Read a proof; a ProofError where there is no such file, or it is none of a loop."""
-    return loop_proof(read_content(path))
+    return loop_proof(file_content(path))
 
 
 def read_noise_proof(path: Path) -> NoiseProof:
     """Read a proof of noise; errors as of :func:`read_loop_proof`."""
-    return noise_proof(read_content(path))
+    return noise_proof(file_content(path))
 
 
 def _content(proof: LoopProof | NoiseProof) -> Content:

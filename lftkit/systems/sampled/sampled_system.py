@@ -29,7 +29,6 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
-from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
 from lftkit.support.scalars import as_positive
 from lftkit.support.structured_text import load_json
@@ -253,7 +252,7 @@ class SampledSystem:
             raise InputError(f"{path} is not a controller file: {error}") from None
         except UnicodeDecodeError:
             raise InputError(f"{path} is not a controller file: it must be JSON, got no text in UTF-8") from None
-        if not isinstance(content, dict) or current_name(content.get("format")) != FORMAT:
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise InputError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')}")

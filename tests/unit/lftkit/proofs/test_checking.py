@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,14 +19,11 @@ from lftkit import proofs, real, s
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import KINDS, proof_kind
-from lftkit.proofs.proof_files import read_content, write_content
 from lftkit.proofs.state_space import Proof
 from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, exact_product
-from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.proof import uncovered
-from lftkit.support.format_names import EARLIER_NAMES
 
-OLDER = Path(__file__).parents[3] / "fixtures" / "files_of_0_1" / "proofs"
+STORED = Path(__file__).parents[3] / "fixtures" / "proofs"
 LONG = BoundOptions(wall_limit=3600.0)
 PROVERS = ("axis.bounds", "performance", "robustness", "state_space") + tuple(
     f"sampled_loop.{name}" for name in ("bounds", "branching", "build", "scalings")
@@ -71,72 +67,17 @@ def test_the_proof_of_bounds_passes_as_object_content_and_file(tmp_path: Path) -
         ("stable.json", None, True),
     ],
 )
-def test_files_of_version_0_1_prove_what_they_proved(name: str, level: float | None, stable: bool) -> None:
-    checked: Any = check_proof(OLDER / name)
+def test_stored_files_prove_what_they_proved(name: str, level: float | None, stable: bool) -> None:
+    checked: Any = check_proof(STORED / name)
     assert (checked.level, checked.stable) == (level, stable)
     box = {"p": (0.3, 0.7)} if name == "discrete.json" else {"p": (-1.0, 1.0)}
     assert (checked.box if isinstance(checked.box, dict) else dict(zip(checked.names, checked.box))) == box
     assert checked.band == ((0.0, np.inf) if not name.startswith(("loop", "discrete")) else (0.0, 10.0 * np.pi))
 
 
-def test_a_proof_of_noise_of_version_0_1_proves_what_it_proved() -> None:
-    checked: Any = check_proof(OLDER / "noise.npz")
+def test_a_stored_proof_of_noise_proves_what_it_proved() -> None:
+    checked: Any = check_proof(STORED / "noise.npz")
     assert (checked.absolute.rms, checked.absolute.along) == pytest.approx((10.60660172841012, 7.5000000075037505))
-
-
-def older(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Header and arrays of a file of version 0.1."""
-    if name.endswith(".json"):
-        return json.loads((OLDER / name).read_text("utf-8")), {}
-    with np.load(OLDER / name) as archive:
-        arrays = {key: archive[key] for key in archive.files}
-    return json.loads(bytes(arrays.pop("header"))), arrays
-
-
-@pytest.mark.parametrize("name", sorted(path.name for path in OLDER.iterdir()))
-def test_files_of_version_0_1_are_read_as_strictly(name: str, tmp_path: Path) -> None:
-    """An entry more or less, or one of another type; `kinds` may be missing, as in the oldest ones."""
-    header, arrays = older(name)
-    del header["format"]
-
-    def refused(changed: dict[str, Any]) -> None:
-        content = {"format": older(name)[0]["format"], **changed}
-        if not arrays:
-            content["sha256"] = digest(content)
-        write_content(tmp_path / name, (content, arrays))
-        with pytest.raises(ProofError):
-            check_proof(tmp_path / name)
-
-    refused({**header, "more": 1})
-    present, _ = read_content(OLDER / name)
-    for part in ("claim", "plant"):
-        refused({**header, part: present[part]})
-    for gone in header.keys() - {"kinds", "sha256"}:
-        refused({key: value for key, value in header.items() if key != gone})
-    for key in header.keys() - {"sha256"}:
-        refused({**header, key: True})
-        refused({**header, key: {"0": []}})
-    content, _ = older(name)
-    for other in {"lftkit proof 1", "lftkit loop proof 1", "lftkit noise proof 2"} - {content["format"]}:
-        refused({**header, "format": other})
-    if not arrays:
-        write_content(tmp_path / name, ({**content, "level": 2.0 * (content["level"] or 1.0)}, {}))
-        with pytest.raises(ProofError, match="SHA-256"):
-            check_proof(tmp_path / name)
-
-
-@pytest.mark.further
-def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path) -> None:
-    earlier = {now: then for then, now in EARLIER_NAMES.items()}
-    for name in ("cells.json", "discrete.json", "loop.npz", "noise.npz"):
-        header, arrays = older(name)
-        header["format"] = earlier[header["format"]]
-        if not arrays:
-            header["sha256"] = digest(header)
-        write_content(tmp_path / name, (header, arrays))
-        assert proof_kind(tmp_path / name) == proof_kind(OLDER / name)
-        checked = check_proof(tmp_path / name)
-        assert arrays or checked == check_proof(OLDER / name)
 
 
 NO_PROOFS = (b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]")

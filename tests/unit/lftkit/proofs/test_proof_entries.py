@@ -16,7 +16,6 @@ from support.forged_proofs import zip_of_zeros
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import BoundOptions, ProofError, check_proof, worst_case_gain
-from lftkit.proofs.proof_files import read_content
 from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_level, write_loop_proof
 from lftkit.proofs.trusted import entries
 from lftkit.proofs.trusted.cells import digest
@@ -205,7 +204,7 @@ FILES = ("loop.npz", "noise.npz", "axis.npz", "cells.json")
 def test_the_files_themselves_are_proofs(folder: Path, name: str, tmp_path: Path) -> None:
     """Written anew it has the same content, which is what is checked."""
     again = write(tmp_path / name, *read(folder / name))
-    (header, arrays), (first, own) = read_content(again), read_content(folder / name)
+    (header, arrays), (first, own) = file_content(again), file_content(folder / name)
     assert header == first and arrays.keys() == own.keys()
     assert all(np.array_equal(values, own[key]) and values.dtype == own[key].dtype for key, values in arrays.items())
     check_proof(again)

@@ -80,15 +80,6 @@ def test_not_a_file_and_not_json(tmp_path: Path) -> None:
         SampledSystem.from_file(tmp_path / "y.json")
 
 
-def test_the_earlier_name_of_the_format_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "k.json"
-    example().to_file(path)
-    content = json.loads(path.read_text())
-    assert content["format"] == "lftkit/sampled-system"
-    path.write_text(json.dumps({**content, "format": "los-testbed/sampled-system"}))
-    assert SampledSystem.from_file(path).to_json() == example().to_json()
-
-
 def test_washout_takes_away_a_bias_and_nothing_else() -> None:
     port = Port("a", 2, "m/s2")
     integrator = state_space([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]], [port], [Port("y", 1)])

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -17,15 +15,13 @@ from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from support.requirement_outputs import page_rows, screen_rows
 
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.series import series
-from pointing_analysis.requirements.summary import METADATA, summarise
 from pointing_analysis.requirements.summary import requirements_of as recorded
+from pointing_analysis.requirements.summary import summarise
 
 REFERENCE = MemberParameters.of()
 
@@ -105,20 +101,6 @@ def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     assert (columns["rpe_window_p997_mas"] > 10).any()
     total = model_verdicts(np.array([9.0, 11.0]), ["ok"] * 2, "fsm+pma", requirements)
     assert {v.requirement: v.status for v in total} == {"RPE, fine": "not enough data", "RPE, finest": "not compliant"}
-
-
-def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    bag = Path(__file__).parents[4] / "bags" / "reference"
-    run = copy.copy(Run.open(bag))
-    run.parameters = MappingProxyType({k: v for k, v in run.parameters.items() if k != METADATA})
-    assert is_older(run) and recorded(run) is None
-    assert [v.requirement for v in summarise(with_requirements(run)).verdicts] == list(
-        RunParts(RunConfig()).telescope.requirements
-    )
-    assert summarise(run).verdicts == ()  # the analysis alone knows no telescope
-    other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)
-    assert not is_older(other) and with_requirements(other) is other
-    assert REMARK.startswith("the bag holds no requirements")
 
 
 WINDOW = 0.05

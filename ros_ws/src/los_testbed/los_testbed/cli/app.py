@@ -64,23 +64,6 @@ def _options(
         raise InputError(f"--log must be a writable file, got {log}: {error.strerror}") from None
 
 
-FOLDER = "folder"
-"""An argument without the name of an option."""
-
-RENAMED = {
-    ("analyse",): {"--report": "now --output"},
-    ("report",): {"--start": "now --from", "--stop": "now --to"},
-    ("bag", "trace"): {"--start": "now --from", "--stop": "now --to"},
-    ("stages",): {"--keep": "now --keep-all"},
-    ("design", "k-fsm"): {"--starts": "an option of design k-pma: K_FSM is tuned from one start"},
-    ("design", "certify"): {"--wall-limit": "now --time-limit", FOLDER: "now --designs FOLDER"},
-    ("design", "verify"): {FOLDER: "now --designs FOLDER"},
-    ("design", "check-proof"): {"--of": "now --designs"},
-    ("design", "sensitivity"): {"--of": "now --entry"},
-    ("export", "fmu"): {"--plant": "now --telescope"},
-}
-"""Options before 0.2, by command, and their replacements."""
-
 COMMON = ("--quiet", "--verbose", "--log")
 """Options of all commands, which may stand anywhere on the command line."""
 
@@ -171,7 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(_with_memory(error), ExitCode.FAILED)
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
-            return _fail(_with_new_name(error.format_message(), words), ExitCode.USER_ERROR)
+            return _fail(error.format_message(), ExitCode.USER_ERROR)
         return _fail(_with_memory(error) if names_memory(str(error)) else _unexpected(error), ExitCode.FAILED)
     except BaseException as error:  # of another package: no class of this one is that
         if isinstance(error, (SystemExit, GeneratorExit)):
@@ -189,20 +172,6 @@ def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
     from los_testbed.cli.run import with_lone_options
 
     return with_lone_options(arguments)
-
-
-def _with_new_name(message: str, words: Sequence[str]) -> str:
-    """Message about an invalid command line; for a renamed option, its new name."""
-    given = {word.split("=")[0] for word in words}
-    for command, options in RENAMED.items():
-        if list(words[: len(command)]) == list(command):
-            if FOLDER in options and "unexpected extra argument" in message:
-                given.add(FOLDER)
-                message = f"{FOLDER}: {message}"
-            for old in given & options.keys():
-                if old in message:
-                    return f"{old} is {options[old]}"
-    return message
 
 
 def _is_refusal(error: ValueError) -> bool:

@@ -14,7 +14,6 @@ from rich.table import Table as ScreenTable
 
 from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.run.change_requests import requested
-from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.summary.loop_proof import with_proof
 from los_testbed.run.summary.ran_loop import RanLoop
@@ -84,7 +83,7 @@ def summarise_runs(
     transient : float, optional
         Seconds of start-up to leave out.
     requirements : sequence of Requirement, optional
-        By default those of each bag; an older bag of this testbed is judged by those of the reference telescope.
+        By default those of each bag.
 
     Raises
     ------
@@ -164,23 +163,18 @@ def judged(
     found: Sequence[Recording], transient: float | None, requirements: Sequence[Requirement] | None
 ) -> JudgedRuns:
     """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
-    assumed = [requirements is None and is_older(run) for run in found]
     loops = tuple(RanLoop.of(run) if isinstance(run, Run) else None for run in found)
-    runs = tuple(
-        _without_claims(with_requirements(run) if older else run, loop)
-        for run, older, loop in zip(found, assumed, loops)
-    )
+    runs = tuple(_without_claims(run, loop) for run, loop in zip(found, loops))
     measured = summarise_all(runs, transient=transient, requirements=requirements)
     proofs = [(summary, ()) if loop is None else with_proof(loop, summary) for loop, summary in zip(loops, measured)]
     shares = [_shares_or_reason(loop) for loop in loops]
     remarks = tuple(
         (
             *(() if loop is None else remarks_of(loop, summary, lines)),
-            *([REMARK] if older else []),
             *missing,
             *([other] if other else []),
         )
-        for loop, (summary, lines), older, (_, missing), other in zip(loops, proofs, assumed, shares, differences(runs))
+        for loop, (summary, lines), (_, missing), other in zip(loops, proofs, shares, differences(runs))
     )
     summaries = tuple(summary for summary, _ in proofs)
     return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), remarks, loops, transient, requirements)
