@@ -38,8 +38,6 @@ from lftkit import Connection, Port, SampledSystem, System, connect, static_gain
 from lftkit.systems.connection.filters import high_pass, with_input_filter
 from lftkit.systems.delay import delayed_port
 from lftkit.systems.sampling import sampled
-from lftkit.tuning import state_space
-from lftkit.tuning.structures.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis
 from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS
 from titop_plant.telescope.control_plant import OPTICAL_NOISE, control_plant, disturbances_of
@@ -157,12 +155,6 @@ def _with_added_force(plant: System) -> System:
             APPLIED_FORCE: applied,
         },
     )
-
-
-def actuator_structure(plant: ActuatorPlant, *, order: int = ORDER) -> AffineStructure:
-    """State space of fixed order from the platform's accelerations to the forces, all entries free."""
-    ports = [plant.system.output_port(name) for name in MEASUREMENTS]
-    return state_space(ports, [FORCE], order)
 
 
 def sampled_controller(

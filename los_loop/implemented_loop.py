@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System
-from lftkit.analysis.batched_linalg import largest_gains, singular_values
+from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.lft_response import GainSlopes, rows_times
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.closing import ClosedAt, ClosedLoop, closed_loop, sampled_loop
@@ -265,8 +265,3 @@ class ImplementedLoop:
         """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
         T = self.responses(closed, metric, self.delta(points))
         return np.asarray(largest_gains(T) * self.scale(metric, closed.omega))
-
-    def all_gains(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> FloatArray:
-        """All normalised singular values at a point of the unit cube, largest first."""
-        T = self.responses(closed, metric, self.delta(point)[None])
-        return np.asarray(singular_values(T)[0] * self.scale(metric, closed.omega))

@@ -184,7 +184,12 @@ def worst_tone(
     omega = _band(loop_grid(plant, loop.free, modes=modes), row.band_of(telescope))
     gains = _gains(weighted(omega)[0])
     for peaks in (PEAKS, *[1] * ZOOMS):
-        omega = _around(omega, gains, peaks)
+        # Points between the neighbours of each of the highest peaks, rising
+        padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+        inner = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
+        highest = inner[np.argsort(gains[inner])[::-1][:peaks]]
+        ends = [(omega[max(k - 1, 0)], omega[min(k + 1, omega.size - 1)]) for k in highest]
+        omega = np.asarray(np.unique(np.concatenate([np.geomspace(low, high, ZOOM_POINTS) for low, high in ends])))
         gains = _gains(weighted(omega)[0])
     w = omega[gains.argmax()]
     matrix, response = weighted(np.array([w]))
@@ -192,15 +197,6 @@ def worst_tone(
     size = weight_amplitudes(telescope, w)[0]
     amplitude = size * right
     return WorstTone(index, float(w), amplitude, gain, float(row.limit(telescope, stage)), response[0] @ amplitude)
-
-
-def _around(omega: FloatArray, gains: FloatArray, peaks: int) -> FloatArray:
-    """Points between the neighbours of each of the highest peaks, rising."""
-    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-    inner = np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
-    highest = inner[np.argsort(gains[inner])[::-1][:peaks]]
-    ends = [(omega[max(k - 1, 0)], omega[min(k + 1, omega.size - 1)]) for k in highest]
-    return np.asarray(np.unique(np.concatenate([np.geomspace(low, high, ZOOM_POINTS) for low, high in ends])))
 
 
 def _leading(matrix: ComplexArray) -> tuple[float, ComplexArray]:

@@ -128,13 +128,6 @@ def finely_corrected(A: FloatArray, found: Modes) -> Modes:
     return best
 
 
-def eigenpairs(A: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues (n,) and eigenvectors (n, n) of `A`, complex, from :func:`corrected_modes`."""
-    a = np.asarray(A, dtype=float)
-    found = corrected_modes(a, modes(a))
-    return found.poles, complex_columns(found.poles, found.vectors + found.low)
-
-
 def complex_columns(poles: ComplexArray, X: FloatArray) -> ComplexArray:
     """Columns in the real form (x, y) as ``x + j y`` and ``x - j y``; the right factor of a modal sum."""
     first = np.flatnonzero(poles.imag > 0)

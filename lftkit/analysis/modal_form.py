@@ -75,7 +75,17 @@ class ModalForm:
         if not len(A):
             return cls._whole(a, units)
         found = corrected_modes(a, modes(a), CONVERGED)
-        parallel = _parallel(found)
+        # Poles, pairs together, whose left and right eigenvectors are nearly orthogonal
+        n = len(found.poles)
+        if found.reciprocal_condition < EPS:
+            U, values, Vt = linalg.svd(found.vectors)  # parallel columns are those of the null space
+            inverse = (Vt.T / np.maximum(values, EPS * values[0])) @ U.T
+        else:
+            inverse = linalg.lapack.dgetrs(*found.factors, np.eye(n))[0]
+        size = np.asarray(linalg.norm(found.vectors, axis=0) * linalg.norm(inverse, axis=1))
+        first = np.flatnonzero(found.poles.imag > 0)
+        size[first] = size[first + 1] = np.maximum(size[first], size[first + 1])
+        parallel = np.asarray(~(size < PARALLEL))
         if parallel.any():
             return cls._with_block(a, units, found, parallel)
         if found.reciprocal_condition * MAX_CONDITION < 1.0:
@@ -93,7 +103,12 @@ class ModalForm:
             return np.asarray(place[np.lexsort((place, np.abs(found.poles[place])))])
 
         heads, real = rising(found.poles.imag > 0), rising(found.poles.imag == 0)
-        basis = _columns(found, np.concatenate([heads, heads + 1, real]), added)
+        # Some of the columns, and further ones behind them (n, d)
+        order = np.concatenate([heads, heads + 1, real])
+        vectors = np.hstack([found.vectors[:, order], added])
+        low = np.hstack([found.low[:, order], np.zeros_like(added)])
+        poles = np.concatenate([found.poles[order], np.zeros(vectors.shape[1] - len(order))])
+        basis = Modes(poles, vectors, low, linalg.lapack.dgetrf(vectors)[:2])
         return cls(found.poles[heads], found.poles[real].real, block, units, basis)
 
     @classmethod
@@ -181,28 +196,6 @@ class ModalForm:
         """Distance of each value (K,) from the nearest pole: shape (K,); infinite without poles."""
         poles = np.concatenate([self.pairs, self.pairs.conj(), self.real, linalg.eigvals(self.block)])
         return np.asarray(np.abs(np.asarray(s) - poles[:, None]).min(axis=0, initial=np.inf))
-
-
-def _columns(found: Modes, order: IntArray, added: FloatArray) -> Modes:
-    """Some of the columns, and further ones behind them (n, d)."""
-    vectors = np.hstack([found.vectors[:, order], added])
-    low = np.hstack([found.low[:, order], np.zeros_like(added)])
-    poles = np.concatenate([found.poles[order], np.zeros(vectors.shape[1] - len(order))])
-    return Modes(poles, vectors, low, linalg.lapack.dgetrf(vectors)[:2])
-
-
-def _parallel(found: Modes) -> BoolArray:
-    """Poles, pairs together, whose left and right eigenvectors are nearly orthogonal."""
-    n = len(found.poles)
-    if found.reciprocal_condition < EPS:
-        U, values, Vt = linalg.svd(found.vectors)  # parallel columns are those of the null space
-        inverse = (Vt.T / np.maximum(values, EPS * values[0])) @ U.T
-    else:
-        inverse = linalg.lapack.dgetrs(*found.factors, np.eye(n))[0]
-    size = np.asarray(linalg.norm(found.vectors, axis=0) * linalg.norm(inverse, axis=1))
-    first = np.flatnonzero(found.poles.imag > 0)
-    size[first] = size[first + 1] = np.maximum(size[first], size[first + 1])
-    return np.asarray(~(size < PARALLEL))
 
 
 __all__ = ["ModalForm"]

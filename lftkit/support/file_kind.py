@@ -97,22 +97,18 @@ def kind_of_file(path: str | os.PathLike[str]) -> str | None:
         if not head:
             return "an empty file"
         if head.startswith(b"PK") and zipfile.is_zipfile(file):
-            return _of_archive(file)
+            with zipfile.ZipFile(file) as archive:
+                names = archive.namelist()
+            if names and all(name.endswith(".npy") for name in names):
+                return "NumPy arrays (.npz)"
+            if "content.xml" in names:
+                return "an OpenDocument file (save the sheet as CSV)"
+            office = (kind for folder, kind in OFFICE.items() if any(name.startswith(f"{folder}/") for name in names))
+            return next(office, "a zip archive (unpack it first)")
     except (OSError, zipfile.BadZipFile):
         return None
     known = next((kind for mark, kind in MARKS if head.startswith(mark)), None)
     return known or kind_of_text(head.decode("utf-8", "replace"))
-
-
-def _of_archive(file: Path) -> str:
-    with zipfile.ZipFile(file) as archive:
-        names = archive.namelist()
-    if names and all(name.endswith(".npy") for name in names):
-        return "NumPy arrays (.npz)"
-    if "content.xml" in names:
-        return "an OpenDocument file (save the sheet as CSV)"
-    office = (kind for folder, kind in OFFICE.items() if any(name.startswith(f"{folder}/") for name in names))
-    return next(office, "a zip archive (unpack it first)")
 
 
 __all__ = ["kind_of_file", "kind_of_text"]

@@ -50,12 +50,32 @@ def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> A
     if len(text) > limit.size:
         raise InputError(f"{what} must be {kind} of at most {limit.size / 1e6:g} MB, got {len(text) / 1e6:g}")
     if kind == "TOML":
-        _check_names(text, what)
+        # Refuse names of too many parts, and too many values, in a TOML text; every dot of a name is a table more
+        bare = _without_strings(text).replace(" ", "").replace("\t", "")
+        pieces = _TOML_MARKS.split(bare)
+        if max(piece.count(".") for piece in pieces) >= DEPTH:
+            raise too_deep(what)
+        filled = sum(1 + piece.count(".") for piece in pieces if piece)
+        check_count(filled + sum(map(bare.count, "[{")), what, "TOML")
     elif kind == "JSON":
         check_count(sum(map(text.count, ",[{")), what, kind)
     try:
         content = parser(text)
-        _check(content, what)
+        # Depth and integers of a content; level by level, without recursion
+        level, depth = [content], 0
+        while level:
+            if depth > DEPTH:
+                raise too_deep(what)
+            below: list[Any] = []
+            for item in level:
+                if isinstance(item, dict):
+                    below += item.keys()
+                    below += item.values()
+                elif isinstance(item, (list, tuple)):
+                    below += item
+                elif isinstance(item, int) and item.bit_length() > 3.33 * DIGITS:
+                    raise InputError(f"{what} must have integers of at most {DIGITS} digits, got a longer one")
+            level, depth = below, depth + 1
     except InputError:
         raise
     except RecursionError:
@@ -83,16 +103,6 @@ def check_count(values: int, what: object, kind: str) -> None:
 def too_deep(what: object) -> InputError:
     """The error of a text that is nested too deep."""
     return InputError(f"{what} must be nested at most {DEPTH} levels deep, got more")
-
-
-def _check_names(text: str, what: object) -> None:
-    """Refuse names of too many parts, and too many values, in a TOML text; every dot of a name is a table more."""
-    bare = _without_strings(text).replace(" ", "").replace("\t", "")
-    pieces = _TOML_MARKS.split(bare)
-    if max(piece.count(".") for piece in pieces) >= DEPTH:
-        raise too_deep(what)
-    filled = sum(1 + piece.count(".") for piece in pieces if piece)
-    check_count(filled + sum(map(bare.count, "[{")), what, "TOML")
 
 
 def _without_strings(text: str) -> str:
@@ -134,21 +144,3 @@ def _after(text: str, mark: str, stop: int) -> int:
         while at < min(stop + 5, len(text)) and text[at] == mark[0]:
             at += 1
     return at
-
-
-def _check(value: Any, what: object) -> None:
-    """Depth and integers of a content; level by level, without recursion."""
-    level, depth = [value], 0
-    while level:
-        if depth > DEPTH:
-            raise too_deep(what)
-        below: list[Any] = []
-        for item in level:
-            if isinstance(item, dict):
-                below += item.keys()
-                below += item.values()
-            elif isinstance(item, (list, tuple)):
-                below += item
-            elif isinstance(item, int) and item.bit_length() > 3.33 * DIGITS:
-                raise InputError(f"{what} must have integers of at most {DIGITS} digits, got a longer one")
-        level, depth = below, depth + 1

@@ -183,7 +183,13 @@ def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -
 
     No controller is better than none where the plant has no gain; where the equations have no solution it is the best.
     """
-    idle = _idle(given)
+    # The controller without gain and states; None where its loop is not stable
+    shape = sum(port.size for port in given.commanded), sum(port.size for port in given.measured)
+    nothing = np.zeros((0, 0)), np.zeros((0, shape[1])), np.zeros((shape[0], 0)), np.zeros(shape)
+    controller = System(*nothing, given.measured, given.commanded, "K", dt=given.system.dt)
+    closed = given.closed(controller)
+    value = norm_of_loop(closed)
+    idle = FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
     if idle is not None and idle.value == 0.0:
         return replace(idle, lower=0.0)
     found = _best(given, generalised) if all(generalised.full_rank) else None
@@ -363,16 +369,6 @@ def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrde
         closed = given.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
-    value = norm_of_loop(closed)
-    return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
-
-
-def _idle(given: StandardPlant) -> FullOrderDesign | None:
-    """The controller without gain and states; None where its loop is not stable."""
-    shape = sum(port.size for port in given.commanded), sum(port.size for port in given.measured)
-    nothing = np.zeros((0, 0)), np.zeros((0, shape[1])), np.zeros((shape[0], 0)), np.zeros(shape)
-    controller = System(*nothing, given.measured, given.commanded, "K", dt=given.system.dt)
-    closed = given.closed(controller)
     value = norm_of_loop(closed)
     return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
 

@@ -100,12 +100,6 @@ class RealParameter:
         a, b = self.bilinear
         return self.nominal + a * nu / (1.0 + b * nu)
 
-    def to_normalised(self, value: float) -> float:
-        """Normalised value in [-1, 1] of a physical value."""
-        a, b = self.bilinear
-        deviation = self.check(value) - self.nominal
-        return 0.0 if deviation == 0.0 else deviation / (a - b * deviation)
-
 
 def checked_values(
     parameters: Mapping[str, RealParameter], values: Mapping[str, float], *, beyond_range: bool = False

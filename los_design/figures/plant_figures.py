@@ -105,7 +105,14 @@ def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     for inputs, colour, name, count in ((WHEELS, BLUE, "wheel", wheels), (DRIVES, ORANGE, "array drive", drives)):
         if count:
             _banded(axis, both, both.isolated, inputs, edges, colour, _counted(count, name))
-    _limits(axis, both.telescope, edges)
+    # Reach of the mirror, APE limit and both RPE templates
+    telescope = both.telescope
+    weights, mirror = telescope.weights, telescope.fsm
+    reach = mirror.authority * mirror.los_sensitivity / ARCSEC
+    ape = weights.ape_limit / ARCSEC
+    axis.axhline(reach, color="#333333", linestyle=(0, (1, 1.5)), label=f"reach of the mirror, {reach:.0f} arcsec")
+    axis.axhline(ape, color=LIMIT, linestyle="--", label=f"APE limit, {ape:.3g} arcsec")
+    _templates(axis, telescope, edges)
     _decorate(axis, edges, (1e-6, 1e3))
     _legend(figure)
 
@@ -244,16 +251,6 @@ def _banded(
 def _columns(low: float, high: float, count: int) -> FloatArray:
     """Edges of columns of equal width on a logarithmic axis."""
     return np.asarray(np.geomspace(low, high, count + 1), np.float64)
-
-
-def _limits(axis: Axes, telescope: Telescope, edges: FloatArray) -> None:
-    """Reach of the mirror, APE limit and both RPE templates."""
-    weights, mirror = telescope.weights, telescope.fsm
-    reach = mirror.authority * mirror.los_sensitivity / ARCSEC
-    ape = weights.ape_limit / ARCSEC
-    axis.axhline(reach, color="#333333", linestyle=(0, (1, 1.5)), label=f"reach of the mirror, {reach:.0f} arcsec")
-    axis.axhline(ape, color=LIMIT, linestyle="--", label=f"APE limit, {ape:.3g} arcsec")
-    _templates(axis, telescope, edges)
 
 
 def _templates(axis: Axes, telescope: Telescope, edges: FloatArray) -> None:

@@ -12,12 +12,11 @@ import numpy as np
 
 import fsm_pma_controller.problem
 import los_estimator.problem
-from lftkit import Port, System, static_gain
+from lftkit import System
 from lftkit.errors import InputError
 from lftkit.tuning import H2Gain, HinfGain, TuningRequirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
-from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
-from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
+from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import band_error_weight, disturbance_weight, relative_error_weight
 
@@ -27,20 +26,6 @@ BANDS = {figure(name).band: name for name in ("slow", "fast")}
 def paper_requirements(telescope: Telescope, stage: str) -> tuple[TuningRequirement, ...]:
     """What the paper's problem asks of K_FSM (stage ``fsm``) or of K_PMA (``fsm+pma``), in the order of its gammas."""
     return tuple(requirement(row, telescope, stage, float(row.limit(telescope, stage))) for row in paper_figures(stage))
-
-
-def observer_requirements(telescope: Telescope) -> tuple[TuningRequirement, ...]:
-    """What the paper's problem asks of K_FSM, with the platform's noise that it asks of both controllers.
-
-    K_PMA cannot change what the observer makes of that noise: without the goal, designs of K_FSM with the same APE and
-    RPE differ in it by a factor of 50.
-    """
-    stage, row = MIRROR_STAGES[0], figure("noise -> APE")
-    limit, every = float(row.limit(telescope, stage)), ACCELEROMETER_NOISE
-    own = sum(port.size for port in K_PMA_INPUTS)
-    platform = static_gain(np.eye(every.size, own), [Port("platform_noise", own)], [every])
-    noise = H2Gain((every.name,), (row.output,), limit, weight_in=platform, hard=row.hard, name=row.name)
-    return (*paper_requirements(telescope, stage), noise)
 
 
 def implemented_requirements(telescope: Telescope, stage: str) -> tuple[TuningRequirement, ...]:

@@ -218,7 +218,14 @@ def kept_part(part: ProofPart) -> PartResult | None:
     if part.file.exists():
         try:
             result = _read_part(part.file)
-            _check_part(part, result)
+            # Refuse strips that do not prove a part; what a part leaves open needs no proof
+            if not result.uncovered:
+                require_cover(result.strips, part.box, part.band, "rad/s")
+            for place, strip in enumerate(result.strips):
+                require_strip(place, strip, part.model)
+                outcome = check_strip((part.model, strip, part.level))
+                if isinstance(outcome, str):
+                    raise ProofError(f"strip {place}: {outcome}")
             return result
         except ProofError as error:
             words = f"is damaged ({error}) and is proven again"
@@ -226,17 +233,6 @@ def kept_part(part: ProofPart) -> PartResult | None:
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
     return None
-
-
-def _check_part(part: ProofPart, result: PartResult) -> None:
-    """Refuse strips that do not prove a part; what a part leaves open needs no proof."""
-    if not result.uncovered:
-        require_cover(result.strips, part.box, part.band, "rad/s")
-    for place, strip in enumerate(result.strips):
-        require_strip(place, strip, part.model)
-        outcome = check_strip((part.model, strip, part.level))
-        if isinstance(outcome, str):
-            raise ProofError(f"strip {place}: {outcome}")
 
 
 def task_of(part: ProofPart) -> PartTask:

@@ -46,7 +46,14 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     rows = tuple(range(first, first + metric.rows.stop - metric.rows.start))
     window = loop.telescope.weights.rpe_window if metric.relative else 0.0
     if metric.disturbed:
-        inputs = _disturbances(loop.telescope)
+        telescope = loop.telescope
+        weights = telescope.weights
+        wheels = [
+            [a, weights.wheel_imbalance_zero, weights.wheel_imbalance_pole]
+            for a in np.tile(weights.wheel_imbalance, len(telescope.wheels))
+        ]
+        drives = [[bound, 1.0, 1.0] for bound in telescope.torque_bounds]
+        inputs = np.array([*wheels, *drives], dtype=float)
         return _model(loop, inputs, None, window=window, rows=rows, scale=metric.limit, commands=commands)
     added = tuple(range(COMMANDS))[metric.columns]
     kind = RETURNED.get(metric.name.split(",")[0], 0)
@@ -87,16 +94,6 @@ def frames_model(loop: ImplementedLoop, limit: float, *, opened: bool) -> LoopMo
         C[q + seen], D[q + seen] = 0.0, added
         D[q + y :] -= added
     return replace(model, C=C, D=D)
-
-
-def _disturbances(telescope: Telescope) -> FloatArray:
-    weights = telescope.weights
-    wheels = [
-        [a, weights.wheel_imbalance_zero, weights.wheel_imbalance_pole]
-        for a in np.tile(weights.wheel_imbalance, len(telescope.wheels))
-    ]
-    drives = [[bound, 1.0, 1.0] for bound in telescope.torque_bounds]
-    return np.array([*wheels, *drives], dtype=float)
 
 
 def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, **outcome: Any) -> LoopModel:

@@ -119,9 +119,10 @@ def _singular_values(search: Search, metric: LoopMetric, each: ClosedLoop, delta
     )
 
 
-def _bounds(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> FloatArray:
-    """What slopes say of each bracket's peak: those at one frequency together, loops closed for many at once."""
-    found, groups, loop = np.zeros(len(brackets)), _groups(brackets), search.loop
+def _higher(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], largest: float) -> list[Bracket]:
+    """Those of some brackets whose peaks may exceed the largest one, by slopes."""
+    # What slopes say of each bracket's peak: those at one frequency together, loops closed for many at once
+    bounds, groups, loop = np.zeros(len(brackets)), _groups(brackets), search.loop
     for start in range(0, len(groups), TOGETHER):
         part = groups[start : start + TOGETHER]
         both = np.array([brackets[own[0]].omega * np.exp([0.0, BESIDE]) for own in part])
@@ -131,13 +132,7 @@ def _bounds(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> 
             delta = loop.delta(np.array([brackets[place].point for place in own]))
             here, above = _singular_values(search, metric, closed[2 * k : 2 * k + 2], delta)
             below_end, above_end = np.abs(np.log(ends / omega))
-            found[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
-    return found
-
-
-def _higher(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], largest: float) -> list[Bracket]:
-    """Those of some brackets whose peaks may exceed the largest one, by slopes."""
-    bounds = _bounds(search, metric, brackets)
+            bounds[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
     return [bracket for bracket, bound in zip(brackets, bounds) if bound > (1.0 + SAME) * largest]
 
 

@@ -78,18 +78,6 @@ def grid() -> FloatArray:
     return np.asarray(np.unique(np.concatenate([slow, fine, above])), dtype=float)
 
 
-def check_stage(
-    loop: ImplementedLoop,
-    points: Sequence[Values],
-    *,
-    changes: bool = True,
-    tick: Callable[[], None] = lambda: None,
-    workers: Workers | None = None,
-) -> StageCheck:
-    """Evaluate a stage at parameter points; the arguments are those of :func:`check_stages`."""
-    return check_stages([loop], points, changes=changes, tick=tick, workers=workers)[0]
-
-
 def check_stages(
     loops: Sequence[ImplementedLoop],
     points: Sequence[Values],

@@ -127,7 +127,12 @@ def sweep(
                 known = np.min([own.value[name] / factor for name, factor in factors.items()], axis=0)
                 gains = _gains_above(T[:, rows, columns], known, there)
                 for name, factor in factors.items():
-                    _keep(own, name, gains * factor, int(k))
+                    # Enter the values of a metric at a place of the grid
+                    values, place = gains * factor, int(k)
+                    higher = values > own.value[name]
+                    own.value[name][higher] = values[higher]
+                    own.place[name][higher] = place
+                    own.envelope[name][place] = float(values.max())
     return found
 
 
@@ -162,14 +167,6 @@ def _gains_above(T: ComplexArray, known: FloatArray, stable: BoolArray) -> Float
     gains = np.zeros(len(T))
     gains[near] = largest_gains(T[near])
     return gains
-
-
-def _keep(own: Sweep, name: str, values: FloatArray, place: int) -> None:
-    """Enter the values of a metric at a place of the grid."""
-    higher = values > own.value[name]
-    own.value[name][higher] = values[higher]
-    own.place[name][higher] = place
-    own.envelope[name][place] = float(values.max())
 
 
 __all__ = ["Reach", "Sweep", "joined", "sweep"]

@@ -136,24 +136,20 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfT
     if not 1000 <= draws <= MOST_DRAWS:
         raise InputError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
     if summation == "distribution":
-        _check_draws(file, draws, requirements)
+        # Refuse a share that so many draws cannot show: `BEYOND` of them must be beyond it
+        for requirement in requirements:
+            needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
+            if needed > MOST_DRAWS:
+                most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
+                raise InputError(
+                    f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement.exact_text}'
+                )
+            if draws < needed:
+                raise InputError(
+                    f"{file}: draws must be {math.ceil(needed)} or more for {requirement.exact_text}, got {draws}"
+                )
     title = str(content.get("title", file.stem))
     return PointingBudget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
-
-
-def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) -> None:
-    """Refuse a share that so many draws cannot show: `BEYOND` of them must be beyond it."""
-    for requirement in requirements:
-        needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
-        if needed > MOST_DRAWS:
-            most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
-            raise InputError(
-                f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement.exact_text}'
-            )
-        if draws < needed:
-            raise InputError(
-                f"{file}: draws must be {math.ceil(needed)} or more for {requirement.exact_text}, got {draws}"
-            )
 
 
 def testbed_table(table: Entry) -> Entry | None:

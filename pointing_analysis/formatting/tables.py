@@ -129,10 +129,6 @@ class TextTable:
         csv.writer(stream, lineterminator="\n").writerows((self.heads, *self.rows))
         return stream.getvalue()
 
-    def as_dicts(self) -> list[dict[str, str]]:
-        """The rows for JSON, cells by their headings."""
-        return [{head: str(cell) for head, cell in zip(self.heads, row)} for row in self.rows]
-
     def html(self, css: str = "", caption: bool = False) -> str:
         """A table element, with its title as `caption` or not; cells have their headings as ``data-label``."""
         heads = "".join(f'<th scope="col"{_css(c)}>{escape(c.title)}</th>' for c in self.columns)

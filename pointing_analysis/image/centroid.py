@@ -72,7 +72,11 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
     if float(data.max()) >= camera.camera.full_well - 5.0 * camera.camera.read_noise:
         return _missing(SATURATED)
     data = data - camera.background
-    boxes = _boxes(data)
+    # Sums of 3 x 3 pixels about each pixel, fewer at the edge
+    padded = np.zeros((data.shape[0] + 2, data.shape[1] + 2))
+    padded[1:-1, 1:-1] = data
+    three = padded[:-2] + padded[1:-1] + padded[2:]
+    boxes = np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
     row, column = np.unravel_index(int(np.argmax(boxes)), boxes.shape)
     brightest, sigma = float(boxes[row, column]), np.sqrt(camera.camera.floor_variance)
     if brightest < DETECTION * 3.0 * sigma:
@@ -86,14 +90,6 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
         return _missing(TWO_STARS)
     start = _moments(data, int(row), int(column), MOMENT_THRESHOLD * sigma, camera)
     return Centroid(start) if camera.camera.centroid == "moments" else _most_likely(data, start, brightest, camera)
-
-
-def _boxes(data: FloatArray) -> FloatArray:
-    """Sums of 3 x 3 pixels about each pixel, fewer at the edge."""
-    padded = np.zeros((data.shape[0] + 2, data.shape[1] + 2))
-    padded[1:-1, 1:-1] = data
-    three = padded[:-2] + padded[1:-1] + padded[2:]
-    return np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
 
 
 def _moments(data: FloatArray, row: int, column: int, threshold: float, camera: StarCamera) -> FloatArray:

@@ -60,7 +60,10 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
         with warnings.catch_warnings(), fits.open(io.BytesIO(content), memmap=False) as file:
             warnings.simplefilter("ignore")
             pictures = [unit for unit in file if getattr(unit, "is_image", False) and unit.shape]
-            _check_sizes(pictures)
+            # A header of some kilobytes, or a compressed picture, can stand for any number of pixels
+            pixels = sum(math.prod(unit.shape) for unit in pictures)
+            if 8 * pixels > PICTURE:
+                raise InputError(f"pictures must have at most {PICTURE // 8} pixels together, got {pixels}")
             found = [(unit.name, dict(unit.header), np.array(unit.data)) for unit in pictures]
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -82,13 +85,6 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
         raise InputError(f"{WAVE_FRONT} must have the shape of the pupil {data.shape}, got {front.shape}")
     phase = 0.0 if front is None else 2 * math.pi * front.astype(float) / wavelength
     return PixelPupil(np.asarray(amplitude * np.exp(1j * phase), dtype=complex), float(scale))
-
-
-def _check_sizes(pictures: list[Any]) -> None:
-    """A header of some kilobytes, or a compressed picture, can stand for any number of pixels."""
-    pixels = sum(math.prod(unit.shape) for unit in pictures)
-    if 8 * pixels > PICTURE:
-        raise InputError(f"pictures must have at most {PICTURE // 8} pixels together, got {pixels}")
 
 
 def write_picture(path: Path, picture: FloatArray, header: dict[str, tuple[Any, str]]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -99,11 +99,6 @@ def measure(camera: StarCamera, frames: int, seed: int) -> NoisePoint:
             errors.append(found.place - place)
     noise = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
     return NoisePoint(star.magnitude, noise, noise_equivalent_angle(camera), 1.0 - len(errors) / frames)
-
-
-def at_magnitude(camera: StarCamera, magnitude: float) -> StarCamera:
-    """The camera with another guide star."""
-    return StarCamera(camera.optics, replace(camera.camera, magnitude=magnitude))
 
 
 @dataclass(frozen=True)

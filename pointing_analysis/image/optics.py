@@ -253,7 +253,14 @@ def optics_of(run: Recording) -> Optics | None:
     if found is None:
         return None
     key = json.dumps(found, sort_keys=True, default=str)
-    return _known(key, run.attachments.get(PUPIL, b""), str(run.path))
+    # Optics made once: the autocorrelation of a pupil is worth keeping
+    pupil_file, where = run.attachments.get(PUPIL, b""), str(run.path)
+    name = (key, hash(pupil_file))
+    if name not in _CACHE:
+        if len(_CACHE) > 8:
+            _CACHE.clear()
+        _CACHE[name] = from_mapping(json.loads(key), where, pupil_file)
+    return _CACHE[name]
 
 
 R = TypeVar("R", bound=Recording)
@@ -271,13 +278,3 @@ def with_optics(run: R, table: Any, pupil_file: bytes = b"") -> R:
 
 
 _CACHE: dict[tuple[str, int], Optics] = {}
-
-
-def _known(key: str, pupil_file: bytes, where: str) -> Optics:
-    """Optics made once: the autocorrelation of a pupil is worth keeping."""
-    name = (key, hash(pupil_file))
-    if name not in _CACHE:
-        if len(_CACHE) > 8:
-            _CACHE.clear()
-        _CACHE[name] = from_mapping(json.loads(key), where, pupil_file)
-    return _CACHE[name]

@@ -23,7 +23,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -114,11 +113,6 @@ def strehl(paths: FloatArray, optics: Optics) -> FloatArray:
     return figures(paths, optics, ("strehl",))["strehl"]
 
 
-def encircled_radius(paths: FloatArray, optics: Optics, percent: Literal[50, 80]) -> FloatArray:
-    """Radius that holds 50 or 80 % of the energy of each exposure: (m, N + 1, 2) [rad] -> (m,) [rad]."""
-    return figures(paths, optics, (f"ee{percent}",))[f"ee{percent}"]
-
-
 def moments(paths: FloatArray, optics: Optics) -> Moments:
     """Size and ellipticity of each exposure, with the Gaussian weight of the optics: (m, N + 1, 2) [rad] -> (m,)."""
     found = figures(paths, optics, ("size", "e1", "e2"))
@@ -190,7 +184,14 @@ def _peak(q: Quadrature, spectrum: ComplexArray, start: FloatArray) -> tuple[Flo
     far = 0.25 / float(q.radii[-1])
     here = ((spectrum * _shifted(q, place)) @ surface).real
     for _ in range(STEPS):
-        step = _ascent(here[:, 1:3], here[:, 3], here[:, 4], here[:, 5])
+        # Newton's step where the surface bends down in all directions, else one along the slope
+        slope, xx, xy, yy = here[:, 1:3], here[:, 3], here[:, 4], here[:, 5]
+        det = xx * yy - xy**2
+        down = (det > 0) & (xx < 0)
+        det = np.where(down, det, 1.0)
+        newton = np.stack([-(yy * slope[:, 0] - xy * slope[:, 1]), -(xx * slope[:, 1] - xy * slope[:, 0])], axis=-1)
+        size = np.abs(xx) + np.abs(yy) + 1e-300
+        step = np.where(down[:, None], newton / det[:, None], slope / size[:, None])
         length = np.hypot(step[:, 0], step[:, 1])
         step *= np.minimum(1.0, far / np.maximum(length, 1e-300))[:, None]
         tried = ((spectrum * _shifted(q, place + step)) @ surface).real
@@ -207,16 +208,6 @@ def peak_of(q: Quadrature, spectrum: ComplexArray, path: FloatArray) -> tuple[fl
     heights, places = _peak(q, spectrum[None], starts)
     best = int(heights.argmax())
     return float(heights[best]), places[best]
-
-
-def _ascent(slope: FloatArray, xx: FloatArray, xy: FloatArray, yy: FloatArray) -> FloatArray:
-    """Newton's step where the surface bends down in all directions, else one along the slope."""
-    det = xx * yy - xy**2
-    down = (det > 0) & (xx < 0)
-    det = np.where(down, det, 1.0)
-    newton = np.stack([-(yy * slope[:, 0] - xy * slope[:, 1]), -(xx * slope[:, 1] - xy * slope[:, 0])], axis=-1)
-    size = np.abs(xx) + np.abs(yy) + 1e-300
-    return np.where(down[:, None], newton / det[:, None], slope / size[:, None])
 
 
 def _azimuthal(q: Quadrature, values: ComplexArray) -> FloatArray:

@@ -221,11 +221,6 @@ def _upper_rank(n: int, p: float, confidence: float) -> int:
     return _binomial_quantile(confidence, n, p) + 1
 
 
-def _lower_rank(n: int, p: float, confidence: float) -> int:
-    """Largest rank r with P(Binomial(n, p) >= r) >= confidence; 0 if there is none."""
-    return _binomial_quantile(1 - confidence, n, p)
-
-
 def quantile(
     values: ArrayLike,
     probability: float,
@@ -257,7 +252,8 @@ def quantile(
     known = EffectiveSamples.of(effective_number(values) if effective is None else effective)
     number = min(known.number, x.size)
     n = max(int(number), 1)
-    low = _lower_rank(n, p, c)
+    # Largest rank r with P(Binomial(n, p) >= r) >= confidence; 0 if there is none
+    low = _binomial_quantile(1 - c, n, p)
     lower_rank = max(math.floor((low - 1) * x.size / n), 0) if low >= 1 else 0
     n, upper_rank = max(int(min(known.with_missing, x.size + missing)), 1), x.size
     if (up := _upper_rank(n, p, c)) <= n and math.isfinite(missing):

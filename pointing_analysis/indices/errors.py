@@ -101,11 +101,8 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
                 f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
                 f"got {rows[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
             )
-    return _of_live_rows(rows, dt, first * dt, open_end)
-
-
-def _of_live_rows(rows: FloatArray, dt: float, start: float, open_end: bool) -> ErrorSeries:
-    """Series of the samples that the sensor took: :mod:`pointing_analysis.indices.live_rows`."""
+    # Series of the samples that the sensor took: :mod:`pointing_analysis.indices.live_rows`
+    start = first * dt
     remarks = []
     if hold := hold_of(rows):
         rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)

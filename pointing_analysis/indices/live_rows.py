@@ -184,7 +184,12 @@ def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray
     if len(e) < settings.fewest:
         return stuck
     still = [_marks(e[:, k : k + 1], lambda rows: rows[1:-1, 0] == rows[:-2, 0]) for k in range(2)]
-    smooth = _is_smooth(e[~(still[0] & still[1])][:PART], settings)
+    # Whether the steps of rows (n, 2) change less from row to row than those of noise, by 1.4 or 1.7 of themselves
+    moving = e[~(still[0] & still[1])][:PART]
+    step = np.diff(moving, axis=0)
+    sizes = [np.abs(one).sum(axis=1) for one in (step, np.diff(step, axis=0))]
+    typical, change = (float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0 for size in sizes)
+    smooth = change <= settings.smooth * typical
     for column, repeated in enumerate(still):
         repeated[0] = False
         if not repeated.any():
@@ -193,14 +198,6 @@ def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray
         at_rest = (e[:, column] == 0.0) & (~still[1 - column] | smooth)
         stuck |= repeated & ~by_chance & ~at_rest
     return stuck
-
-
-def _is_smooth(moving: FloatArray, settings: LiveRowSettings) -> bool:
-    """Whether the steps of rows (n, 2) change less from row to row than those of noise, by 1.4 or 1.7 of themselves."""
-    step = np.diff(moving, axis=0)
-    sizes = [np.abs(one).sum(axis=1) for one in (step, np.diff(step, axis=0))]
-    typical, change = (float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0 for size in sizes)
-    return change <= settings.smooth * typical
 
 
 def _chance_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSettings) -> BoolArray:

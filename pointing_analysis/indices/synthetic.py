@@ -105,7 +105,14 @@ def write_bag(
         writer.start(profile="ros2", library="pointing_analysis.indices.synthetic")
         text = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (parameters or {}).items()}
         writer.add_metadata(METADATA_NAME, text)
-        _write_messages(writer, typed, events)
+        channels, encoders = {}, {}
+        for name, (schema, values) in typed.items():
+            encoders[name] = Encoder(schema, values.shape[1], name.strip("/").replace("/", "_"))
+            number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
+            channels[name] = writer.register_channel(_topic(name), "cdr", number)
+        for logged, stamp, name, row in events:
+            data = bytes(encoders[name].encode(stamp, typed[name][1][row]))
+            writer.add_message(channels[name], logged, data, logged, sequence=row)
         writer.finish()
     _write_yaml(folder, file.name, typed, np.array([e[0] for e in events], dtype=np.int64))
     return folder
@@ -117,17 +124,6 @@ _Signals = dict[str, tuple[str, FloatArray]]
 def _topic(name: str) -> str:
     """Absolute name of a topic, as ROS resolves it."""
     return name if name.startswith("/") else f"{NAMESPACE}/{name}"
-
-
-def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]]) -> None:
-    channels, encoders = {}, {}
-    for name, (schema, values) in typed.items():
-        encoders[name] = Encoder(schema, values.shape[1], name.strip("/").replace("/", "_"))
-        number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
-        channels[name] = writer.register_channel(_topic(name), "cdr", number)
-    for logged, stamp, name, row in events:
-        data = bytes(encoders[name].encode(stamp, typed[name][1][row]))
-        writer.add_message(channels[name], logged, data, logged, sequence=row)
 
 
 def _events(

@@ -105,16 +105,12 @@ def _line(since: FloatArray, period: float) -> tuple[FloatArray, float]:
             place = np.rint((part - offset) / period)
             if not np.ptp(place):
                 break
-            period = _slope(place, part)
+            centred = place - place.mean()
+            period = float(centred @ (part - part.mean()) / (centred @ centred))
             offset = float(np.mean(part - place * period))
         if m == since.size or not period > 0:
             return place - place[0], period
         m = min(2 * m, since.size)
-
-
-def _slope(place: FloatArray, since: FloatArray) -> float:
-    centred = place - place.mean()
-    return float(centred @ (since - since.mean()) / (centred @ centred))
 
 
 def _round_rate(period: float, place: FloatArray, since: FloatArray) -> float:

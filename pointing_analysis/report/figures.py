@@ -158,16 +158,6 @@ def _power_of_ten(value: float, _: object = None) -> str:
     return "10" + str(exponent).translate(_RAISED) if exact else ""
 
 
-def _letter_decades(figure: Figure) -> None:
-    """Plain letters on logarithmic axes that span more than a decade; below, minor ticks have labels, too."""
-    for axes in figure.axes:
-        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-            usual = type(axis.get_major_formatter()) is LogFormatterSciNotation and min(low, high) > 0.0
-            if usual and abs(math.log10(high / low)) > 2.0:
-                axis.set_major_formatter(FuncFormatter(_power_of_ten))
-                axis.set_minor_formatter(NullFormatter())
-
-
 def _svg(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
@@ -189,7 +179,13 @@ def _drawn(name: str, height: float, draw: Callable[[Figure], None], save: Calla
     with mpl.rc_context(settings):
         figure = LaidOutFigure(figsize=(WIDTH, height), layout="constrained")
         draw(figure)
-        _letter_decades(figure)
+        # Plain letters on logarithmic axes that span more than a decade; below, minor ticks have labels, too
+        for axes in figure.axes:
+            for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+                usual = type(axis.get_major_formatter()) is LogFormatterSciNotation and min(low, high) > 0.0
+                if usual and abs(math.log10(high / low)) > 2.0:
+                    axis.set_major_formatter(FuncFormatter(_power_of_ten))
+                    axis.set_minor_formatter(NullFormatter())
         return save(figure)
 
 

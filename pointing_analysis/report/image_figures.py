@@ -147,7 +147,15 @@ def draw_stars(figure: Figure, views: Sequence[ImageView], columns: int = COLUMN
             shown = np.maximum(image, top * 10**-DECADES) if log else image
             extent = (-side, side, -side, side)
             axis.imshow(shown, origin="lower", extent=extent, cmap="inferno", interpolation="none", **norm)
-            _grid(axis, pixel, side)
+            # Borders of the pixels, no ticks
+            axis.grid(False)
+            borders = np.arange(-HALF - 0.5, HALF + 1.0) * pixel
+            axis.vlines(borders, -side, side, color="#ffffff", lw=0.2, alpha=0.25)
+            axis.hlines(borders, -side, side, color="#ffffff", lw=0.2, alpha=0.25)
+            axis.set_xticks([])
+            axis.set_yticks([])
+            axis.set_xlim(-side, side)
+            axis.set_ylim(-side, side)
         path = view.shown[0] / RAD_PER_MAS
         axes[row, column].plot(path[:, 0], path[:, 1], color="#7fd3ff", lw=0.6, scalex=False, scaley=False)
         axes[row, column].set_title(f"{view.label}\n{view.strehl_text}")
@@ -155,18 +163,6 @@ def draw_stars(figure: Figure, views: Sequence[ImageView], columns: int = COLUMN
             _scale_bar(axes[row, column], side)
     axes[0, 0].set_ylabel("linear")
     axes[1, 0].set_ylabel(f"log, {DECADES:g} decades")
-
-
-def _grid(axis: Axes, pixel: float, side: float) -> None:
-    """Borders of the pixels, no ticks."""
-    axis.grid(False)
-    borders = np.arange(-HALF - 0.5, HALF + 1.0) * pixel
-    axis.vlines(borders, -side, side, color="#ffffff", lw=0.2, alpha=0.25)
-    axis.hlines(borders, -side, side, color="#ffffff", lw=0.2, alpha=0.25)
-    axis.set_xticks([])
-    axis.set_yticks([])
-    axis.set_xlim(-side, side)
-    axis.set_ylim(-side, side)
 
 
 def _scale_bar(axis: Axes, side: float, left: float | None = None) -> None:

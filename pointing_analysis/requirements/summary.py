@@ -397,17 +397,17 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     dropped = {name: run[name].integrity.nan for name in cameras}
     for name, count in dropped.items():
         if count:
-            why = _frames_without_angles(run)
+            # Reasons and counts of a camera that takes images; empty for others
+            first = "frames_"
+            found = {
+                key: value for key, value in statistics_of(run.parameters, "plant").items() if key.startswith(first)
+            }
+            why = ", ".join(
+                f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(found.items())
+            )
             what = f"without angles: {why}" if why else "dropped (NaN)"
             problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} {what}")
     return {k: v for k, v in lost.items() if v}, problems, sum(dropped.values())
-
-
-def _frames_without_angles(run: Recording) -> str:
-    """Reasons and counts of a camera that takes images; empty for others."""
-    first = "frames_"
-    found = {key: value for key, value in statistics_of(run.parameters, "plant").items() if key.startswith(first)}
-    return ", ".join(f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(found.items()))
 
 
 def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:

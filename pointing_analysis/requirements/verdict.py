@@ -312,7 +312,7 @@ def decide(
     not enough data. For ``compliant`` the samples of larger clusters that may come are above the limit, too.
     """
     effective = EffectiveSamples.of(effective)
-    above = _count_beyond(values, requirement)
+    above = sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
     rate = above / len(values)
     p, c, number = requirement.probability, requirement.confidence, effective.number
     unknown = math.isinf(missing)
@@ -355,10 +355,6 @@ def status_of(
 def beyond_limit(values: FloatArray, requirement: Requirement) -> BoolArray:
     """Which samples exceed the limit."""
     return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
-
-
-def _count_beyond(values: FloatArray, requirement: Requirement) -> int:
-    return sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
 
 
 def _missing_note(requirement: Requirement, missing: float, samples: int) -> str:

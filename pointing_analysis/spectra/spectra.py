@@ -429,16 +429,12 @@ def _fit(e: FloatArray, dt: float, omegas: ArrayLike) -> tuple[list[FloatArray],
     gram, right = np.zeros((k, k)), np.zeros((k, 2))
     for part in _fit_parts(len(e)):
         index = part.start + np.flatnonzero(present[part])
-        basis = _basis(index, dt, centre)
+        angle = np.outer(index * dt, centre)
+        basis = np.hstack([np.ones((index.size, 1)), np.cos(angle), np.sin(angle)])
         weighted = basis.T * _taper(len(e), index)
         gram += weighted @ basis
         right += weighted @ e[index]
     return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
-
-
-def _basis(rows: IntArray, dt: float, omegas: FloatArray) -> FloatArray:
-    angle = np.outer(rows * dt, omegas)
-    return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
 
 
 def without_lines(error: ArrayLike, dt: float, found: Sequence[SpectralLine]) -> FloatArray:

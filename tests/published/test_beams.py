@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from oracles.static_frame import static_displacement
 from scipy.linalg import eigh, solve
 
 from titop_plant.structures import (
@@ -14,7 +15,6 @@ from titop_plant.structures import (
     ModalData,
     Section,
     effective_masses,
-    static_displacement,
     to_modal_data,
 )
 from titop_plant.structures.beam_frame import assemble

@@ -100,7 +100,16 @@ def flexible_body(
             values[mode] = unit[mode] * parameter.nominal
     channels, Bd, Cd = _modal_parameters(n, w, z, omega, zeta, units)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(w**2), -np.diag(2 * z * w)]])
-    forcing, acc, direct = _force_and_acceleration(data)
+    # Modal forces per input; per output the factor of eta'' and the rigid part
+    taus = [data.child_tau(child.name) for child in data.children]
+    forcing = np.hstack([-data.participation, *(c.shapes.T for c in data.children)])
+    acc = np.vstack([-data.participation.T, *(c.shapes for c in data.children)])
+    size = 6 * (1 + len(taus))
+    direct = np.zeros((size, size))
+    direct[:6, :6] = -data.mass_matrix
+    for i, tau in enumerate(taus, start=1):
+        direct[:6, 6 * i : 6 * i + 6] = tau.T
+        direct[6 * i : 6 * i + 6, :6] = tau
     # eta'' = lower half of A x + Bd w + forcing u ; every output is acc @ eta'' + direct @ u (+ states)
     q, m = len(channels), forcing.shape[1]
     lower = np.hstack([Bd[n:], forcing])
@@ -167,20 +176,6 @@ def _modal_parameters(
         Ddd[row, column] = value
     Bd = np.array(columns).T.reshape(2 * n, q)
     return tuple(channels), Bd, (np.array(rows).reshape(q, 2 * n), Ddd)
-
-
-def _force_and_acceleration(data: ModalData) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Modal forces per input; per output the factor of eta'' and the rigid part."""
-    taus = [data.child_tau(child.name) for child in data.children]
-    forcing = np.hstack([-data.participation, *(c.shapes.T for c in data.children)])
-    acc = np.vstack([-data.participation.T, *(c.shapes for c in data.children)])
-    size = 6 * (1 + len(taus))
-    direct = np.zeros((size, size))
-    direct[:6, :6] = -data.mass_matrix
-    for i, tau in enumerate(taus, start=1):
-        direct[:6, 6 * i : 6 * i + 6] = tau.T
-        direct[6 * i : 6 * i + 6, :6] = tau
-    return forcing, acc, direct
 
 
 def _append_motion(C: FloatArray, D: FloatArray, rotation_shapes: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:

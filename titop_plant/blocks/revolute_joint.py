@@ -113,7 +113,22 @@ def on_revolute_joint(
     accel, wrench = ports.accel(point), ports.wrench(point)
     joint = _joint(u, stiffness, damping, accel, wrench, Port(torque, 1, "Nm"), Port(angle, 1, "rad"))
     if rotor is not None:
-        joint = _with_rotor(joint, u, stiffness, damping, rotor)
+        # The joint with two states more, psi and psi', and the input `MOTOR`
+        n, (A, B, C, D) = rotor.gear_ratio, joint.matrices
+        held = n**2 * np.array([rotor.stiffness, rotor.damping])
+        spring = np.array([stiffness, damping])
+        # Torque on the rotor at the output of the gear, of phi, phi', psi, psi'; then of the motor's torque.
+        on_rotor, motor = np.concatenate([spring, -spring - held]), n
+        whole = np.zeros((4, 4))
+        whole[:2, :2], whole[2, 3], whole[3] = A, 1.0, on_rotor / (n**2 * rotor.inertia)
+        inputs = np.zeros((4, B.shape[1] + 1))
+        inputs[:2, :-1], inputs[3, 3:6] = B, -u / n
+        inputs[3, -1] = motor / (n**2 * rotor.inertia)
+        outputs, direct = np.hstack([C, np.zeros((len(C), 2))]), np.hstack([D, np.zeros((len(D), 1))])
+        outputs[12, 2:] += spring  # the spring ends at the rotor
+        outputs[9:12] -= np.outer(u, on_rotor / n)  # what changes the rotor's momentum acts on the parent
+        direct[9:12, -1] -= u * motor / n
+        joint = state_space(whole, inputs, outputs, direct, [*joint.inputs, Port(MOTOR, 1, "Nm")], list(joint.outputs))
     return _inverted(child, joint, point)
 
 
@@ -134,25 +149,6 @@ def _joint(
     D[12, 7:13], D[12, 13] = turn[:, 0], 1.0  # torque balance, set to zero by the inversion below
     C[13] = [1.0, 0.0]
     return state_space(A, B, C, D, [accel, SWING, REACTION, torque], [MOVED, wrench, BALANCE, angle])
-
-
-def _with_rotor(joint: System, u: FloatArray, stiffness: float, damping: float, rotor: DriveRotor) -> System:
-    """The joint with two states more, psi and psi', and the input `MOTOR`."""
-    n, (A, B, C, D) = rotor.gear_ratio, joint.matrices
-    held = n**2 * np.array([rotor.stiffness, rotor.damping])
-    spring = np.array([stiffness, damping])
-    # Torque on the rotor at the output of the gear, of phi, phi', psi, psi'; then of the motor's torque.
-    on_rotor, motor = np.concatenate([spring, -spring - held]), n
-    whole = np.zeros((4, 4))
-    whole[:2, :2], whole[2, 3], whole[3] = A, 1.0, on_rotor / (n**2 * rotor.inertia)
-    inputs = np.zeros((4, B.shape[1] + 1))
-    inputs[:2, :-1], inputs[3, 3:6] = B, -u / n
-    inputs[3, -1] = motor / (n**2 * rotor.inertia)
-    outputs, direct = np.hstack([C, np.zeros((len(C), 2))]), np.hstack([D, np.zeros((len(D), 1))])
-    outputs[12, 2:] += spring  # the spring ends at the rotor
-    outputs[9:12] -= np.outer(u, on_rotor / n)  # what changes the rotor's momentum acts on the parent
-    direct[9:12, -1] -= u * motor / n
-    return state_space(whole, inputs, outputs, direct, [*joint.inputs, Port(MOTOR, 1, "Nm")], list(joint.outputs))
 
 
 def _inverted(child: System, joint: System, point: str) -> System:

@@ -18,16 +18,8 @@ from lftkit import Port, RealParameter, System, connect
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from titop_plant import ports
-from titop_plant.structures.kinematics import skew
 
 _VECTOR = Port("v", 3)
-
-
-def rotation_matrix(axis: ArrayLike, theta: float) -> FloatArray:
-    """Rotation by theta [rad] about a unit axis: **v_fixed = R v_turned** (Rodrigues)."""
-    u = _unit(axis)
-    K = skew(u)
-    return np.asarray(np.eye(3) + np.sin(theta) * K + (1.0 - np.cos(theta)) * K @ K)
 
 
 def rotation(axis: ArrayLike, tau: RealParameter, port: Port = _VECTOR, *, sign: float = 1.0) -> System:

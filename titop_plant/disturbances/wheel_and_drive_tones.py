@@ -168,7 +168,9 @@ def design_tones(telescope: Telescope, plant: FrequencyResponse, rng: np.random.
     seen = rpe_weight(omega, telescope.weights.rpe_window)
     inputs, edge = telescope.channels, 5 * len(telescope.wheels)
     wheels, drives = slice(0, edge), slice(edge, inputs)
-    peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), telescope.design_scenario.tones)
+    values = seen * largest_gains(response[:, :, wheels])
+    inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
+    peaks = [int(k) for k in inner[np.argsort(values[inner])[::-1][: telescope.design_scenario.tones]]]
     chosen = [(k, wheels) for k in peaks]
     if inputs > edge:
         chosen.append((int(np.argmax(seen * largest_gains(response[:, :, drives]))), drives))
@@ -233,8 +235,3 @@ def loudest_speeds(telescope: Telescope, plant: System, senses: FloatArray) -> F
         found[i] = omega[np.argmax(np.where(free & (omega <= tops[i]), seen * np.sqrt(power), -1.0))]
         free &= np.abs(omega - found[i]) > MODE_WIDTH * found[i]
     return found
-
-
-def _highest_peaks(values: FloatArray, count: int) -> list[int]:
-    inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
-    return [int(k) for k in inner[np.argsort(values[inner])[::-1][:count]]]

@@ -1,7 +1,7 @@
 """Structures: beam frames and finite-element results reduced to modal data of TITOP bodies."""
 
 from titop_plant.structures.beam_element import Section
-from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, static_displacement, to_modal_data
+from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, to_modal_data
 from titop_plant.structures.mass_summary import MassProperties, MassSummary, mass_summary
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
@@ -43,7 +43,6 @@ __all__ = [
     "read_nastran_matrices",
     "repair_residual_mass",
     "smallest_residual_fraction",
-    "static_displacement",
     "to_modal_data",
     "write_modal_data",
 ]

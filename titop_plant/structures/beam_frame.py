@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag, solve
+from scipy.linalg import block_diag
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
@@ -238,32 +238,3 @@ def to_modal_data(
     clamped = np.arange(first[parent], first[parent] + 6)
     free = FreeStructure(frame.name, M, K, rigid)
     return clamped_body(free, (parent, frame.nodes[parent]), clamped, rows, n_modes, damping)
-
-
-def static_displacement(frame: BeamFrame, parent: str, loads: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
-    """Displacement of every node of the clamped frame under steady wrenches.
-
-    Parameters
-    ----------
-    frame : BeamFrame
-    parent : str
-        Clamped node.
-    loads : mapping of str to array_like, shape (6,)
-        Wrench (N, N m) at nodes.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (6,)
-        Translation (m) and rotation (rad) of every node.
-    """
-    names, _, K = assemble(frame)
-    force = np.zeros(K.shape[0])
-    for node, wrench in loads.items():
-        if node not in names:
-            raise InputError(f"{frame.name}: loaded node must be one of {list(frame.nodes)}, got {node!r}")
-        force[6 * names.index(node) : 6 * names.index(node) + 6] += read_only(wrench, (6,), f"load at {node!r}")
-    clamped = 6 * names.index(parent)
-    free = np.delete(np.arange(K.shape[0]), np.arange(clamped, clamped + 6))
-    displacement = np.zeros(K.shape[0])
-    displacement[free] = solve(K[np.ix_(free, free)], force[free], assume_a="pos")
-    return {name: displacement[6 * i : 6 * i + 6] for i, name in enumerate(names)}

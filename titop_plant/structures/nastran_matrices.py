@@ -101,7 +101,17 @@ def read_nastran_matrices(
     turn = _to_basic(geometry, coordinates, str(bdf))
     K, M = (turn.T @ _matrix(model.dmigs[key], coordinates, stated) @ turn for key in names)
     rigid = _rigid_motions(coordinates, {grid: stated.length * (place - point) for grid, place in positions.items()}, K)
-    _check_free(coordinates, rigid, K, f"{path}: {names[0]}")
+    # Refuse a stiffness against rigid motions
+    what = f"{path}: {names[0]}"
+    forces, parts = np.abs(K @ rigid), np.abs(K) @ np.abs(rigid)
+    share = forces.max(axis=0) / np.maximum(parts.max(axis=0), 1e-300)
+    if share.max() > RIGID:
+        axis = int(share.argmax())
+        where = coordinates[int(forces[:, axis].argmax())]
+        raise InputError(
+            f"{what} must have no force for rigid motions, got {share[axis]:.2g} of those of single "
+            f"coordinates in {AXES[axis]} at GRID {where[0]}: a grounded component, or positions of another one"
+        )
     clamped = np.array([k for k, (grid, _) in enumerate(coordinates) if grid in interface.clamped])
     if linalg.svdvals(rigid[clamped] / np.maximum(1e-300, np.abs(rigid[clamped]).max(axis=0)))[-1] < 1e-6:
         got = {grid: "".join(str(one) for of, one in coordinates if of == grid) for grid in interface.clamped}
@@ -213,16 +223,3 @@ def _rigid_motions(
     if np.any(coupling):
         rigid[~physical] = -linalg.lstsq(inner, coupling @ rigid[physical])[0]
     return rigid
-
-
-def _check_free(coordinates: list[Coordinate], rigid: FloatArray, stiffness: FloatArray, what: str) -> None:
-    """Refuse a stiffness against rigid motions."""
-    forces, parts = np.abs(stiffness @ rigid), np.abs(stiffness) @ np.abs(rigid)
-    share = forces.max(axis=0) / np.maximum(parts.max(axis=0), 1e-300)
-    if share.max() > RIGID:
-        axis = int(share.argmax())
-        where = coordinates[int(forces[:, axis].argmax())]
-        raise InputError(
-            f"{what} must have no force for rigid motions, got {share[axis]:.2g} of those of single "
-            f"coordinates in {AXES[axis]} at GRID {where[0]}: a grounded component, or positions of another one"
-        )

@@ -43,7 +43,7 @@ with the input ``actuator_force``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -397,14 +397,9 @@ def _with_wrenches(wires: list[Connection], acting: Sequence[tuple[str, str]]) -
 
 def _flexible(telescope: Telescope, kind: str, data: ModalData, idle: set[str], **options: Any) -> System:
     """Central body or payload with its uncertain modes, without the wrench inputs of the idle points."""
-    return _without_loads(
-        flexible_body(data, **factors_of_modes(telescope.factors, kind, data.n_modes), **options), idle
-    )
-
-
-def _without_loads(body: System, points: Iterable[str]) -> System:
-    """Remove the wrench inputs of points without an attached body."""
-    loads = {f"wrench_{point}" for point in points}
+    # Remove the wrench inputs of points without an attached body
+    body = flexible_body(data, **factors_of_modes(telescope.factors, kind, data.n_modes), **options)
+    loads = {f"wrench_{point}" for point in idle}
     if not loads:
         return body
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])

@@ -50,7 +50,17 @@ def body_modes(body: MountedBody) -> ModalData:
     """
     table, name = body.modes, body.kind.replace("_", " ")
     if table is None:
-        return _from_file(body, name)
+        path = body.modal_data
+        try:
+            data = read_modal_data(path)
+        except OSError as error:
+            raise InputError(f"{body.name}: modal_data must be a readable file, got {path}: {error.strerror}") from None
+        if data.children or not data.n_modes:
+            got = f"{len(data.children)} points and {data.n_modes} modes"
+            raise InputError(
+                f"{body.name}: modal_data must hold modes and no points for other bodies, got {got} in {path}"
+            )
+        return replace(data, name=name)
     mass = from_inertia(table.mass, table.inertia_at_cg, table.center_of_mass, name)
     frequencies, participation = np.array(table.frequencies, dtype=float), np.array(table.participation)
     damping = np.full(len(frequencies), table.damping)
@@ -61,18 +71,6 @@ def body_modes(body: MountedBody) -> ModalData:
         for m in table.further_modes
     ]
     return add_residual_modes(repair_residual_mass(printed).data, modes)
-
-
-def _from_file(body: MountedBody, name: str) -> ModalData:
-    path = body.modal_data
-    try:
-        data = read_modal_data(path)
-    except OSError as error:
-        raise InputError(f"{body.name}: modal_data must be a readable file, got {path}: {error.strerror}") from None
-    if data.children or not data.n_modes:
-        got = f"{len(data.children)} points and {data.n_modes} modes"
-        raise InputError(f"{body.name}: modal_data must hold modes and no points for other bodies, got {got} in {path}")
-    return replace(data, name=name)
 
 
 def uncertain_modes(body: MountedBody, telescope: Telescope) -> dict[int, RealParameter]:

@@ -276,7 +276,14 @@ def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
     """Reaction wheels of the tables of a parameter file, in its order."""
     given = tables[WHEELS]
     if isinstance(given, Mapping):
-        return _pyramid(given)
+        # Wheels of one kind about +z
+        azimuths = np.radians(given["azimuths_deg"])
+        axes = pyramid_axes(math.radians(given["cant_deg"]), azimuths.tolist()).T
+        found = []
+        for i, (azimuth, axis, speed) in enumerate(zip(azimuths, axes, given["default_speed"]), start=1):
+            position = given["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+            found.append(_wheel(given, f"wheel_{i}", axis, position, speed))
+        return tuple(found)
     return tuple(
         _wheel(table, str(table["name"]), _direction(table["axis"]), table["position"], table["default_speed"])
         for table in given
@@ -332,17 +339,6 @@ def _direction(axis: Sequence[float]) -> FloatArray:
     """Unit vector."""
     vector = np.array(axis, dtype=float)
     return np.asarray(vector / math.sqrt(vector @ vector))
-
-
-def _pyramid(table: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
-    """Wheels of one kind about +z."""
-    azimuths = np.radians(table["azimuths_deg"])
-    axes = pyramid_axes(math.radians(table["cant_deg"]), azimuths.tolist()).T
-    found = []
-    for i, (azimuth, axis, speed) in enumerate(zip(azimuths, axes, table["default_speed"]), start=1):
-        position = table["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-        found.append(_wheel(table, f"wheel_{i}", axis, position, speed))
-    return tuple(found)
 
 
 def speed_names(count: int) -> tuple[str, ...]:

@@ -98,9 +98,9 @@ def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sens
 
 @lru_cache(maxsize=4)
 def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces: bool, sensitivity: float) -> System:
-    from lftkit import append, connect, static_gain
+    from lftkit import append, connect, read_mat, read_system, static_gain
 
-    system = _read(path)
+    system = read_system(path) if Path(path).suffix.lower() == ".json" else read_mat(path)
     system.require_real()
     if system.dt:
         raise InputError(f"{path}: the plant must be continuous, got the period {system.dt:g} s")
@@ -138,12 +138,6 @@ def _check_speeds(path: str, system: System, wheels: int) -> None:
     named = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
     if named and named != set(speed_names(wheels)):
         raise InputError(f"{path}: blocks must have {', '.join(speed_names(wheels))} or none, got {', '.join(named)}")
-
-
-def _read(path: str) -> System:
-    from lftkit import read_mat, read_system
-
-    return read_system(path) if Path(path).suffix.lower() == ".json" else read_mat(path)
 
 
 def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Port]) -> tuple[Port, ...]:

@@ -103,7 +103,8 @@ def with_limits(
         raise file.error("requirement", str(error)) from None
     for key, value in given.items():
         for i in defining[key]:
-            changed = _changed(found[i], key, value)
+            requirement = found[i]
+            changed = replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
             if found[i].name in names and not _same(found[i], changed):
                 raise file.error(
                     f"weights.{key}",
@@ -215,10 +216,6 @@ def _strictest(requirements: Sequence[Requirement], wanted: Any) -> int | None:
     """Place of the smallest limit, both axes together, of the requirements that are wanted."""
     places = [i for i, r in enumerate(requirements) if not r.axis and wanted(r)]
     return min(places, key=lambda i: requirements[i].limit, default=None)
-
-
-def _changed(requirement: Requirement, key: str, value: float) -> Requirement:
-    return replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
 
 
 def _same(one: Requirement, other: Requirement) -> bool:

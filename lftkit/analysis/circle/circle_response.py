@@ -142,7 +142,12 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
         found = Modes(found.poles, vectors, np.zeros((n, n)), lapack.dgetrf(vectors)[:2])
         off = _residual(A, found)
         gap, angle = _polar(found.poles, off)
-    couplings = _couplings(A, found, off)
+    # Magnitudes of what is left of the residual beside the diagonal, with its own rounding
+    size = np.abs(off)
+    inverse = len(A) / max(found.reciprocal_condition, EPS)
+    doubt = inverse * (EPS * float(size.max(initial=0.0)) + TWICE * float(np.abs(A).max(initial=0.0)))
+    size[np.diag_indices(len(A))] = 0.0
+    couplings = size + doubt
     reach = couplings.sum(axis=1)
     band = 1.0 - limit
     if np.any(np.abs(gap - band) <= 2.0 * reach):
@@ -157,15 +162,6 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
     residues = (left.T[:, :, None] * right[:, None, :]).reshape(n, -1)
     inexact = rows * error + 4.0 * EPS * rows * columns
     return CircleModes(angle, gap, residues, rows * columns, inexact, couplings * rows[:, None] * columns, D), True
-
-
-def _couplings(A: FloatArray, found: Modes, off: ComplexArray) -> FloatArray:
-    """Magnitudes of what is left of the residual beside the diagonal, with its own rounding."""
-    size = np.abs(off)
-    inverse = len(A) / max(found.reciprocal_condition, EPS)
-    doubt = inverse * (EPS * float(size.max(initial=0.0)) + TWICE * float(np.abs(A).max(initial=0.0)))
-    size[np.diag_indices(len(A))] = 0.0
-    return size + doubt
 
 
 def _residual(A: FloatArray, found: Modes) -> ComplexArray:

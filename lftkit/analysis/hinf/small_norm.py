@@ -182,7 +182,14 @@ class SmallModel(NamedTuple):
         D = self.system[3]
         response = (1.0 / (1j * frequencies[:, None] - self.poles)) @ self.residues
         response += D.ravel()
-        gains = _gains(response, D.shape)
+        # Largest singular value of each response, a row (p m) of the stack
+        shape = D.shape
+        gains: list[float]
+        if 1 in shape:
+            parts = response.view(float)
+            gains = np.sqrt(np.einsum("ij,ij->i", parts, parts)).tolist()
+        else:
+            gains = largest_gains(response.reshape(-1, *shape)).tolist()
         gain = max(gains)
         return (np.inf, self.direct) if self.direct > gain else (float(frequencies[gains.index(gain)]), gain)
 
@@ -255,14 +262,3 @@ def _residues(left: FloatArray, right: FloatArray, heights: list[float]) -> Comp
         residues.imag = across[partner] - across
         residues *= 0.5
     return residues
-
-
-def _gains(responses: ComplexArray, shape: tuple[int, ...]) -> list[float]:
-    """Largest singular value of each response, a row (p m) of the stack."""
-    gains: list[float]
-    if 1 in shape:
-        parts = responses.view(float)
-        gains = np.sqrt(np.einsum("ij,ij->i", parts, parts)).tolist()
-    else:
-        gains = largest_gains(responses.reshape(-1, *shape)).tolist()
-    return gains

@@ -88,7 +88,11 @@ def format_of(path: Path) -> Format:
         No such file, where the name is that of no table.
     """
     if path.is_dir():
-        return _folder(path)
+        # A bag, if anything in the folder is of one; the reader reports a bag with missing files
+        names = [entry.name for entry in path.iterdir()]
+        if not any(name == "metadata.yaml" or ".mcap" in name or ".db3" in name for name in names):
+            raise InputError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")
+        return Format.BAG
     if not path.is_file():
         if path.suffix.lower() in ("", ".mcap", ".db3", ".bag", ".zstd"):
             raise BagError(f"{path}: no such file or folder")
@@ -112,14 +116,6 @@ def format_of(path: Path) -> Format:
         advice = f"; to convert it: {how}" if how else ""
         raise InputError(f"{path}: file must be one of {FORMATS}; got {kind}{advice}")
     return found
-
-
-def _folder(path: Path) -> Format:
-    """A bag, if anything in the folder is of one; the reader reports a bag with missing files."""
-    names = [entry.name for entry in path.iterdir()]
-    if not any(name == "metadata.yaml" or ".mcap" in name or ".db3" in name for name in names):
-        raise InputError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")
-    return Format.BAG
 
 
 def _without_digits(path: Path) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
-from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.attitude import quaternion_of
 from pointing_analysis.read.series import LOS, Provenance, Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
@@ -137,17 +137,7 @@ def _series_of(table: Table, los: str | None, unit: str | None, rate: float | No
             stamps = column_stamps(when, times, rate, unit_of_time)
     except ValueError as error:
         raise InputError(f"{error}{unused}") from None
-    _check_rows(table, stamps, xy)
-    if unused:
-        problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
-    about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
-    provenance = Provenance(table.path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
-    found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
-    return found if stated_rate is None else _with_rate_note(found, stated_rate)
-
-
-def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
-    """Refuse fewer than two samples, and two samples of one time that differ: of two records in one file."""
+    # Refuse fewer than two samples, and two samples of one time that differ: of two records in one file
     count = int(np.isfinite(xy).all(axis=1).sum())
     if count < 2:
         raise InputError(f"{table.path}: line of sight must have two or more rows with both values, got {count}")
@@ -162,6 +152,12 @@ def _check_rows(table: Table, stamps: IntArray, xy: FloatArray) -> None:
             f"the first in sample {first + 1}, {since:g} s after the earliest one (two records in one file? too few "
             "digits? --time none --rate HERTZ reads the rows in their order)"
         )
+    if unused:
+        problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
+    about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
+    provenance = Provenance(table.path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
+    found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
+    return found if stated_rate is None else _with_rate_note(found, stated_rate)
 
 
 def _with_rate_note(found: Series, stated: float) -> Series:

@@ -75,26 +75,7 @@ def rows_of(path: Path) -> Rows:
     InputError
         Not text, no rows, rows of different length, columns of the same name, two decimal marks.
     """
-    text, notes = _decoded(path)
-    every = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    named = _SEPARATOR_LINE.match(every[0][1]) if every else None
-    lines = [pair for pair in (every[1:] if named else every) if not _is_comment(pair[1])]
-    lines = _without_comments_in_front(lines)
-    if not lines:
-        raise InputError(f"{path}: table must have rows, got none")
-    titles, separator = _titles(lines, named[1] if named else None)
-    if titles:
-        notes.append(f"{counted(titles, 'line')} in front of the header skipped")
-    lines = lines[titles:]
-    marks = "".join((*COMMENT, *COMMENT_IN_FRONT))
-    comments = [line.lstrip().lstrip(marks).strip() for number, line in every if number < lines[0][0]]
-    names, rows = _names_and_rows(path, lines, comments, separator)
-    found = _even(path, Rows(names, rows, ["" for _ in names], notes=tuple(notes)))
-    return _with_units(found, comments)
-
-
-def _decoded(path: Path) -> tuple[str, list[str]]:
-    """Text of a file in UTF-8, UTF-16, UTF-32 or Windows-1252, and a note of the last one."""
+    # Text of a file in UTF-8, UTF-16, UTF-32 or Windows-1252, and a note of the last one
     try:
         content = read_bytes(path, TABLE)
     except OSError as error:
@@ -116,7 +97,21 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     if (zero := text.find("\0")) >= 0:
         row = text.count("\n", 0, zero) + 1
         raise InputError(f"{path}: row {row} must be text, got zero bytes: the file was not written to its end")
-    return text, notes
+    every = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    named = _SEPARATOR_LINE.match(every[0][1]) if every else None
+    lines = [pair for pair in (every[1:] if named else every) if not _is_comment(pair[1])]
+    lines = _without_comments_in_front(lines)
+    if not lines:
+        raise InputError(f"{path}: table must have rows, got none")
+    titles, separator = _titles(lines, named[1] if named else None)
+    if titles:
+        notes.append(f"{counted(titles, 'line')} in front of the header skipped")
+    lines = lines[titles:]
+    marks = "".join((*COMMENT, *COMMENT_IN_FRONT))
+    comments = [line.lstrip().lstrip(marks).strip() for number, line in every if number < lines[0][0]]
+    names, rows = _names_and_rows(path, lines, comments, separator)
+    found = _even(path, Rows(names, rows, ["" for _ in names], notes=tuple(notes)))
+    return _with_units(found, comments)
 
 
 def _is_comment(line: str) -> bool:
@@ -134,10 +129,6 @@ def _without_comments_in_front(lines: list[Line]) -> list[Line]:
         if mark is None or (mark == ";" and line.count(";") == lines[-1][1].count(";")) or are_values([line[:2]]):
             return lines[i:]
     return []
-
-
-def _split(text: str, separator: str | None) -> list[str]:
-    return next(csv.reader([text], delimiter=separator), []) if separator else text.split()
 
 
 def _titles(lines: Sequence[Line], stated: str | None) -> tuple[int, str | None]:
@@ -161,7 +152,7 @@ def _titles(lines: Sequence[Line], stated: str | None) -> tuple[int, str | None]
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    cells = _split(line, separator)
+    cells = next(csv.reader([line], delimiter=separator), []) if separator else line.split()
     return with_points(cells) if separator != "," or '"' in line else cells
 
 

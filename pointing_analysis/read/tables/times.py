@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lftkit.errors import InputError
-from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.arrays import IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
 from pointing_analysis.read.tables.dates import DATES
 from pointing_analysis.read.tables.table import Column, Table, split_unit
@@ -102,7 +102,24 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
         whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column.astype(float)).astype(np.int64)
     else:
         if not unit and rate is None and _base(name) != "seconds":
-            _check_seconds(name, column.astype(float))
+            # Refuse numbers without a unit that may be milliseconds, or days, as well
+            times = column.astype(float)
+            step = float(np.median(np.diff(np.sort(times)))) if times.size > 1 else 0.0
+            if _are_sample_numbers(name, times):
+                raise InputError(
+                    f"rate must be given where the times are sample numbers (--rate HERTZ), got none for {name}"
+                )
+            if 0.0 < step < CLOSEST:
+                raise InputError(
+                    f"unit of the times must be known where they are {step:.3g} apart, as days are: {name} (d) or "
+                    f"{name} (s) as the name of the column, or --time {name}_d, --time {name}_s; got {name!r} "
+                    "without one"
+                )
+            if step >= FARTHEST * (1 - 1e-9):
+                raise InputError(
+                    f"unit of the times must be known where they are {step:g} apart: {name} (s), {name} (ms) or the "
+                    f"like as the name of the column, or --time {name}_s, --time {name}_ms; got {name!r} without one"
+                )
         return stamps_of(column.astype(float) * UNITS[unit], len(column), rate)
     return np.asarray((whole - whole.min() if whole.size else whole) + ORIGIN)
 
@@ -131,20 +148,3 @@ def since_first_week(name: str, columns: Mapping[str, Column], unit: str) -> Col
         return column
     since = columns[weeks[0]].astype(float) - float(columns[weeks[0]].min())
     return np.asarray(column.astype(float) + since * (7 * UNITS["d"] / UNITS.get(unit, 1.0)))
-
-
-def _check_seconds(name: str, times: FloatArray) -> None:
-    """Refuse numbers without a unit that may be milliseconds, or days, as well."""
-    step = float(np.median(np.diff(np.sort(times)))) if times.size > 1 else 0.0
-    if _are_sample_numbers(name, times):
-        raise InputError(f"rate must be given where the times are sample numbers (--rate HERTZ), got none for {name}")
-    if 0.0 < step < CLOSEST:
-        raise InputError(
-            f"unit of the times must be known where they are {step:.3g} apart, as days are: {name} (d) or {name} (s) "
-            f"as the name of the column, or --time {name}_d, --time {name}_s; got {name!r} without one"
-        )
-    if step >= FARTHEST * (1 - 1e-9):
-        raise InputError(
-            f"unit of the times must be known where they are {step:g} apart: {name} (s), {name} (ms) or the like as "
-            f"the name of the column, or --time {name}_s, --time {name}_ms; got {name!r} without one"
-        )

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from scipy import linalg
+from support.paper_problem import actuator_structure
 
-from fsm_pma_controller.problem import actuator_plant, actuator_structure
+from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem
 from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem, worst_values

@@ -12,8 +12,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from oracles.accurate_response import extended_response
+from support.paper_problem import actuator_structure, observer_requirements
 
-from fsm_pma_controller.problem import actuator_plant, actuator_structure
+from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
 from lftkit.tuning import certify
@@ -23,7 +24,7 @@ from los_design.figures.paper_case import FAMILY, PaperCase
 from los_design.figures.paper_figures import FIGURES, draw
 from los_design.search.worst_case_search import points_with_ends
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
+from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import design_actuators, design_observer
 from los_design.verification.verification import check_paper

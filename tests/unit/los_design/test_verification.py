@@ -105,8 +105,8 @@ def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> Non
     """Peaks that can't be the largest are not refined; those of a point alone always are."""
     points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 3)]
     loop = ImplementedLoop(OpenLoop(small_family(), telescope), *quiet_pair(), "fsm+pma")
-    alone = [stage_check.check_stage(loop, [point], changes=False).worst for point in points]
-    together = stage_check.check_stage(loop, points, changes=False).worst
+    alone = [stage_check.check_stages([loop], [point], changes=False)[0].worst for point in points]
+    together = stage_check.check_stages([loop], points, changes=False)[0].worst
     for name, worst in together.items():
         largest = max((one[name] for one in alone), key=lambda one: one.gamma)
         assert worst.gamma == pytest.approx(largest.gamma, rel=1e-5), name

@@ -24,7 +24,7 @@ from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification import stage_check
 from los_design.verification.loop_models import figures_of
-from los_design.verification.stage_check import check_stage
+from los_design.verification.stage_check import check_stages
 from los_design.verification.verification import verification_points
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
@@ -237,7 +237,7 @@ def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
             search = Search(ImplementedLoop(open_loop, *pair, "fsm+pma"), SMALL)
             loop = ImplementedLoop(open_loop, *pair, "fsm")
             found.append(search.run(["fast", "force"], workers=workers))
-            checked.append(check_stage(loop, at, changes=False, workers=workers))
+            checked += check_stages([loop], at, changes=False, workers=workers)
     for name, points in found[0].items():
         assert [p.to_mapping() for p in points] == [p.to_mapping() for p in found[1][name]]
     one, other = checked

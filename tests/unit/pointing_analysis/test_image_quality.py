@@ -14,7 +14,7 @@ from pointing_analysis.image.motion_blur import centred, exposures, worst_transf
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, with_optics
 from pointing_analysis.image.pupil import AnnularPupil
 from pointing_analysis.image.quadrature import Quadrature
-from pointing_analysis.image.quality import encircled_energy, encircled_radius, figures, moments, strehl
+from pointing_analysis.image.quality import encircled_energy, figures, moments, strehl
 from pointing_analysis.image.star_image import blurred, star_image, widths
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.read.series import Series, series
@@ -40,7 +40,7 @@ def test_encircled_energy_of_a_circle() -> None:
     expected = 1 - special.j0(v) ** 2 - special.j1(v) ** 2
     assert np.abs(encircled_energy(STILL, CIRCLE, radii) - expected).max() < 1e-9
     for percent in (50, 80):
-        found = encircled_radius(STILL, CIRCLE, percent)[0]
+        found = figures(STILL, CIRCLE, (f"ee{percent}",))[f"ee{percent}"][0]
         v = math.pi * found / CIRCLE.resolution
         assert 1 - special.j0(v) ** 2 - special.j1(v) ** 2 == pytest.approx(percent / 100, abs=1e-9)
 

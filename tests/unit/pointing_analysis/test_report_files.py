@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -197,7 +196,6 @@ def test_all_forms_have_the_same_cells() -> None:
     assert of_html(TABLE) == wanted
     assert of_markdown(TABLE) == wanted
     assert of_latex(latex_table(TABLE)) == wanted
-    assert [list(row.values()) for row in json.loads(json.dumps(TABLE.as_dicts()))] == wanted
 
 
 @pytest.mark.parametrize("character", list('\\{}&%$#_~^<>|"[]*-\n\x00\x1b'))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.static_frame import static_displacement
 from scipy.linalg import eigvalsh
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +31,6 @@ from titop_plant.structures import (
     read_modal_data,
     repair_residual_mass,
     smallest_residual_fraction,
-    static_displacement,
     to_modal_data,
     write_modal_data,
 )

@@ -171,7 +171,14 @@ def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: 
         if kind == ARRAYS:
             drive = {key: reference[ARRAYS][key] for key in ("drive_axis", "theta_range")}
             full = {**drive, **full}
-            _check_angle(name, full, file)
+            low, high = full["theta_range"]
+            if low > high or (low < high and not low <= 0.0 <= high):
+                raise file.error(
+                    f"{name}.theta_range",
+                    f"must be increasing and contain 0, or be one angle twice, got {low:g} to {high:g}",
+                )
+            if not any(full["drive_axis"]):
+                raise file.error(f"{name}.drive_axis", "must be a direction, got zeros")
             check_mechanisms(name, full, file)
         if full.get("modal_data") and "modal_data" in table:
             full["modal_data"] = str(Path(file.path).parent / full["modal_data"])
@@ -231,16 +238,6 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
         ) from None
     except ValueError as error:
         raise file.error(f"{name}.modal_data", f"must be modal data: {error}") from None
-
-
-def _check_angle(name: str, full: Table, file: ParameterFile) -> None:
-    low, high = full["theta_range"]
-    if low > high or (low < high and not low <= 0.0 <= high):
-        raise file.error(
-            f"{name}.theta_range", f"must be increasing and contain 0, or be one angle twice, got {low:g} to {high:g}"
-        )
-    if not any(full["drive_axis"]):
-        raise file.error(f"{name}.drive_axis", "must be a direction, got zeros")
 
 
 def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:

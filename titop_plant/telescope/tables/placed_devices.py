@@ -43,33 +43,25 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
             name = f"{kind}[{i}]"
             if table.get("name") in COLUMNS:  # controllers know devices by the names of their ports
                 raise file.error(f"{name}.name", f"must not be one of {', '.join(COLUMNS)}, got {table['name']!r}")
-            _check_place(name, kind, table, whole, file)
-            _check_axes(name, kind, table, file)
+            if not table.get("place"):
+                raise file.error(name, "has no 'place'")
+            places = (*([REFERENCE_POINT] if kind == SENSOR else []), *device_nodes(read_nodes(whole)))
+            if table["place"] not in places:
+                raise file.error(f"{name}.place", f"must be one of {', '.join(places)}, got {table['place']!r}")
+            if kind == ACTUATOR and "axis" not in table:
+                raise file.error(name, "has no 'axis'")
+            axes = [table["axis"]] if kind == ACTUATOR else table.get("axes", [])
+            if "axes" in table and not 1 <= len(axes) <= 3:
+                raise file.error(f"{name}.axes", f"must be one to three unit vectors, got {len(axes)}")
+            for axis in axes:
+                length = math.sqrt(sum(entry**2 for entry in axis))
+                if abs(length - 1.0) > UNIT_WITHIN:
+                    key = f"{name}.{'axis' if kind == ACTUATOR else 'axes'}"
+                    raise file.error(key, f"must be a unit vector, got {axis} of length {length:.4g}")
             if kind == SENSOR:
                 _check_sensor(name, table, file)
             elif any(not entry > 0.0 for entry in table.get("inertia", ())):
                 raise file.error(f"{name}.inertia", f"must be positive, got {table['inertia']}")
-
-
-def _check_place(name: str, kind: str, table: Mapping[str, Any], whole: Mapping[str, Any], file: ParameterFile) -> None:
-    if not table.get("place"):
-        raise file.error(name, "has no 'place'")
-    places = (*([REFERENCE_POINT] if kind == SENSOR else []), *device_nodes(read_nodes(whole)))
-    if table["place"] not in places:
-        raise file.error(f"{name}.place", f"must be one of {', '.join(places)}, got {table['place']!r}")
-
-
-def _check_axes(name: str, kind: str, table: Mapping[str, Any], file: ParameterFile) -> None:
-    if kind == ACTUATOR and "axis" not in table:
-        raise file.error(name, "has no 'axis'")
-    axes = [table["axis"]] if kind == ACTUATOR else table.get("axes", [])
-    if "axes" in table and not 1 <= len(axes) <= 3:
-        raise file.error(f"{name}.axes", f"must be one to three unit vectors, got {len(axes)}")
-    for axis in axes:
-        length = math.sqrt(sum(entry**2 for entry in axis))
-        if abs(length - 1.0) > UNIT_WITHIN:
-            key = f"{name}.{'axis' if kind == ACTUATOR else 'axes'}"
-            raise file.error(key, f"must be a unit vector, got {axis} of length {length:.4g}")
 
 
 def _check_sensor(name: str, table: Mapping[str, Any], file: ParameterFile) -> None:

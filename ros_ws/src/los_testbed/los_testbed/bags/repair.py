@@ -108,12 +108,24 @@ def _copy(
     tables, problems = _tables(beside)
     files = {key: (a.media_type, a.data) for key, a in beside.attachments.items()}
     result = RepairResult()
-    namespace = _namespace(beside)
+    # Namespace of the topics; None if no channel has it
+    names = [channel.topic for channel in beside.channels.values()]
+    found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
+    namespace = next(iter(found)) if len(found) == 1 else None
     with BagWriter(folder, tables, files, diagnostics=True, name=name, namespace=namespace) as bag:
         for block in walk(file, info):
             ledger.add(info, block)
             for topic, part in _by_topic(info, block, bag):
-                _copy_messages(bag, topic, block, part)
+                # Messages of one topic in their order; those of equal length together
+                heads = block.heads[part]
+                sizes = heads["length"].astype(np.int64) - BODY
+                data = np.frombuffer(block.data, np.uint8)
+                log, publish, sequence = (heads[name].astype(np.int64) for name in ("log", "publish", "sequence"))
+                for start, stop in pairwise([0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(part)]):
+                    begin = block.offsets[part[start:stop]] + HEAD
+                    size = int(sizes[start])
+                    payload = sliding_window_view(data, size)[begin] if size else np.zeros((stop - start, 0), np.uint8)
+                    bag.write(topic, log[start:stop], publish[start:stop], payload, sequence[start:stop])
                 result.messages += part.size
                 result.copied[topic] = result.copied.get(topic, 0) + int(part.size)
                 result.last_stamp = max(result.last_stamp, int(block.heads["log"][part].max()))
@@ -133,13 +145,6 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
         if records and name not in ("rosbag2", METADATA_NAME)
     }
     return ({METADATA_NAME: run} if run else {}) | tables, problems
-
-
-def _namespace(beside: FileInfo) -> str | None:
-    """Namespace of the topics; None if no channel has it."""
-    names = [channel.topic for channel in beside.channels.values()]
-    found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
-    return next(iter(found)) if len(found) == 1 else None
 
 
 def _record(file: Path, info: FileInfo, result: RepairResult, origin: int) -> Mapping[str, str]:
@@ -174,16 +179,3 @@ def _by_topic(info: FileInfo, block: Block, bag: BagWriter) -> Iterator[tuple[st
             info.problems += [text] if text not in info.problems else []
             continue
         yield channel.topic, np.flatnonzero(numbers == number)
-
-
-def _copy_messages(bag: BagWriter, topic: str, block: Block, rows: NDArray[np.int64]) -> None:
-    """Messages of one topic in their order; those of equal length together."""
-    heads = block.heads[rows]
-    sizes = heads["length"].astype(np.int64) - BODY
-    data = np.frombuffer(block.data, np.uint8)
-    log, publish, sequence = (heads[name].astype(np.int64) for name in ("log", "publish", "sequence"))
-    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(rows)]):
-        begin = block.offsets[rows[start:stop]] + HEAD
-        size = int(sizes[start])
-        payload = sliding_window_view(data, size)[begin] if size else np.zeros((stop - start, 0), np.uint8)
-        bag.write(topic, log[start:stop], publish[start:stop], payload, sequence[start:stop])

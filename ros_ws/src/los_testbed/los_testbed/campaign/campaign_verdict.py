@@ -211,7 +211,9 @@ def verdicts(
         together = pooled_number(effective, np.ones(len(share)))
         total = int(together + 1e-6)
         above = min(math.ceil(float(np.mean(share)) * together - 1e-6), total)
-        of_all = _quantile(worst, requirement)
+        # Quantile of the values at the required probability
+        sign = -1.0 if requirement.lower else 1.0
+        of_all = sign * SortedValues(sign * worst).quantile(requirement.probability)
         ensemble = _decided("ensemble", requirement, _above(worst, requirement), len(worst), of_all)
         mixed = _decided("mixed", requirement, above, total, float(np.mean(own)))
         found += [replace(verdict, column=named.quantile) for verdict in (ensemble, temporal, mixed)]
@@ -254,12 +256,6 @@ def _above(values: FloatArray, requirement: Requirement) -> int:
     """Number of values, in the unit of the columns, above the limit."""
     limit = requirement.limit / column_unit(requirement)[1]
     return int(np.sum(values <= limit if requirement.lower else values >= limit))
-
-
-def _quantile(values: FloatArray, requirement: Requirement) -> float:
-    """Quantile of the values at the required probability."""
-    sign = -1.0 if requirement.lower else 1.0
-    return sign * SortedValues(sign * values).quantile(requirement.probability)
 
 
 def _decided(interpretation: str, requirement: Requirement, above: int, samples: int, value: float) -> CampaignVerdict:

@@ -321,7 +321,10 @@ def _compute(
         for future in pending.next_batch(block=False):
             number, members = known.pop(future)
             rows = _rows(client, future, content, members, campaign)
-            _written(folder, number, rows)
+            try:
+                folder.write(number, rows)
+            except OSError as error:
+                raise RuntimeError(f"rows cannot be written to {folder.path}: {error.strerror}, {KEPT}") from None
             progress(len(rows))
             following = submit()
             if following is not None:
@@ -371,13 +374,6 @@ def _rows(
     if isinstance(error, WorkerMismatchError):
         raise error
     return _one_by_one(client, content, members, campaign)
-
-
-def _written(folder: ResultFolder, number: int, rows: list[dict[str, Any]]) -> None:
-    try:
-        folder.write(number, rows)
-    except OSError as error:
-        raise RuntimeError(f"rows cannot be written to {folder.path}: {error.strerror}, {KEPT}") from None
 
 
 def evaluate_chunk(content: str, members: list[dict[str, Any]], depth: str) -> list[dict[str, Any]]:

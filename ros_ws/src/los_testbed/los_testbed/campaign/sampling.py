@@ -152,7 +152,25 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     if sampling == "adversarial":
         raise InputError("sampling must be one that needs no controllers here, got 'adversarial'")
     if sampling not in SAMPLINGS:
-        return _listed(Path(sampling), samples, own)
+        path = Path(sampling)
+        header, lines = read_csv(path, "sampling", SAMPLINGS)
+        if sorted(header) != sorted(own.columns):
+            raise InputError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
+        points = np.empty((len(lines), len(own.columns)))
+        for number, line in enumerate(lines, start=2):
+            texts = {name: text.strip() for name, text in zip(header, line)}
+            values = {name: _number(texts.get(name, "")) for name in own.columns}
+            for column, (low, high) in zip(own.columns, own.limits):
+                if math.isnan(values[column]):
+                    got = texts.get(column, "")
+                    raise InputError(
+                        f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}"
+                    )
+            try:
+                points[number - 2] = list(own.checked(values).values())
+            except ValueError as error:
+                raise InputError(f"{path}, line {number}: {error}") from None
+        return _first(points, samples, "lines")
     if sampling == "corners":
         wanted = samples or 2**count
         if wanted > MOST_CORNERS:
@@ -188,25 +206,6 @@ def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
     if samples < 0 or not len(points):
         raise InputError(f"samples must be 1 or more, got {min(samples, len(points))}")
     return np.asarray(points[: samples or len(points)], dtype=float)
-
-
-def _listed(path: Path, samples: int, own: MemberParameters) -> FloatArray:
-    header, lines = read_csv(path, "sampling", SAMPLINGS)
-    if sorted(header) != sorted(own.columns):
-        raise InputError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
-    points = np.empty((len(lines), len(own.columns)))
-    for number, line in enumerate(lines, start=2):
-        texts = {name: text.strip() for name, text in zip(header, line)}
-        values = {name: _number(texts.get(name, "")) for name in own.columns}
-        for column, (low, high) in zip(own.columns, own.limits):
-            if math.isnan(values[column]):
-                got = texts.get(column, "")
-                raise InputError(f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}")
-        try:
-            points[number - 2] = list(own.checked(values).values())
-        except ValueError as error:
-            raise InputError(f"{path}, line {number}: {error}") from None
-    return _first(points, samples, "lines")
 
 
 def _number(text: str) -> float:

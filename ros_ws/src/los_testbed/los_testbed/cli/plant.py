@@ -19,7 +19,6 @@ from titop_plant.interface import FORCE_STAGES, K_PMA_OUTPUTS
 
 if TYPE_CHECKING:
     from titop_plant.telescope.summary import PlantSummary
-    from titop_plant.telescope.telescope import Telescope
 
 PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bodies.
 
@@ -138,7 +137,21 @@ def check(
     _ = RunParts(config).sources  # one that cannot be used is refused
     with one_thread():
         found = summarise(telescope)
-    loop = _loop_of(telescope)
+    # Stages, sensors, actuators, requirements and own disturbances of a telescope, in words
+    ports = telescope.loop_ports
+    forces = K_PMA_OUTPUTS if telescope.stages[-1] not in FORCE_STAGES else ()
+    driven = [port for port in ports.commanded if port not in forces]
+    measured, commanded = (", ".join(f"{p.name}[{p.size}]" for p in side) for side in (ports.measured, driven))
+    loop = {
+        "stages": ", ".join(telescope.stages),
+        "sensors": measured,
+        "actuators": commanded,
+        "wheels": ", ".join(wheel.name for wheel in telescope.wheels),
+        "arrays": ", ".join(array.name for array in telescope.solar_arrays) or "none",
+        "disturbances": ", ".join(str(table.get("name", "unnamed")) for table in telescope.sources)
+        or "none of the file",
+        "requirements": "; ".join(telescope.requirement_texts) or "none",
+    }
     console = Screen(stderr=json_)
     for name, text in loop.items():
         console.print(f"{name:<14}{text}", highlight=False)
@@ -183,24 +196,6 @@ def export(
     else:
         write_mat(output, P=system)
     Screen().print(f"{output}: order {system.order}, {len(system.channels)} channels of Delta", highlight=False)
-
-
-def _loop_of(telescope: Telescope) -> dict[str, str]:
-    """Stages, sensors, actuators, requirements and own disturbances of a telescope, in words."""
-    ports = telescope.loop_ports
-    forces = K_PMA_OUTPUTS if telescope.stages[-1] not in FORCE_STAGES else ()
-    driven = [port for port in ports.commanded if port not in forces]
-    measured, commanded = (", ".join(f"{p.name}[{p.size}]" for p in side) for side in (ports.measured, driven))
-    return {
-        "stages": ", ".join(telescope.stages),
-        "sensors": measured,
-        "actuators": commanded,
-        "wheels": ", ".join(wheel.name for wheel in telescope.wheels),
-        "arrays": ", ".join(array.name for array in telescope.solar_arrays) or "none",
-        "disturbances": ", ".join(str(table.get("name", "unnamed")) for table in telescope.sources)
-        or "none of the file",
-        "requirements": "; ".join(telescope.requirement_texts) or "none",
-    }
 
 
 @plant_app.command(help=CASES_EXAMPLES)

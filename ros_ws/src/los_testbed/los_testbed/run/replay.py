@@ -260,7 +260,9 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
 
     K_PMA starts as it did where the stage is that of the run, too (`closed`).
     """
-    states = _states(run)
+    # States in which the recorded controllers started; None: at rest
+    data = run.attachments.get(START_FILE)
+    states = None if data is None else RunStart.from_bytes(data).states
     if states is None:
         return None, []
     same = {name: _starts_as_recorded(run, name, law, getattr(states, name)) for name, law in laws.items()}
@@ -269,12 +271,6 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
     if "k_fsm" in still:
         still["camera"] = np.zeros_like(states.camera)
     return replace(states, **still), [name for name in laws if not same[name]]
-
-
-def _states(run: Run) -> LoopStart | None:
-    """States in which the recorded controllers started; None: at rest."""
-    data = run.attachments.get(START_FILE)
-    return None if data is None else RunStart.from_bytes(data).states
 
 
 def telescope_of(run: Run) -> DesignBasis:

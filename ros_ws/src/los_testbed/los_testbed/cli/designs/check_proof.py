@@ -74,7 +74,21 @@ def check_proof(
     if designs is not None and (file is None or file.suffix.lower() != ".npz"):
         raise InputError(f"--designs must be given with an .npz of `design certify`, got {file or 'no file'}")
     if file is not None:
-        _check(file, cluster, designs, json_)
+        from lftkit.proofs.checking import proof_kind
+        from lftkit.proofs.sampled_loop.files import LOOP, NOISE
+        from lftkit.proofs.trusted.proof import ProofError
+
+        if not file.exists():
+            raise InputError(f"FILE must be a proof file, got {file}, which does not exist")
+        with _refusals(file):
+            if file.suffix.lower() == ".zip":
+                _check_bundle(file, cluster, json_)
+            elif (kind := proof_kind(file)) == LOOP:
+                _check_loop(file, cluster, designs, json_)
+            elif kind == NOISE:
+                raise ProofError("a proof of noise must be checked in its bundle, with controllers and telescope")
+            else:
+                _check_system(file, json_)
         return
     from los_design.verification.shipped_proofs import write_shipped_bundle
     from los_design.verification.subject import BUNDLE
@@ -82,25 +96,6 @@ def check_proof(
     with tempfile.TemporaryDirectory() as folder, _refusals(Path(BUNDLE)):
         write_shipped_bundle(Path(folder) / BUNDLE)
         _check_bundle(Path(folder) / BUNDLE, cluster, json_)
-
-
-def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> None:
-    """Check a file."""
-    from lftkit.proofs.checking import proof_kind
-    from lftkit.proofs.sampled_loop.files import LOOP, NOISE
-    from lftkit.proofs.trusted.proof import ProofError
-
-    if not file.exists():
-        raise InputError(f"FILE must be a proof file, got {file}, which does not exist")
-    with _refusals(file):
-        if file.suffix.lower() == ".zip":
-            _check_bundle(file, cluster, json_)
-        elif (kind := proof_kind(file)) == LOOP:
-            _check_loop(file, cluster, designs, json_)
-        elif kind == NOISE:
-            raise ProofError("a proof of noise must be checked in its bundle, with controllers and telescope")
-        else:
-            _check_system(file, json_)
 
 
 @contextmanager

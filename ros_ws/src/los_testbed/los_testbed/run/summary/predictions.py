@@ -10,7 +10,6 @@ from dataclasses import replace
 
 from lftkit.errors import InputError
 from los_loop.tone_model import compare_tones
-from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary.ran_loop import LAWS, RanLoop, contradiction
 from los_testbed.run.summary.rig_prediction import rig_tones
 from pointing_analysis.indices.errors import on_camera
@@ -50,7 +49,13 @@ def _prediction(loop: RanLoop, transient: float | None) -> Prediction | None:
         return None  # without tones, or not only those of the scenario
     try:
         if rig:
-            parts = _of_rig(loop, rig)
+            # Parts of the telescope that a rig simulates, with the laws that its nodes announced; InputError for
+            # others
+            if loop.parts is None or (reason := contradiction(loop.run, loop.parts, LAWS)):
+                raise InputError(loop.unknown if loop.parts is None else reason)
+            parts = replace(loop.parts, config=loop.parts.config.emulated(), recorded_start=None)
+            if parts.family.name(parts.physical) != rig:
+                raise InputError("the rig simulates another telescope or disturbance")
             tones, (first, last) = rig_tones(run, parts, transient)
         else:
             parts = loop.known
@@ -70,13 +75,3 @@ def _prediction(loop: RanLoop, transient: float | None) -> Prediction | None:
 def _emulated(run: Run) -> str:
     """Name of the telescope that a rig simulates; "" for other runs and without a true line of sight."""
     return "" if on_camera(run) else str(statistics_of(run.parameters, "plant").get("device_emulates", ""))
-
-
-def _of_rig(loop: RanLoop, emulated: str) -> RunParts:
-    """Parts of the telescope that a rig simulates, with the laws that its nodes announced; InputError for others."""
-    if loop.parts is None or (reason := contradiction(loop.run, loop.parts, LAWS)):
-        raise InputError(loop.unknown if loop.parts is None else reason)
-    parts = replace(loop.parts, config=loop.parts.config.emulated(), recorded_start=None)
-    if parts.family.name(parts.physical) != emulated:
-        raise InputError("the rig simulates another telescope or disturbance")
-    return parts

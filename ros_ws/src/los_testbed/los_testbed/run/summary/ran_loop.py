@@ -69,7 +69,13 @@ class RanLoop:
         """Of a bag, whatever it holds."""
         parts = None
         try:
-            parts = _parts(run)
+            for name in (RUN_FILE, START_FILE):
+                if name not in run.attachments:
+                    raise InputError(f"the bag does not hold {name}")
+            config = RunConfig.from_mapping(load_yaml(run.attachments[RUN_FILE].decode(), f"{RUN_FILE} of the bag"))
+            start = RunStart.from_bytes(run.attachments[START_FILE])
+            unstated = start.states is None and start.tone is None  # the recorder node leaves it out at rest
+            parts = RunParts(config, models_of_controllers(run), None if unstated else start)
             unknown = contradiction(run, parts) or _other_settings(run, parts)
             if not unknown:
                 _ = _counts(run), [changes_in(run, node) for node in NODES]  # which say what is wrong with them
@@ -123,16 +129,6 @@ def _counts(run: Run) -> tuple[int, int]:
         stated = [str(plant.get(name)) for name in ("ticks", "missed_ticks")]
         raise InputError(f"the plant's counts of ticks, and of those missed, must be whole numbers, got {stated}")
     return ticks - unsent, missed
-
-
-def _parts(run: Run) -> RunParts:
-    for name in (RUN_FILE, START_FILE):
-        if name not in run.attachments:
-            raise InputError(f"the bag does not hold {name}")
-    config = RunConfig.from_mapping(load_yaml(run.attachments[RUN_FILE].decode(), f"{RUN_FILE} of the bag"))
-    start = RunStart.from_bytes(run.attachments[START_FILE])
-    unstated = start.states is None and start.tone is None  # the recorder node leaves it out at rest
-    return RunParts(config, models_of_controllers(run), None if unstated else start)
 
 
 def _other_settings(run: Run, parts: RunParts) -> str:
