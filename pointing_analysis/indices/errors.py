@@ -13,6 +13,7 @@ from pointing_analysis.indices.live_rows import hold_of, samples_behind, saturat
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
+from pointing_analysis.read.messages.topic_columns import CAMERA
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.topic import OFF_GRID, on_grid, read_only
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
@@ -23,7 +24,6 @@ from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 SETTLING = 5.0
 LARGEST = 1e60
 """[rad] Sums of fourth powers of larger values are not finite; they are no angles."""
-CAMERA = "camera/los"
 OFF_PHASE = 0.5
 """Largest share of the intervals of a device's frames that are off their grid: they have stamps of its own clock, and
 frames that are off phase are counted and reported (docs/connect_your_rig.md)."""
@@ -116,7 +116,7 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
     blind = tuple((what, float(one.mean())) for what, one in dead.items() if one.any())
     if blind:
         rows = np.where((dead["saturated"] | dead["stuck"])[:, None], np.nan, rows)
-        remarks += [f"{what}: {percent(share)} of the samples, which are missing" for what, share in blind]
+        remarks += [f"{what}: {percent(share)} of the samples, which count as missing" for what, share in blind]
     missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
     return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks))
 
@@ -150,11 +150,13 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
     """
     if on_camera(run):
         values, dt = _gridded(run, CAMERA, OFF_PHASE)
-        return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
+        left_out = transient_of(run, transient, dt * (len(values) - run[CAMERA].lost_after))
+        return _drop(values, dt, left_out, run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = _gridded(run, "truth/los")
-    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
+    left_out = transient_of(run, transient, dt * (len(values) - run["truth/los"].lost_after))
+    return _drop(values, dt, left_out, run.path, run["truth/los"].open_end)
 
 
 def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:
@@ -208,4 +210,5 @@ def knowledge_error_of(
         fits = (rest == 0) & (index >= 0) & (index < len(grid))
         index, rows, columns = index[fits], rows[fits], columns[fits]
         full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
-    return _drop(full, dt, transient_of(run, transient, dt * len(grid)), run.path, truth.open_end)
+    left_out = transient_of(run, transient, dt * (len(grid) - truth.lost_after))
+    return _drop(full, dt, left_out, run.path, truth.open_end)

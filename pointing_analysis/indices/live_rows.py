@@ -3,8 +3,9 @@
 A record may have more rows than its sensor had samples, and rows in which the sensor saw nothing. Three signs are in
 the values themselves:
 
-- **held or interpolated**: each value is repeated, or the rows between two samples lie on a line, for a regular number
-  of rows. The samples behind them have a longer period; the rows between say nothing of the motion between.
+- **held or interpolated**: each value is repeated, or the rows between two samples lie on a line or on a polynomial of
+  third order, for a regular number of rows. The samples behind them have a longer period; the rows between say nothing
+  of the motion between.
 - **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
   a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart.
 - **saturated**: more rows at one extreme value than a smooth distribution has there.
@@ -44,6 +45,7 @@ class LiveRowSettings:
     smooth : change of the typical step, a part of it, up to which a motion is one without noise
     straight : part of the rms of the steps by which a row may miss the line between its neighbours
     corners : share of the rows that are not straight, in runs of more than two, beyond which a motion is a curve
+    cubic : part of the rms of the third differences by which a fourth one may miss zero within a polynomial
     format : largest part of the largest norm that is the rounding of a number format
     """
 
@@ -60,6 +62,7 @@ class LiveRowSettings:
     smooth: float = 0.7
     straight: float = 1e-3
     corners: float = 0.1
+    cubic: float = 0.05
     format: float = 1e-3
 
 
@@ -115,18 +118,46 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     further = second[1:] & second[:-1]
     jumps = np.flatnonzero(second[:PART])
     saw = len(jumps) > 0 and _of_quantisation(e[jumps] - e[jumps - 1], settings)  # always the same one: a motion
-    if saw or further.sum() > settings.corners * corner.sum():
+    if not saw and further.sum() <= settings.corners * corner.sum():
+        return _regular(corner & ~second, settings)
+    return _cubic_pieces(e, settings)
+
+
+def _cubic_pieces(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
+    """Samples between which a record (n, 2) follows a polynomial of third order, as splines do.
+
+    Its fourth differences vanish but for the three or four about each sample, its third ones do not: a body under a
+    force that is held moves along parabolas. What is left of the fourth ones is rounding, which the fifth ones have
+    more of: those of a smooth motion between the frames of a camera become smaller with each order.
+    """
+    third, fourth, fifth = (np.diff(e[:PART], n=order, axis=0) for order in (3, 4, 5))
+    if len(fifth) < settings.fewest or not np.isfinite(fifth).any(axis=0).all():
         return None
-    return _regular(corner & ~second, settings)
+    typical = np.sqrt(np.nanmean(third**2, axis=0))
+    allowed = settings.cubic * typical
+    third, fourth, fifth = (np.nanmedian(np.abs(one), axis=0) for one in (third, fourth, fifth))
+    if not (third > np.maximum(settings.straight * typical, 4.0 * fourth)).any() or (fifth < fourth).any():
+        return None
+
+    def bends(rows: FloatArray) -> BoolArray:
+        change = rows[4:] - 4.0 * rows[3:-1] + 6.0 * rows[2:-2] - 4.0 * rows[1:-3] + rows[:-4]
+        return np.asarray(~(np.abs(change) <= allowed).all(axis=1))
+
+    knot = _marks(e, bends, 2)
+    first = knot & ~np.append(False, knot[:-1])
+    if not allowed.any() or knot.sum() > 4 * first.sum():
+        return None
+    return _regular(np.append(False, first[:-1]), settings)
 
 
-def _marks(e: FloatArray, function: Callable[[FloatArray], BoolArray]) -> BoolArray:
-    """Rows (n,) that a function of them with the row before and the row behind marks; the first one is marked."""
+def _marks(e: FloatArray, function: Callable[[FloatArray], BoolArray], beside: int = 1) -> BoolArray:
+    """Rows (n,) that a function of them with so many rows before and behind marks; the first ones are marked."""
     marks = np.ones(len(e), bool)
-    for part in parts(len(e) - 1):
-        rows = e[part.start : part.stop + 2]
-        rows = np.concatenate([rows, rows[-1:]]) if part.stop + 2 > len(e) else rows
-        marks[part.start + 1 : part.stop + 1] = function(rows)
+    for part in parts(len(e) - beside):
+        rows = e[part.start : part.stop + 2 * beside]
+        short = part.stop + 2 * beside - len(e)
+        rows = np.concatenate([rows, *[rows[-1:]] * short]) if short > 0 else rows
+        marks[part.start + beside : part.stop + beside] = function(rows)
     return marks
 
 

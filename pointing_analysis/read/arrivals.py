@@ -157,7 +157,7 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
                 found[i] = ("stall", rise)
             end = i + 1 + int(back[0]) if back.size else logged.size
             caught_up = end - 1 if back.size and level - delay[end] > least else end  # where it falls below: a step
-        else:
+        elif period > 0:  # of a topic without one, several nodes may send, each with its own delay
             change = float(after[:BEFORE].min() - level)
             jitter = float(np.quantile(after[:BEFORE], USUAL) - after[:BEFORE].min())
             if change > least or change < -least - jitter:  # the few messages before may all have come late

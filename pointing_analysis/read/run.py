@@ -24,8 +24,9 @@ from pointing_analysis.read.mcap.bag_metadata import REMAPPED, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
-from pointing_analysis.read.messages.topic_columns import KNOWN, Column, decode_block
+from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN, Column, decode_block
 from pointing_analysis.read.recorded_sensors import sensors_of
+from pointing_analysis.read.run_end import run_end
 from pointing_analysis.read.topic import NANO, Topic
 from pointing_analysis.read.unsent import OF_EVERY_TICK
 
@@ -139,27 +140,41 @@ class Run:
     def _finished(self, column: Column) -> Topic:
         """The topic of a column, with what is known to be lost before and after it."""
         name = self.short(column.name)
-        loss = self._losses.get(column.name)
         column.name = name
         topic = column.topic(self._unit(name, column.schema))
         unfinished = self._window[1] == math.inf and self._read.cut
-        before, after = loss.ends(topic.integrity.missing) if loss is not None else (0, 0)
-        planned = self._planned(topic)
-        if unfinished and planned is not None:
-            after = max(planned - before - topic.span, 0)
-        return replace(topic, lost_before=before, lost_after=after, open_end=unfinished and planned is None)
+        before, after = self._lost_ends(topic)
+        expected = self._expected(topic)
+        if self._window[1] == math.inf and expected is not None:
+            after = max(expected - before - topic.span, after, 0)
+        return replace(topic, lost_before=before, lost_after=after, open_end=unfinished and expected is None)
 
     def _unit(self, name: str, schema: str) -> str:
         """Unit of a topic: of the testbed's own ones, of a sensor as the recording describes it, else of its type."""
         described = {sensor.topic: ", ".join(sensor.unit.split(",")) for sensor in sensors_of(self)}
         return {**described, **KNOWN}.get(name, UNITS[schema])
 
-    def _planned(self, topic: Topic) -> int | None:
-        """Samples that the run was to have, by the duration in its configuration; None where it is not known."""
-        duration = self.parameters.get("duration")
-        if not is_number(duration) or not topic.period > 0:
-            return None
-        return round(duration / topic.period) if 0 < duration < 1e9 else None
+    def _lost_ends(self, topic: Topic) -> tuple[int, int]:
+        """Messages before the first and after the last one that the bag knows to be lost."""
+        loss = self._losses.get(self._full(topic.name))
+        return (0, 0) if loss is None else loss.ends(topic.integrity.missing)
+
+    def _expected(self, topic: Topic) -> int | None:
+        """Samples of a whole run; None where it is not known.
+
+        Of a file that was cut off by the duration in its configuration. Else by the ticks that the plant has sent: its
+        report and the messages are written by different programs, and the end of one topic can be missing. The last
+        frame of a camera may come after the end.
+        """
+        duration, rate = self.parameters.get("duration"), self.parameters.get("rate_hz")
+        if self._read.cut:
+            if not is_number(duration) or not 0 < duration < 1e9 or not topic.period > 0:
+                return None
+            return max(round((duration - self._window[0]) / topic.period), 0)
+        sent = run_end(self.parameters).sent if self._window == WHOLE else None
+        if topic.name == CAMERA and sent is not None and is_number(rate) and rate > 0 and topic.period > 0:
+            return math.floor(sent / rate / topic.period + 1e-6) - 1
+        return sent if topic.name in OF_EVERY_TICK else None
 
     def _take(
         self,
@@ -258,14 +273,14 @@ class Run:
 
     @property
     def covered_ticks(self) -> int | None:
-        """Ticks from the first to the last one with samples, known losses counted; None of a part of a bag."""
+        """Ticks from the first to the last one that all topics of the plant have, with known losses; None of a part."""
         if self._window != WHOLE:
             return None
         found = [topic for name in OF_EVERY_TICK if name in self and len(topic := self[name]) and topic.period > 0]
         if not found:
             return 0
-        first = min(topic.grid_start for topic in found)
-        last = max(int(topic.stamp[-1]) + round(topic.lost_after * topic.period * NANO) for topic in found)
+        first = max(topic.grid_start for topic in found)
+        last = min(int(topic.stamp[-1]) + round(self._lost_ends(topic)[1] * topic.period * NANO) for topic in found)
         return round((last - first) / (found[0].period * NANO)) + 1
 
     def messages(self, name: str) -> tuple[bytes, ...]:

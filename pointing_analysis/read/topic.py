@@ -39,7 +39,8 @@ class Integrity:
     conflicts : duplicates that differ from the first: two publishers on one topic
     out_of_order : messages recorded after one with a later stamp
     missing : samples missing between the first and the last stamp
-    gaps : (start, samples missing) of each gap, start in seconds after the topic's first stamp
+    gaps : (start, samples missing) of the first 1000 gaps, start in seconds after the topic's first stamp
+    gap_count : of all
     irregular : intervals that are no multiple of the period (2 % of it allowed)
     nan : messages with a value that is not a number (for a camera: a dropped frame)
     other_rate : share of the intervals that belong to stretches at another constant rate
@@ -52,6 +53,7 @@ class Integrity:
     out_of_order: int
     missing: int
     gaps: tuple[tuple[float, int], ...]
+    gap_count: int
     irregular: int
     nan: int
     other_rate: float
@@ -179,17 +181,26 @@ def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
 
 def _inspect(stamp: IntArray, period: float, found: Mapping[str, int]) -> Integrity:
     """Look at unique stamps; `found` are the counts of what was sorted out before."""
-    other, missing, irregular = _OtherRate(period), 0, 0
+    other, missing, irregular, gap_count = _OtherRate(period), 0, 0, 0
     gaps: list[tuple[float, int]] = []
     for begin, steps in _steps(stamp):
         ticks = np.maximum(np.rint(steps / period), 1).astype(np.int64) if period else steps
         missing += int((ticks - 1).sum())
         irregular += int((np.abs(steps - ticks * period) * 50 > period).sum())
-        holes = np.flatnonzero(ticks > 1)[: 1000 - len(gaps)].tolist()
-        gaps += [(float((stamp[begin + i] - stamp[0]) / NANO), int(ticks[i] - 1)) for i in holes]
+        holes = np.flatnonzero(ticks > 1)
+        gap_count += holes.size
+        first = holes[: 1000 - len(gaps)].tolist()
+        gaps += [(float((stamp[begin + i] - stamp[0]) / NANO), int(ticks[i] - 1)) for i in first]
         if period:
             other.add(steps)
-    return Integrity(missing=missing, gaps=tuple(gaps), irregular=irregular, other_rate=other.share(), **found)
+    return Integrity(
+        missing=missing,
+        gaps=tuple(gaps),
+        gap_count=gap_count,
+        irregular=irregular,
+        other_rate=other.share(),
+        **found,
+    )
 
 
 def _count_late(stamp: IntArray) -> int:

@@ -54,7 +54,7 @@ def lost_gaps(run: Recording, name: str, lost: int) -> int:
     """
     topic = run[name]
     if not unsent(run, name) or not lost:
-        return len(topic.integrity.gaps) if lost else 0
+        return topic.integrity.gap_count if lost else 0
     stamps, gaps = _missing(topic)
     sent = np.zeros(len(stamps), bool)
     for other in OF_EVERY_TICK:

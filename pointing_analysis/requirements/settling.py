@@ -4,8 +4,9 @@ For each requirement the level of its index (the square of its samples, in `BLOC
 one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
 left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
-half of the record, or a tone still changes, the requirement is not judged unless a falling level is within its limit
-anyway: a longer run, or a start in the steady state, decides.
+half of the record, or a tone still changes, the requirement is not judged: a longer run, or a start in the steady
+state, decides. Judged all the same are a falling level that is within its limit with its start-up, and a rising one
+that exceeds it with its quiet beginning: a fault late in a run is no start-up.
 """
 
 from __future__ import annotations
@@ -72,11 +73,14 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
     if seconds > 0.5 * whole:
-        usual = judge(requirement, [run], None)
-        if math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
+        usual, rises = judge(requirement, [run], None), _rises(series, requirement)
+        if rises and usual.status != "compliant" and not usual.within_limit:
+            return Settled(usual)  # the quiet beginning, too, is in what exceeds the limit
+        if not rises and math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
             return Settled(usual)  # a falling level is within the limit with its start-up, too
-        known = f"about {seconds:.0f} of" if math.isfinite(seconds) else "longer than"
-        why = f"not settled: its start-up takes {known} {whole:g} s (a longer run, or analyse --transient SECONDS)"
+        known = f"until about {seconds:.0f} of" if math.isfinite(seconds) else "through"
+        how = "rises" if rises else "falls"
+        why = f"not settled: its level {how} {known} {whole:g} s (a longer run, or analyse --transient SECONDS)"
         return Settled(not_judged(requirement, why))
     if seconds <= series.start:
         return Settled(judge(requirement, [run], None))
@@ -98,17 +102,29 @@ def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[floa
     """
     if series.duration < SHORTEST:
         return 0.0
-    if requirement.of_image:
-        squares = metrics.windows(series.values, series.dt, requirement.times[0]).variance.sum(axis=1)
-    else:
-        squares = np.square(index_samples(series, requirement).values)
-    squares = squares[np.isfinite(squares)]
+    squares = _squares(series, requirement)
     if len(squares) < 2 * BLOCKS or not squares.any():
         return 0.0
     level = math.sqrt(float(squares[len(squares) // 2 :].mean()))
     if _tone_changes(series, requirement, np.asarray(tones, dtype=float), level):
         return math.inf
     return decay(squares, series.duration)
+
+
+def _squares(series: ErrorSeries, requirement: Requirement) -> FloatArray:
+    """Squares of the samples of an index, in the order of time, without those that are missing."""
+    if requirement.of_image:
+        squares = metrics.windows(series.values, series.dt, requirement.times[0]).variance.sum(axis=1)
+    else:
+        squares = np.square(index_samples(series, requirement).values)
+    return np.asarray(squares[np.isfinite(squares)])
+
+
+def _rises(series: ErrorSeries, requirement: Requirement) -> bool:
+    """Whether the level of an index is higher in the second half of a series."""
+    squares = _squares(series, requirement)
+    half = len(squares) // 2
+    return float(squares[half:].mean()) > float(squares[:half].mean())
 
 
 def is_settled(series: ErrorSeries, window: float, tones: Sequence[float] | FloatArray = ()) -> bool:

@@ -28,7 +28,7 @@ from pointing_analysis.indices.motion import read_motion
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
-from pointing_analysis.read.messages.topic_columns import KNOWN
+from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, read_sensors, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
@@ -64,9 +64,6 @@ METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
 UNKNOWN = "no requirements are known for this recording: metrics have no limit (give --requirements FILE)"
 USUAL_PROBABILITIES = Probabilities()
-
-CAMERAS = frozenset({"camera/los"})
-"""Topics whose samples may be lost in a recording that does not describe its sensors."""
 
 
 @dataclass(frozen=True)
@@ -363,7 +360,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     sensors = sensors_of(run)
     known = {*KNOWN, *(sensor.topic for sensor in sensors)}
     message, empty = ("message", "with NaN") if run.kind == "bag" else ("sample", "without a value: missing")
-    cameras = [sensor.topic for sensor in sensors if sensor.held] or sorted(name for name in CAMERAS if name in run)
+    cameras = [sensor.topic for sensor in sensors if sensor.held] or [name for name in (CAMERA,) if name in run]
     for name in (n for n in run.topics if n in known):
         topic = run[name]
         state, shown = topic.integrity, run.shown(name)

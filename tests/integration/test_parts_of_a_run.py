@@ -171,7 +171,7 @@ def test_a_law_without_a_model_is_the_reason_why_there_are_none(folder: Path) ->
         "class Still:\n    def reset(self): pass\n    def step(self, measurement, out): out[:] = 0.0\n"
     )
     run = recorded(parameters=telescope(folder, "pulses"), k_fsm=f"code_{folder.name}:Still")
-    with pytest.raises(ValueError, match=r"^no model of user code is known, and the bag does not hold k_fsm.json$"):
+    with pytest.raises(ValueError, match=r"^the bag does not hold the controllers k_fsm.json, as of user code$"):
         source_shares(RanLoop.of(run))
 
 

@@ -294,12 +294,19 @@ def _read_attachment(info: FileInfo, body: bytes) -> None:
     info.attachments[name] = Attachment(media_type, body[at + 8 : end])
 
 
+SEQUENCES = 1 << 32
+"""Numbers that messages of a channel can have."""
+
+
 def _read_statistics(info: FileInfo, body: bytes) -> None:
     (n,) = struct.unpack_from("<I", body, 42)
     if n % 10 or 46 + n > len(body):
         raise struct.error("counts beyond the end of the record")
+    counts = dict(struct.iter_unpack("<HQ", body[46 : 46 + n]))
+    if max(counts.values(), default=0) > SEQUENCES:
+        raise struct.error("more messages than sequence numbers")
     (info.message_count,) = struct.unpack_from("<Q", body)
-    info.statistics = dict(struct.iter_unpack("<HQ", body[46 : 46 + n]))
+    info.statistics = counts
 
 
 SIDE_RECORDS: dict[int, Callable[[FileInfo, bytes], None]] = {

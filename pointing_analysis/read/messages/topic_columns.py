@@ -14,6 +14,7 @@ from pointing_analysis.read.messages import cdr
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.topic import Topic, make_topic
 
+CAMERA = "camera/los"
 #: topics of the testbed by their name without the namespace, with the unit of their values
 KNOWN: Mapping[str, str] = MappingProxyType(
     {
@@ -21,7 +22,7 @@ KNOWN: Mapping[str, str] = MappingProxyType(
         "m1/accel": "m/s2, rad/s2",
         "m2/accel": "m/s2, rad/s2",
         "fsm/strain_gauge": "rad",
-        "camera/los": "rad",
+        CAMERA: "rad",
         "los_estimate": "rad",
         "fsm/command": "rad",
         "pma/command": "N",

@@ -226,7 +226,7 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
         ("theirs", {"los": "/other"}, r"one of /my/los.point \(geometry_msgs/msg/PointStamped: x, y, z\), got"),
         ("theirs", {"los": "/text"}, "los must be one of /my/los.point"),
         ("theirs", {"los": "/my/los", "unit": None}, "theirs: unit must be given .--unit mas, .* for /my/los"),
-        ("theirs", {"unit": None}, r"a topic such as .* another line of sight \(--los, `bag topics` lists them\)"),
+        ("theirs", {"unit": None}, r"a topic such as .* `analyse --los` takes other lines of sight"),
         ("theirs", {"los": "/my/los", "unit": "gon"}, "unit must be one of .* got 'gon'"),
         ("theirs", {"los": "/my/los", "rate": -1.0}, "rate must be positive"),
         ("theirs", {"los": "/my/los", "time": "clock"}, "time must be one of auto, header, log, got 'clock'"),

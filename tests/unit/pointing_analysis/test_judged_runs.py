@@ -256,10 +256,36 @@ def test_a_run_that_is_not_settled_is_not_judged(tmp_path: Path) -> None:
     t = DT * np.arange(40_000)
     values = tone(40.0, 0.756, 60.0 * (1.0 - np.exp(-t / 200.0)))
     rows = summarise(bag(tmp_path / "a", values, start_up=MEASURED, tones_rad_s=[2 * np.pi * 0.756])).rows
-    why = "not settled: its start-up takes longer than 40 s (a longer run, or analyse --transient SECONDS)"
+    why = "not settled: its level rises through 40 s (a longer run, or analyse --transient SECONDS)"
     assert rows[0].status == "not judged" and rows[0].verdict_text == f"not judged: {why}"
     rows = summarise(bag(tmp_path / "b", values, transient_s=0, tones_rad_s=[2 * np.pi * 0.756])).rows
     assert rows[0].status != "not judged", "a run that is known to be steady"
+
+
+@pytest.mark.parametrize("begin", [6.0, 10.0, 12.0])
+def test_a_fault_late_in_a_run_is_no_start_up(tmp_path: Path, begin: float) -> None:
+    """White noise that is 20 times as large from a time on: beyond the limit of the RPE, within that of the APE."""
+    values = noise(20.0, 5) * np.where(DT * np.arange(20_000) < begin, 1.0, 20.0)[:, None]
+    run = bag(tmp_path / "a", 10.0 * values, start_up=MEASURED)
+    rpe, far = parse("prob(rms RPE(20 ms) < 100 mas) >= 0.95 at 95 % confidence"), parse(str(APE).replace("1 ", "9 "))
+    found = judge_settled(rpe, run).verdict
+    assert not found.within_limit and found.status in ("not compliant", "not enough data")
+    assert "start-up" not in judge_settled(far, run).verdict.note
+
+
+@pytest.mark.parametrize("lost", [["truth/los"], ["truth/los", "isolator/accel"]])
+def test_the_end_of_a_run_is_that_of_its_report_whatever_was_recorded(tmp_path: Path, lost: list[str]) -> None:
+    """The quiet 12 s of 20 s are recorded; what is missing counts as above the limit."""
+    signals = {"truth/los": 10.0 * MAS * noise(20.0, 1), "isolator/accel": np.zeros((20_000, 6))}
+    signals = {name: rows[: 12_000 if name in lost else 20_000] for name, rows in signals.items()}
+    requirement = "prob(rms RPE(20 ms) < 100 mas) >= 0.9 at 95 % confidence"
+    ran = {"duration": 20.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "20000", "planned_ticks": "20000"}}}
+    for number, known in enumerate(({}, ran)):
+        path = write_bag(tmp_path / str(number), signals, parameters=known)
+        found = summarise(Run.open(path), requirements=[parse(requirement)])
+        (row,) = found.rows
+        assert (row.status == "compliant") == (not known), row.verdict_text
+    assert found.samples_lost == 8000 * len(lost)
 
 
 def test_an_unstable_loop_is_never_within_its_limit(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolator
 from scipy.signal import lfilter, resample
 
 from pointing_analysis.arrays import FloatArray
@@ -190,3 +191,23 @@ def test_a_norm_that_is_clipped_is_saturated_whatever_the_digits_of_the_file(dig
     assert saturated_rows(clipped).mean() == pytest.approx(np.mean(norm > 20.0), abs=0.01)
     circle = 20.0 * np.column_stack([np.cos(0.05 * np.arange(20_000)), np.sin(0.05 * np.arange(20_000))])
     assert not saturated_rows(np.round(circle, digits)).any(), "a motion of constant size"
+
+
+@pytest.mark.parametrize("rows", [8, 50 / 3, 20])
+@pytest.mark.parametrize("method", [PchipInterpolator, CubicSpline, Akima1DInterpolator])
+def test_samples_behind_cubic_interpolation_are_seen(method: Any, rows: float) -> None:
+    """Of white motion, whose error in short windows the interpolated record does not have."""
+    times = rows * np.arange(round(8000 / rows))
+    e = method(times, np.random.default_rng(4).standard_normal((len(times), 2)))(np.arange(times[-1]))
+    found = hold_of(e)
+    assert found is not None and found.rows == pytest.approx(rows, rel=5e-3)
+
+
+def test_smooth_motions_without_noise_are_no_interpolation() -> None:
+    t = 1e-3 * np.arange(8000)
+    rng = np.random.default_rng(2)
+    held = np.repeat(rng.standard_normal((400, 2)), 20, axis=0)
+    motions = [np.column_stack([np.sin(w * t), np.cos(w * t)]) for w in (2.0, 60.0, 400.0)]
+    motions.append(np.cumsum(np.cumsum(held, axis=0), axis=0))  # a mass under a force that is held for 20 ms
+    motions.append(lfilter([1.0], np.poly([0.99, 0.98, 0.97]), rng.standard_normal((8000, 2)), axis=0))
+    assert [hold_of(e) for e in motions] == [None] * len(motions)

@@ -76,7 +76,7 @@ def test_a_replay_of_a_recording_without_its_end_is_not_judged(call, recorded, t
     again = Run.open(tmp_path / "again")
     limit = parse("prob(|APE| < 1000 arcsec) >= 0.5 at 60 % confidence")
     verdict = judge(limit, [again], 0.0)
-    assert verdict.status == "not judged" and "the messages cover" in verdict.note
+    assert verdict.status == "not judged" and "lacks samples before its first or after its last" in verdict.note
 
 
 def test_as_recorded_is_identical_and_says_so(call, recorded) -> None:

@@ -120,7 +120,7 @@ def shown(run: Run) -> tuple[list[str], list[str]]:
 def unproven(run: Run) -> str:
     """Why nothing is proven of a run, where every row and the only remark say so."""
     bounds, remarks = shown(run)
-    assert bounds and set(bounds) <= {"no proof of this run", "–"}
+    assert bounds and set(bounds) <= {"no proof of this run", "not demonstrated: samples are missing", "–"}
     (remark,) = remarks
     assert remark.startswith("no proof of this run: ")
     return remark.removeprefix("no proof of this run: ")
@@ -320,7 +320,8 @@ def test_words_of_proof_in_a_bag_are_not_shown(proven: Path) -> None:
 
 def test_a_part_of_a_run_has_the_proof_of_its_beginning(proven: Path) -> None:
     assert "proven" in shown(Run.open(proven, stop=0.6))[0][0]
-    assert unproven(Run.open(proven, start=0.2)).startswith("the record is read from 0.2 s on")
+    later = Run.open(proven, start=0.2)
+    assert unproven(later).startswith("the record is read from 0.2 s on") and not summarise(later).samples_lost
 
 
 def test_a_plant_of_a_program_has_none(tmp_path: Path) -> None:
@@ -350,4 +351,4 @@ def test_code_of_the_user_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         "class Still:\n    def reset(self): pass\n    def step(self, measurement, out): out[:] = 0.0\n"
     )
     run_in_process(RunConfig(duration=1.2, mode="inprocess", k_fsm="own_laws:Still"), tmp_path / "bag")
-    assert unproven(Run.open(tmp_path / "bag")).startswith("no model of user code is known")
+    assert unproven(Run.open(tmp_path / "bag")).startswith("the bag does not hold the controllers k_")

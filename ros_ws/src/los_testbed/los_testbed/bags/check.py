@@ -157,23 +157,24 @@ def _check(
     for info, block in reading.blocks():
         contents.add(len(reading.infos) - 1, info, block)
     infos, losses = reading.infos, reading.losses()
-    damage = _damage(reading, bag)
+    damage = _damage(reading)
     known = {key: value_of(text) for key, text in merged(infos)[0].items()}
     end = run_end(known, contents.covered_ticks(known, losses)) if "statistics" in known else None
-    counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
+    counts = _counts(
+        _sources(infos, bag, contents, known), contents, bool(losses or damage or bag.problems or reading.cut)
+    )
     rows = (
         BagCheckRow(
             "end of the data", *(("damaged", "the recording is truncated") if reading.cut else ("agrees", "present"))
         ),
+        BagCheckRow("metadata.yaml", "damaged", _first(list(bag.problems))) if bag.problems else None,
         _checksums(infos, damage, contents.topics.total()),
         _digests(infos),
         _whole_file(infos),
         BagCheckRow("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
         counts,
-        BagCheckRow(
-            "lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))
-        ),
-        _times(arrived := contents.arrivals()),
+        _lost(losses, arrived := contents.arrivals()),
+        _times(arrived),
         None if end is None else _end_of_run(end),
         _signature(bag, infos, key),
     )
@@ -215,11 +216,11 @@ def _before(reading: BagPass) -> list[str]:
     return [text for text in reading.contradictions if text not in own]
 
 
-def _damage(reading: BagPass, bag: BagFiles) -> list[str]:
+def _damage(reading: BagPass) -> list[str]:
     """Defects of the files that are no contradictions, and metadata records that disagree with their hash."""
     own = {text for info in reading.infos for text in info.contradictions}
     found = [text for info in reading.infos for text in info.problems if text not in own]
-    return [*bag.problems, *found, *merged(reading.infos, METADATA_NAME)[1]]
+    return [*found, *merged(reading.infos, METADATA_NAME)[1]]
 
 
 def _all_agree(info: FileInfo) -> bool:
@@ -325,6 +326,17 @@ def _end_of_run(end: RunEnd) -> BagCheckRow:
     if end.by_plan and end.done is not None:
         return BagCheckRow("end of the run", "agrees", f"as planned, after {counted(end.done, 'tick')}")
     return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")
+
+
+def _lost(losses: Sequence[TopicLoss], arrived: Mapping[str, Arrivals]) -> BagCheckRow:
+    """Messages that were recorded and cannot be read. Where those went that only the stamps show is not known."""
+    if losses:
+        return BagCheckRow("lost messages", "damaged", _first([str(loss) for loss in losses]))
+    missing = sum(found.lost or 0 for found in arrived.values())
+    if missing:
+        what = f"{counted(missing, 'message')} missing between the stamps: not recorded, or removed since"
+        return BagCheckRow("lost messages", "none", what)
+    return BagCheckRow("lost messages", "agrees", "none")
 
 
 def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:

@@ -74,7 +74,7 @@ class Contents:
         return sum(self.files, Counter())
 
     def covered_ticks(self, parameters: Mapping[str, Any], losses: Sequence[TopicLoss]) -> int | None:
-        """Ticks from the first to the last one with samples, those known to be lost counted; None without a rate.
+        """Ticks from the first to the last one that all topics of the plant have, losses counted; None without a rate.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Contents:
         spans = [span for topic, span in self.stamps.items() if usual.get(topic, topic).endswith(ends)]
         if not spans:
             return lost
-        first, last = min(first for first, _ in spans), max(last for _, last in spans)
+        first, last = max(first for first, _ in spans), min(last for _, last in spans)
         return round((last - first) * rate / NS_PER_S) + 1 + lost
 
 

@@ -309,7 +309,8 @@ class Supervisor:
         except (TypeError, ValueError) as error:
             raise self.failed(f"samples must have numbers as time and values, got {in_one_line(error)}") from None
         if port not in self._range or values.shape != (COLUMNS[port].stop - COLUMNS[port].start,):
-            raise self.failed(f"read must give samples of known ports, got {port} {values.shape}")
+            sizes = ", ".join(f"{name} ({COLUMNS[name].stop - COLUMNS[name].start},)" for name in self._range)
+            raise self.failed(f"read must give samples of these ports and shapes: {sizes}; got {port} {values.shape}")
         self._seen.add(port)
         if not 0 <= time_ns <= latest_ns:
             self._refuse(IMPOSSIBLE_TIME, port)

@@ -135,7 +135,7 @@ def models_of_controllers(run: Run) -> dict[str, SampledSystem]:
     """
     gone = [f"{name}.json" for name in LAWS if f"{name}.json" not in run.attachments]
     if gone:
-        raise BagError(f"no model of user code is known, and the bag does not hold {' and '.join(gone)}")
+        raise BagError(f"the bag does not hold the controllers {' and '.join(gone)}, as of user code")
     return {name: controller_of(run, name)[0] for name in LAWS}
 
 

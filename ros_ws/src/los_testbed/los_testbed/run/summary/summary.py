@@ -310,7 +310,7 @@ def say_outputs(console: Console, outputs: ReportOutputs) -> None:
 def _table(summary: Summary, metrics: Mapping[str, Any]) -> ScreenTable:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
-    title += f", first {summary.transient:g} s (start-up) excluded" if summary.transient else ", steady start"
+    title += f", first {summary.transient:g} s (start-up) excluded" if summary.transient else ", nothing excluded"
     table = on_screen(replace(requirement_table(summary.rows).only(*BRIEF), title=title))
     table.add_section()
     judged = {row.quantity for row in summary.rows}
