@@ -54,7 +54,6 @@ OTHERS = {
     "processor_time": "a module of others",
     "gradient_sampling": "a module of tuning: tests/unit/benchmarks",
     "two_host_loop": "needs network namespaces",
-    "versions": "compares with another checkout",
 }
 
 

@@ -184,7 +184,7 @@ def test_a_rig_that_is_not_predicted_has_the_reason_in_its_report(late, tmp_path
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"files": {"k_fsm.json": None}}, ["does not hold k_fsm.json"]),
+        ({"files": {"k_fsm.json": None}}, ["does not hold the controllers k_fsm.json"]),
         ({"files": {"k_pma.json": b"{}"}}, ["k_pma.json"]),
         ({"files": {"run.yaml": b"durtion: 3.0"}}, ["durtion"]),
         ({"files": {"run.yaml": b"- 1"}}, []),
