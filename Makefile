@@ -12,7 +12,7 @@ SKIPPED := .venv/skipped-tests.txt
 LANES := -n 3 --dist loadfile --no-loadscope-reorder
 PACKAGES := lftkit titop_plant los_estimator fsm_pma_controller los_loop los_design pointing_analysis
 COMPILE := uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
-    --override overrides.txt --no-emit-package lftkit
+    --override overrides.txt --no-emit-package lftkit --no-emit-package pointing-analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # hundreds of processes start in the tests: without bytecode each of them compiles the packages anew
@@ -49,7 +49,7 @@ help:
 	@echo "make release    dist/: wheels and sdists, tried in an empty environment; then the tag (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
 
-$(READY): environment/run.lock environment/uv.lock pyproject.toml lftkit/pyproject.toml
+$(READY): environment/run.lock environment/uv.lock pyproject.toml lftkit/pyproject.toml pointing_analysis/pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 10) <= v <= (3, 13) else \
 	    "expected Python 3.10 to 3.13, $(PYTHON) is %d.%d: name another, for example make run PYTHON=python3.12" % v)'
 	@echo "environment: .venv"
@@ -205,5 +205,5 @@ release: $(EVERYTHING)
 	$(BIN)/python environment/release.py
 
 clean:
-	rm -rf dist .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
+	rm -rf dist .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info pointing_analysis/build pointing_analysis/*.egg-info
 	rm -rf ros_ws/build ros_ws/install ros_ws/log

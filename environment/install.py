@@ -20,7 +20,7 @@ HERE = Path(__file__).resolve().parent
 LINE_EVERY = 5.0
 """Seconds from one line of progress to the next."""
 LOCKED = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
-PACKAGES = ["--no-deps", "--no-build-isolation", "-e", "./lftkit", "-e", "."]
+PACKAGES = ["--no-deps", "--no-build-isolation", "-e", "./lftkit", "-e", "./pointing_analysis", "-e", "."]
 LOCKS = "run", "everything"
 COMPILE = "from los_testbed.run.loop.compiled_loop import prepare; prepare()"
 

@@ -1,8 +1,8 @@
-"""Wheels and sdists of testbed and library in dist/, tried in an empty environment; then the tag of the version.
+"""Wheels and sdists of the distributions in dist/, tried in an empty environment; then the tag of the version.
 
     make release            # or: python environment/release.py [--no-tag]
 
-Nothing is tagged unless the tree is clean, the changelog has the version, and both wheels run.
+Nothing is tagged unless the tree is clean, the changelog has the version, and the wheels run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 DIST = ROOT / "dist"
-VERSIONS = {"los-testbed": "ros_ws/src/los_testbed/los_testbed/__init__.py", "lftkit": "lftkit/__init__.py"}
+VERSIONS = {
+    "los-testbed": "ros_ws/src/los_testbed/los_testbed/__init__.py",
+    "lftkit": "lftkit/__init__.py",
+    "pointing-analysis": "pointing_analysis/__init__.py",
+}
 
 
 def output_of(*command: str, folder: Path = ROOT) -> bytes:
@@ -50,7 +54,7 @@ def built(folder: Path) -> list[Path]:
     """Sdists and wheels of the last commit, in dist/."""
     with tarfile.open(fileobj=BytesIO(output_of("git", "archive", "HEAD"))) as archive:
         archive.extractall(folder / "source")
-    for source in (folder / "source" / "lftkit", folder / "source"):
+    for source in (folder / "source" / "lftkit", folder / "source" / "pointing_analysis", folder / "source"):
         output_of(sys.executable, "-m", "uv", "build", "--quiet", "--out-dir", str(DIST), str(source))
     return [DIST / f"{name.replace('-', '_')}-{version_of(name)}-py3-none-any.whl" for name in VERSIONS]
 
@@ -65,6 +69,7 @@ def tried(folder: Path, wheels: list[Path]) -> None:
     run = ("run", "--mode", "inprocess", "--duration", "2", "--no-report", "--output", "bag")
     output_of(program, *run, folder=folder)
     output_of(python, "-c", "import lftkit; print(lftkit.__version__)", folder=folder)
+    output_of(str(folder / "env" / "bin" / "pointing-analysis"), "analyse", "bag", "--output", "r.html", folder=folder)
 
 
 def main() -> None:

@@ -12,5 +12,8 @@ Each folder imports itself and the folders above it, never one below.
 `requirements`    `text`: their form; `verdict` on each; `rows` of every table; `summary` of a run
 `budget`          pointing error budgets: sources, files, totals
 `report`          HTML pages of runs and of budgets, and their pictures
+`command`         ``pointing-analysis analyse`` and ``report``, without the testbed
 ================  =====================================================================================
 """
+
+__version__ = "0.2.0"

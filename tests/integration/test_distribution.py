@@ -17,7 +17,7 @@ import los_testbed
 import pytest
 import yaml
 from support import packages
-from support.installed_wheel import LFTKIT, ROOT, environment, run, sdist_and_wheel
+from support.installed_wheel import ANALYSIS, LFTKIT, ROOT, environment, run, sdist_and_wheel
 from support.packages import files_of
 from support.ros_runs import private_domain
 
@@ -52,9 +52,19 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.fixture(scope="module")
-def without_ros(built: tuple[Path, Path], library: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def analysis(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return sdist_and_wheel(tmp_path_factory.mktemp("analysis"), ANALYSIS)
+
+
+Distribution = tuple[Path, Path]
+
+
+@pytest.fixture(scope="module")
+def without_ros(
+    built: Distribution, library: Distribution, analysis: Distribution, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     folder = tmp_path_factory.mktemp("core") / "env"
-    return environment(folder, [library[1], built[1]], PROJECT["dependencies"])
+    return environment(folder, [library[1], analysis[1], built[1]], PROJECT["dependencies"])
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +115,37 @@ def test_the_library_alone_needs_no_testbed(lftkit_alone: Path, tmp_path: Path) 
     assert run(lftkit_alone / "python", "-c", found, folder=tmp_path).stdout == "[]\n"
     done = run(lftkit_alone / "python", str(ROOT / "examples/multi_requirement_pid.py"), folder=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_analysis_alone_judges_a_table_and_a_bag(
+    library: Distribution, analysis: Distribution, tmp_path: Path
+) -> None:
+    """In an environment without the testbed, its models, ROS and numba: every module, the command, its exit codes."""
+    folder, inside = ROOT / "pointing_analysis", set(zipfile.ZipFile(analysis[1]).namelist())
+    files = {f"pointing_analysis/{path.relative_to(folder).as_posix()}" for path in files_of(folder) if path.is_file()}
+    assert files <= inside and "pointing_analysis/py.typed" in inside
+    programs = environment(tmp_path / "env", [library[1], analysis[1]], packages.ANALYSIS["project"]["dependencies"])
+    code = (
+        "import sys, pkgutil, importlib, importlib.util as u, pointing_analysis\n"
+        "for module in pkgutil.walk_packages(pointing_analysis.__path__, 'pointing_analysis.'):\n"
+        "    importlib.import_module(module.name)\n"
+        "print([n for n in ('los_testbed', 'titop_plant', 'los_design', 'numba', 'rclpy') if u.find_spec(n)])\n"
+    )
+    assert run(programs / "python", "-c", code, folder=tmp_path).stdout == "[]\n"
+    rows = [f"{k / 1000},{(k * 7919) % 13},{(k * 104729) % 11}" for k in range(6000)]
+    (tmp_path / "los.csv").write_text("\n".join(["t,x,y", *rows]) + "\n")
+    text = '[[requirement]]\nname = "APE"\ntext = "prob(|APE| < {} mas) >= 0.9 at 90 % confidence"\n'
+    for limit, codes in ((1000, {0}), (1, {7})):
+        (tmp_path / "mission.toml").write_text(text.format(limit))
+        options = ("--los", "x,y", "--unit", "mas", "--requirements", "mission.toml", "--gate", "--output", "r.html")
+        done = run(programs / "pointing-analysis", "analyse", "los.csv", *options, folder=tmp_path)
+        assert done.returncode in codes and "APE" in done.stdout, done.stderr
+    bag = str(ROOT / "bags/reference")
+    done = run(programs / "pointing-analysis", "analyse", bag, "--json", folder=tmp_path)
+    assert done.returncode == 0 and json.loads(done.stdout.splitlines()[-1])["runs"][0]["ticks"] == 4100, done.stderr
+    assert run(programs / "pointing-analysis", "report", bag, "--output", "b.html", folder=tmp_path).returncode == 0
+    wrong = run(programs / "pointing-analysis", "analyse", "no.csv", folder=tmp_path)
+    assert wrong.returncode == 2 and len(wrong.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow
@@ -168,11 +209,11 @@ def test_the_wheel_runs_outside_the_tree_without_ros(without_ros: Path, tmp_path
 @pytest.mark.slow
 @pytest.mark.ros
 def test_the_wheel_runs_outside_the_tree_with_ros(
-    built: tuple[Path, Path], library: tuple[Path, Path], tmp_path: Path
+    built: Distribution, library: Distribution, analysis: Distribution, tmp_path: Path
 ) -> None:
     pytest.importorskip("rclpy")
     needed = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["ros"]
-    programs = environment(tmp_path / "env", [library[1], built[1]], needed)
+    programs = environment(tmp_path / "env", [library[1], analysis[1], built[1]], needed)
     options = ("--mode", "lockstep", "--duration", "2", "--output", "bag", "--json", "--no-report")
     domain = ("--domain", str(private_domain()))
     done = run(programs / "los-testbed", "run", *domain, *options, folder=tmp_path)

@@ -1,4 +1,4 @@
-"""Wheels and sdists of both distributions, and environments with them and chosen dependencies, without the network."""
+"""Wheels and sdists of the distributions, and environments with them and chosen dependencies, without the network."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from pathlib import Path
 
 from support.packages import LIBRARIES, ROOT
 
-NAMES = {"lftkit", "los-testbed"}
+NAMES = {"lftkit", "pointing-analysis", "los-testbed"}
 LFTKIT = ("lftkit",)
-"""What the distribution lftkit is made from."""
+ANALYSIS = ("pointing_analysis",)
+"""What the distributions lftkit and pointing-analysis are made from."""
 PARTS = (
-    *(name for name in LIBRARIES if name != "lftkit"),
+    *(name for name in LIBRARIES if name not in (*LFTKIT, *ANALYSIS)),
     "ros_ws",
     "pyproject.toml",
     "MANIFEST.in",

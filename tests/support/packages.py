@@ -11,9 +11,9 @@ from pointing_analysis.files.structured_text import load_toml
 
 ROOT = Path(__file__).parents[2]
 ROS_PACKAGE = "ros_ws/src/los_testbed"
-PROJECTS = "pyproject.toml", "lftkit/pyproject.toml"
-PROJECT, LIBRARY = (load_toml(path.read_text("utf-8"), path) for path in map(ROOT.joinpath, PROJECTS))
-"""Of both distributions."""
+PROJECTS = "pyproject.toml", "lftkit/pyproject.toml", "pointing_analysis/pyproject.toml"
+PROJECT, LIBRARY, ANALYSIS = (load_toml(path.read_text("utf-8"), path) for path in map(ROOT.joinpath, PROJECTS))
+"""Of the three distributions."""
 NAMES: tuple[str, ...] = tuple(PROJECT["tool"]["mypy"]["packages"])
 LIBRARIES = tuple(name for name in NAMES if (ROOT / name).is_dir())
 """Those that lie at the top of the repository."""

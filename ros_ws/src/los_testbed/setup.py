@@ -1,7 +1,8 @@
 """ament_python package of the nodes.
 
-The numeric packages come from the distributions ``lftkit`` and ``los-testbed`` (titop_plant, los_estimator, ...):
-``pip install ./lftkit .`` at the root of the repository, in the environment that builds this workspace.
+The numeric packages come from the distributions ``lftkit``, ``pointing-analysis`` and ``los-testbed`` (titop_plant,
+los_estimator, ...): ``pip install ./lftkit ./pointing_analysis .`` at the root of the repository, in the environment
+that builds this workspace.
 """
 
 import ast
