@@ -207,7 +207,7 @@ class _Design:
 
 
 def _begin(task: Task, start: Callable[[], FloatArray], effort: Effort, report: Report, job: Job | None) -> RoundState:
-    """The state that is job, or a new one; its parameter points are sampled."""
+    """The state that a job has kept, or a new one; its parameter points are sampled."""
     state = RoundState.load(job)
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points, effort.ends))

@@ -1,6 +1,6 @@
 """Chunks of an MCAP file: unpacked within a limit, verified, and searched for their messages.
 
-A chunk is used if its checksum agrees. If not, its manifest (`chunk_manifest`) tells which of its records are whole;
+A chunk is used if its checksum agrees. If not, its manifest (`manifest`) tells which of its records are whole;
 without one the chunk is excluded, because its valid values cannot be identified.
 """
 

@@ -2,8 +2,8 @@
 
 The file format is simple (https://mcap.dev/spec): a magic number, then records ``opcode (1 byte), length (8 bytes),
 content``. Messages are in compressed chunks, each followed by message-index records that say where in the
-chunk each channel's messages begin. `mcap_framing` finds the records, `mcap_chunks` unpacks and verifies chunks,
-`mcap_walk` puts them together.
+chunk each channel's messages begin. `framing` finds the records, `chunks` unpacks and verifies chunks,
+`walk` puts them together.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One pass over an MCAP file: the one way in which reader, analysis, report, replay and repair get its messages.
 
-Complete, truncated and damaged files: `mcap_framing` finds the records, `mcap_chunks` decides by
+Complete, truncated and damaged files: `framing` finds the records, `chunks` decides by
 checksums what of a chunk is right, and every defect is noted in `FileInfo`.
 """
 

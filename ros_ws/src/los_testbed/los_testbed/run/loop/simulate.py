@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lftkit.support.threads import one_thread
 from los_testbed.bags.cdr import codec_for
@@ -21,9 +20,6 @@ from los_testbed.run.loop.closed_loop import SampleBlock, SimulatedLoop
 from los_testbed.run.loop.contract import check_plant
 from los_testbed.run.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from titop_plant.interface import TICK_NS
-
-if TYPE_CHECKING:
-    pass
 
 
 class BagSink:
