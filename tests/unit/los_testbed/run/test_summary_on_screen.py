@@ -50,8 +50,9 @@ def rows(table: Table) -> dict[str, list[str]]:
     [
         ({}, 0, ""),
         ({}, 4, ""),  # windows that miss samples for another reason
-        ({"lost_periods": "3"}, 0, "3 periods were lost: the plant held its command, and no sample was sent"),
-        ({"lost_periods": "3"}, 4, "no sample was sent; 4 windows of 20 ms with one are excluded"),
+        ({"lost_periods": "3"}, 0, "3 periods lost: the plant held its command, and no sample was sent"),
+        ({"lost_periods": "3"}, 4, "no sample was sent; 4 windows of 20 ms with one excluded"),
+        ({"lost_periods": "1"}, 1, "1 period lost: the plant held its command, and no sample was sent; 1 window of"),
         ({"unsent_ticks": "2"}, 1, "in 2 ticks samples of the device were incomplete"),
     ],
 )
@@ -59,7 +60,7 @@ def test_what_a_plant_could_not_send_is_told_with_the_windows_that_it_cost(
     summary: Summary, plant: dict[str, str], skipped: int, told: str
 ) -> None:
     found = screen._lost_periods(recorded(plant), replace(summary, windows_skipped=skipped))
-    assert told in found and bool(found) == bool(told) and ("windows" in found) == bool(told and skipped)
+    assert told in found and bool(found) == bool(told) and ("window" in found) == bool(told and skipped)
     assert ("--mode lockstep" in found) == ("lost_periods" in plant)
     rig = recorded(plant)
     rig.parameters["device"] = "my_rig:Rig"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table as ScreenTable
 
+from lftkit.support.counted_nouns import counted
 from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.run.change_requests import requested
 from los_testbed.run.results import MAX_MISSED
@@ -212,10 +213,14 @@ def _lost_periods(run: Recording, summary: Summary) -> str:
     plant = _statistics(run, "plant")
     lost = int(plant.get("lost_periods", 0))
     unsent = int(sum(plant.get(f"{UNSENT}{name}", 0) for name in (UNSENT_TICKS, "outside"))) - lost
-    sentences = [f"{lost} periods were lost: the plant held its command, and no sample was sent"] * (lost > 0)
-    sentences += [f"in {unsent} ticks samples of the device were incomplete, and none was sent"] * (unsent > 0)
+    sentences = [f"{counted(lost, 'period')} lost: the plant held its command, and no sample was sent"] * (lost > 0)
+    sentences += [f"in {counted(unsent, 'tick')} samples of the device were incomplete, and none was sent"] * (
+        unsent > 0
+    )
     if sentences and summary.windows_skipped:
-        sentences.append(f"{summary.windows_skipped} windows of {time_text(summary.window)} with one are excluded")
+        sentences.append(
+            f"{counted(summary.windows_skipped, 'window')} of {time_text(summary.window)} with one excluded"
+        )
     if lost and not run.parameters.get("device"):  # a rig has no other mode
         sentences.append("--mode lockstep loses none")
     return "; ".join(sentences)
