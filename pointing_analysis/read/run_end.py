@@ -12,6 +12,9 @@ from pointing_analysis.files.structured_text import is_number
 PLANNED = "planned_ticks"
 """Statistic of the plant: ticks that the run was to have."""
 
+FAILURE = "failure"
+"""Statistic of the plant: why the run failed."""
+
 OUTSIDE = "unsent_outside"
 """Statistic of the plant: ticks before the first and after the last one of which it has sent samples."""
 

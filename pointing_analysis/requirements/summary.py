@@ -32,7 +32,7 @@ from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, read_sensors, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import missed_share, run_end, statistics_of
+from pointing_analysis.read.run_end import FAILURE, missed_share, run_end, statistics_of
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
@@ -387,7 +387,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if state.nan and name not in cameras:
             problems.append(f"{shown}: {counted(state.nan, message)} {empty}")
     _add_ends(lost, problems, stamps)
-    if failure := str(statistics_of(run.parameters, "plant").get("failure", "")):
+    if failure := str(statistics_of(run.parameters, "plant").get(FAILURE, "")):
         problems.append(f"the run failed: {failure}")
     elif early := run_end(run.parameters, run.covered_ticks if isinstance(run, Run) else None).text:
         problems.append(early)

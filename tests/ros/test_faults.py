@@ -37,6 +37,7 @@ from support.unjudged import judged
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import unsent
 from pointing_analysis.replay.replay import compare
+from pointing_analysis.requirements.summary import summarise
 
 MS = 1_000_000
 M1_ACCEL = next(topic for topic in SENSORS if topic.name == "m1/accel")
@@ -316,6 +317,8 @@ def test_in_lockstep_it_ends_the_run_with_the_reason(tmp_path):
     with pytest.raises(RunError, match=r"^controller ended unexpectedly \(signal 15\)") as told:
         run_with_fault(tmp_path, 300, end_once("controller"), 60.0, mode="lockstep")
     assert told.value.code == 1
+    problems = summarise(Run.open(tmp_path / "bag"), transient=0.05).problems
+    assert any(text.startswith("the run failed: controller ended unexpectedly") for text in problems)
 
 
 def test_a_recorder_that_is_killed_when_the_run_is_over_is_named_with_what_it_has_left(tmp_path):

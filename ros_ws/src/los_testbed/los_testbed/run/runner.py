@@ -40,6 +40,7 @@ from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.ros_variables import domain_of
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
+from pointing_analysis.read.run_end import FAILURE
 from titop_plant.interface import RATE
 
 LAWS = ("estimator", "controller")
@@ -167,10 +168,14 @@ class Runner:
             try:
                 try:
                     self._perform()
+                except RunError as error:
+                    causes = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
+                    plant = {**self.results.statistics.get("plant", {}), FAILURE: causes}
+                    self._give_to_recorder({**self.results.statistics, "plant": plant})
+                    raise
                 finally:
                     self._end_all()  # the recorder writes what it has when it ends
             except RunError as error:
-                causes = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
                 raise RunError(f"{causes}{recorded(self._config.bag)}", error.code) from None
         return self.results
 
@@ -251,8 +256,7 @@ class Runner:
             self._nodes[name].process.kill()
         for name in NODES[:-1]:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
-        assert self._statistics is not None
-        os.write(self._statistics.descriptor, json.dumps(self.results.statistics).encode())
+        self._give_to_recorder(self.results.statistics)
         if self._replaced.get("recorder") and ("recorder", "ready") not in self._seen:
             raise RunError("the run ended before another recorder was ready")
         self._nodes["recorder"].interrupt()
@@ -497,6 +501,12 @@ class Runner:
         if node.name != "recorder" or not last:
             return ""
         return f"; recorded until then: {last[0]}: los-testbed bag repair {last[0]}"
+
+    def _give_to_recorder(self, statistics: Mapping[str, Mapping[str, str]]) -> None:
+        """Last statistics of the nodes, in place of those that were there, for the end of the bag."""
+        assert self._statistics is not None
+        os.ftruncate(self._statistics.descriptor, 0)
+        os.pwrite(self._statistics.descriptor, json.dumps(statistics).encode(), 0)
 
     def _await_exit(self, names: Sequence[str]) -> None:
         end = time.monotonic() + STOP_S

@@ -32,7 +32,7 @@ from los_testbed.run.metadata import run_metadata
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import statistics_of
+from pointing_analysis.read.run_end import FAILURE, statistics_of
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 
@@ -278,7 +278,7 @@ def _finished(bag: Path) -> bool:
         plant = statistics_of(Run.open(bag).parameters, "plant")
     except (ValueError, OSError):
         return False
-    return bool(plant) and "failure" not in plant
+    return bool(plant) and FAILURE not in plant
 
 
 def finish(plan: Plan) -> None:

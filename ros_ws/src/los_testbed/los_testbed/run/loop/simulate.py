@@ -19,6 +19,7 @@ from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.loop.closed_loop import SampleBlock, SimulatedLoop
 from los_testbed.run.loop.contract import check_plant
 from los_testbed.run.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
+from pointing_analysis.read.run_end import FAILURE
 from titop_plant.interface import TICK_NS
 
 
@@ -112,7 +113,7 @@ def record(
         with one_thread():
             loop.run(parts.config.ticks, write)
     except BaseException as error:
-        statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
+        statistics["plant"][FAILURE] = str(error) or f"interrupted at tick {done}"
         raise
     finally:
         statistics["plant"] |= {"ticks": str(done), **frame_counts(plant)}
