@@ -14,7 +14,7 @@ value, which at some instant adds to whatever the others are. ``mixed``: all are
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -29,8 +29,6 @@ from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.units import ANGLES
 
 BLOCK = 100_000
-ALONE = 10_000
-"""Draws for the level of one source alone."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +189,7 @@ def _shares(
     for source in budget.sources:
         mean, sigma = means[source.path], source.sigma(window)
         if source in drawn:
-            few = replace(budget, draws=min(budget.draws, ALONE))
-            alone = _draw([source], few, window, len(budget.axes)) + mean
+            alone = _draw([source], budget, window, len(budget.axes)) + mean
             level = float(
                 np.quantile(np.hypot(*alone[:, axes].T) if len(axes) == 2 else np.abs(alone[:, axes[0]]), probability)
             )

@@ -86,7 +86,9 @@ class Hold:
 
 
 def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
-    """Regular repetition of samples in a record (n, 2); None where each row is a sample.
+    """Regular repetition of samples in a record (n, 2), or in one of its axes; None where each row is a sample.
+
+    Where one axis has fewer samples than the other, the record has as many.
 
     Examples
     --------
@@ -97,6 +99,11 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     >>> hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T])).rows
     20.0
     """
+    each = [_hold_of(part, settings) for part in (e, e[:, :1], e[:, 1:2])]
+    return max((hold for hold in each if hold is not None), key=lambda hold: hold.rows, default=None)
+
+
+def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     if len(e) < settings.fewest:
         return None
     changed = _marks(e, _moves)
@@ -117,7 +124,14 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     second = np.append(False, corner[1:] & corner[:-1])
     further = second[1:] & second[:-1]
     jumps = np.flatnonzero(second[:PART])
-    saw = len(jumps) > 0 and _of_quantisation(e[jumps] - e[jumps - 1], settings)  # always the same one: a motion
+    jumps = jumps[jumps > 1]
+    jumped = e[jumps] - 2.0 * e[jumps - 1] + e[jumps - 2]
+    saw = len(jumps) > 0 and _of_quantisation(jumped, settings)  # always the same one: a motion
+    turns = np.flatnonzero((corner & ~second)[1 : PART - 1]) + 1
+    turns = turns[(turns > 1) & (turns < len(e) - 2)]
+    turned = e[turns + 2] - e[turns + 1] - e[turns - 1] + e[turns - 2]  # of the slope
+    turned[np.abs(turned) <= 3.0 * allowed] = 0.0
+    saw |= bool(np.any(turned)) and _of_quantisation(turned, settings)  # a triangle
     if not saw and further.sum() <= settings.corners * corner.sum():
         return _regular(corner & ~second, settings)
     return _cubic_pieces(e, settings)

@@ -21,6 +21,7 @@ from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.topic import NANO, read_only
+from pointing_analysis.read.unsent import unsent
 from pointing_analysis.replay.gap_stepping import HOLD, GapStepper
 
 Stamps = IntArray
@@ -188,8 +189,10 @@ def _complete_ticks(run: Run, layout: LoopLayout) -> tuple[Stamps, int, int]:
             due = (ticks % frame == camera.stamp[0] % frame) & (ticks >= camera.stamp[0])
             kept.append(ticks[~due | np.isin(ticks, camera.stamp)])
         stamp = kept.array()
-    longest = max(len(topic) for topic in fast)
-    return read_only(stamp), round(fast[0].period * NANO), longest - len(stamp)
+    period = round(fast[0].period * NANO)
+    first, last = min(int(topic.stamp[0]) for topic in fast), max(int(topic.stamp[-1]) for topic in fast)
+    never_sent = min(unsent(run, topic.name) for topic in fast)
+    return read_only(stamp), period, max((last - first) // period + 1 - never_sent - len(stamp), 0)
 
 
 def sensors(run: Run, layout: LoopLayout = REFERENCE_LAYOUT) -> Sensors:

@@ -211,3 +211,16 @@ def test_smooth_motions_without_noise_are_no_interpolation() -> None:
     motions.append(np.cumsum(np.cumsum(held, axis=0), axis=0))  # a mass under a force that is held for 20 ms
     motions.append(lfilter([1.0], np.poly([0.99, 0.98, 0.97]), rng.standard_normal((8000, 2)), axis=0))
     assert [hold_of(e) for e in motions] == [None] * len(motions)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_axis_of_fewer_samples_sets_the_rate(axis: int) -> None:
+    """Held, joined by lines or by a spline, beside noise; a triangle, a square wave and a constant are motions."""
+    rows, rng = np.arange(8000), np.random.default_rng(3)
+    samples = rng.standard_normal(401)
+    knots = 20 * np.arange(401)
+    fewer = [np.repeat(samples[:400], 20), np.interp(rows, knots, samples), CubicSpline(knots, samples)(rows)]
+    motions = [np.abs(7e-3 * rows % 2 - 1), (5e-3 * rows % 1 < 0.5) * 1.0, np.full(8000, 3.0)]
+    beside = rng.standard_normal(8000)
+    found = [hold_of(np.column_stack([one, beside][:: 1 - 2 * axis])) for one in (*fewer, *motions)]
+    assert [hold and round(hold.rows, 1) for hold in found] == [20.0] * 3 + [None] * 3

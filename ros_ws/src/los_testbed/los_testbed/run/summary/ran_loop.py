@@ -166,7 +166,7 @@ def _difference(run: Run, parts: RunParts) -> str:
     recorded = int(sampled[-1] - sampled[0]) // TICK_NS + 1
     if recorded != done and (math.isinf(end) or recorded > done):
         return f"{recorded} of the {counted(done, 'tick')} of the run are recorded"
-    if lacking := recorded - len(sampled) + replay.compare(run, replayed).incomplete:
+    if lacking := recorded - len(sampled):
         return f"{counted(lacking, 'tick')} of the record lack a sample"
     differences = replay.compare(run, replayed).differences
     names = {found.topic for found in differences if found.compared and not found.missing}

@@ -69,7 +69,7 @@ def source_shares(loop: RanLoop | None) -> tuple[SourceShare, ...]:
         whole = record
     power = _covariance(whole, whole, window)
     shares = [_covariance(los, whole, window) / power if power else 0.0 for *_, los in rows]
-    rows.append((TOGETHER, "", f"{ticks * DT:g} s", whole))
+    rows.append((TOGETHER, "", f"{first * DT:g} to {ticks * DT:g} s" if first else f"{ticks * DT:g} s", whole))
     tones, probabilities = named_tones(run), probabilities_of(requirements_of(run) or ())
 
     def row(name: str, kind: str, place: str, los: FloatArray, share: float) -> SourceShare:
