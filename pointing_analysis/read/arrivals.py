@@ -111,6 +111,11 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
     (3, [('gap', 0.04), ('stall', 0.2)])
     """
     stamped = stamps.size == logged.size > 0
+    if stamped:
+        back, stamps_back = (np.diff(one) < -STEP * NANO for one in (logged, stamps))
+        if back.any() and np.array_equal(back, stamps_back):  # parts of the file changed places; no clock stepped
+            order = np.argsort(logged, kind="stable")
+            logged, stamps = logged[order], stamps[order]
     times = stamps if stamped else logged
     if logged.size < FEWEST:
         return Arrivals(logged.size, stamped, None)

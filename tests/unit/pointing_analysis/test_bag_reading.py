@@ -390,3 +390,10 @@ def test_verify_lists_the_times_of_a_foreign_bag(tmp_path: Path, capsys: pytest.
     row = next(row for row in content["checks"] if row["name"] == "times of the messages")
     assert row["state"] == "none" and row["found"] == "1 gap, 1 stall"
     assert "clock steps" in shown.err
+
+
+def test_parts_of_a_file_that_changed_places_lose_nothing() -> None:
+    stamps = 1_000_000 * np.arange(6000)
+    order = np.r_[0:1000, 2000:3000, 1000:2000, 3000:6000]
+    found = arrivals(stamps[order] + 500_000, stamps[order])
+    assert found.lost == 0 and not found.events
