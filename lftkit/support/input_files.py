@@ -33,10 +33,12 @@ def check_file(path: str | os.PathLike[str], limit: int) -> int:
     Raises
     ------
     InputFileError
-        A device, a pipe or a socket, or a larger file.
+        A device, a pipe or a socket, a larger file, or a name that no file can have.
     OSError
         No such file, or a folder.
     """
+    if "\0" in os.fsdecode(path):
+        raise InputFileError(errno.EINVAL, "a name must have no null byte", repr(os.fsdecode(path)))
     return _checked(os.stat(os.fspath(path)), path, limit)  # a number would be a file that is open
 
 

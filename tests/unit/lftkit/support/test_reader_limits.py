@@ -181,3 +181,8 @@ def test_a_sparse_system_that_is_too_large_in_full_is_told(tmp_path: Path) -> No
     io.savemat(tmp_path / "x.mat", content)
     with pytest.raises(ValueError, match="a sparse matrix must have at most 25000000 entries in full"):
         read_mat(tmp_path / "x.mat")
+
+
+def test_a_name_that_no_file_can_have_is_a_mistake_of_who_gave_it() -> None:
+    with pytest.raises(InputFileError, match="a name must have no null byte"):
+        read_bytes("a\0b")
