@@ -46,6 +46,8 @@ class LiveRowSettings:
     straight : part of the rms of the steps by which a row may miss the line between its neighbours
     corners : share of the rows that are not straight, in runs of more than two, beyond which a motion is a curve
     cubic : part of the rms of the third differences by which a fourth one may miss zero within a polynomial
+    left : times the rounding of the fourth differences that the third ones of a polynomial have at least
+    turned : times the allowed bend of a line from which the change of its slope is one
     format : largest part of the largest norm that is the rounding of a number format
     """
 
@@ -63,6 +65,8 @@ class LiveRowSettings:
     straight: float = 1e-3
     corners: float = 0.1
     cubic: float = 0.05
+    left: float = 4.0
+    turned: float = 3.0
     format: float = 1e-3
 
 
@@ -99,6 +103,7 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
     >>> hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T])).rows
     20.0
     """
+    # Both axes together as well: where one of them changes too little, the other one shows when a sample came.
     each = [_hold_of(part, settings) for part in (e, e[:, :1], e[:, 1:2])]
     return max((hold for hold in each if hold is not None), key=lambda hold: hold.rows, default=None)
 
@@ -130,7 +135,7 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     turns = np.flatnonzero((corner & ~second)[1 : PART - 1]) + 1
     turns = turns[(turns > 1) & (turns < len(e) - 2)]
     turned = e[turns + 2] - e[turns + 1] - e[turns - 1] + e[turns - 2]  # of the slope
-    turned[np.abs(turned) <= 3.0 * allowed] = 0.0
+    turned[np.abs(turned) <= settings.turned * allowed] = 0.0
     saw |= bool(np.any(turned)) and _of_quantisation(turned, settings)  # a triangle
     if not saw and further.sum() <= settings.corners * corner.sum():
         return _regular(corner & ~second, settings)
@@ -149,8 +154,9 @@ def _cubic_pieces(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
         return None
     typical = np.sqrt(np.nanmean(third**2, axis=0))
     allowed = settings.cubic * typical
-    third, fourth, fifth = (np.nanmedian(np.abs(one), axis=0) for one in (third, fourth, fifth))
-    if not (third > np.maximum(settings.straight * typical, 4.0 * fourth)).any() or (fifth < fourth).any():
+    usual = [np.nanmedian(np.abs(one), axis=0) for one in (third, fourth, fifth)]
+    least = np.maximum(settings.straight * typical, settings.left * usual[1])
+    if not (usual[0] > least).any() or (usual[2] < usual[1]).any():
         return None
 
     def bends(rows: FloatArray) -> BoolArray:
@@ -159,7 +165,7 @@ def _cubic_pieces(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
 
     knot = _marks(e, bends, 2)
     first = knot & ~np.append(False, knot[:-1])
-    if not allowed.any() or knot.sum() > 4 * first.sum():
+    if not allowed.any() or knot.sum() > 4 * first.sum():  # a sample between two rows marks four
         return None
     return _regular(np.append(False, first[:-1]), settings)
 
