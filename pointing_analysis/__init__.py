@@ -12,7 +12,7 @@ Each folder imports itself and the folders above it, never one below.
 `requirements`    `text`: their form; `verdict` on each; `rows` of every table; `summary` of a run
 `budget`          pointing error budgets: sources, files, totals
 `report`          HTML pages of runs and of budgets, and their pictures
-`command`         ``pointing-analysis analyse`` and ``report``, without the testbed
+`command`         what commands share; ``pointing-analysis analyse``, without the testbed
 ================  =====================================================================================
 """
 

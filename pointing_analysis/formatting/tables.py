@@ -1,7 +1,7 @@
 """A table of texts, and the same cells as Markdown, HTML, CSV and JSON.
 
 Whoever has something to tabulate makes a :class:`TextTable`. LaTeX is made of it by
-:mod:`pointing_analysis.formatting.latex`, the terminal's table by :func:`los_testbed.run.summary.screen.on_screen`.
+:mod:`pointing_analysis.formatting.latex`, the terminal's table by :func:`pointing_analysis.command.screen.on_screen`.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def test_refused_input_has_the_exception_of_the_library() -> None:
 
 def test_functions_have_few_parameters() -> None:
     """But the commands, which have one for each of their options."""
-    commands = FOLDERS["los_testbed"] / "cli", FOLDERS["pointing_analysis"] / "command.py"
+    commands = FOLDERS["los_testbed"] / "cli", FOLDERS["pointing_analysis"] / "command" / "program.py"
     many = [
         f"{identifier(case)}: {function.name} has {len(parameters(function))} parameters"
         for case in MODULES

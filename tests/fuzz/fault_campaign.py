@@ -34,12 +34,12 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.bags.repair import repair_bag
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import NAMESPACE
 from los_testbed.run.processes.domains import domain_lock
 from mcap.reader import NonSeekingReader
 from support.marked_processes import processes_with
 
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS

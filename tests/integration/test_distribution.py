@@ -142,8 +142,7 @@ def test_the_analysis_alone_judges_a_table_and_a_bag(
         assert done.returncode in codes and "APE" in done.stdout, done.stderr
     bag = str(ROOT / "bags/reference")
     done = run(programs / "pointing-analysis", "analyse", bag, "--json", folder=tmp_path)
-    assert done.returncode == 0 and json.loads(done.stdout.splitlines()[-1])["runs"][0]["ticks"] == 4100, done.stderr
-    assert run(programs / "pointing-analysis", "report", bag, "--output", "b.html", folder=tmp_path).returncode == 0
+    assert done.returncode == 0 and json.loads(done.stdout.splitlines()[-1])["ticks"] == 4100, done.stderr
     wrong = run(programs / "pointing-analysis", "analyse", "no.csv", folder=tmp_path)
     assert wrong.returncode == 2 and len(wrong.stderr.splitlines()) == 1
 

@@ -7,10 +7,10 @@ from attack_campaign import GOOD, case_of, judge, messages_of, run_beside
 from attacker import EARLY, Attacker, Case
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.run.summary.screen import Screen
 from los_testbed.run.summary.summary import print_summary, summarise_runs
 from ros_runs import PLANT, config_for, topic_hashes
 
+from pointing_analysis.command.screen import Screen
 from pointing_analysis.read.run import Run
 
 DURATION = 1.2

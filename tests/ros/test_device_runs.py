@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from los_testbed.api import analyse
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.parts.device_contract import ASKED, CONFIRMED, NOT_ZERO
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
@@ -21,6 +20,7 @@ from ros_faults import when_running
 from ros_runs import config_for, private_domain
 from simple_telescope import write_controllers
 
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.run import Run
 
 SUPPORT = Path(__file__).parents[1] / "support"

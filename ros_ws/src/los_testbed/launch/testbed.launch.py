@@ -14,9 +14,9 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import NAMESPACE, RunConfig
 
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.files.structured_text import load_yaml, read_text
 
 SEPARATE = ("plant", "estimator", "controller", "recorder")

@@ -9,8 +9,8 @@ import os
 import signal
 from typing import Any, NoReturn
 
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.processes.memory import check_command
+from pointing_analysis.command.exit_codes import ExitCode
 
 
 def _end(number: int, frame: Any) -> NoReturn:

@@ -196,12 +196,12 @@ def run(
         The run failed, was interrupted, or missed more ticks in real time than ``max_missed``; the message says where
         its record is, and ``code`` is the exit code of the command.
     """
-    from los_testbed.config.exit_codes import ExitCode
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.bag_names import new_bag, recorded
     from los_testbed.run.execution import execute
     from los_testbed.run.results import RunError, check_missed
     from los_testbed.run.summary.summary import missed_share
+    from pointing_analysis.command.exit_codes import ExitCode
 
     folder = "" if designs is None else str(designs)
     given = layered({"mode": "inprocess"}, of_designs(folder), _plain(settings))

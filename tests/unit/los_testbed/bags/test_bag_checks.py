@@ -18,10 +18,10 @@ from fuzz.record_mutations import places, put_together, taken_apart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.repair import repair_bag
 from los_testbed.bags.writer import BagWriter
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import TRUTH_LOS
 from support.forged_bags import forge, forge_with_manifest, without_digest
 
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MANIFEST, RefutedBagError
 from pointing_analysis.read.run import Run

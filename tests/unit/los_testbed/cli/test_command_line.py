@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import CommandLine, refused
-from los_testbed.cli.analysis.recordings import require_different
 from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.recordings import require_different
 from pointing_analysis.indices.synthetic import write_bag
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

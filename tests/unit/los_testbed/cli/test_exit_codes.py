@@ -13,11 +13,11 @@ import pytest
 from los_testbed.cli import app
 from los_testbed.cli import run as run_command
 from los_testbed.cli.command_group import ENTRIES
-from los_testbed.config.exit_codes import COMMANDS, MEANINGS, ExitCode
 from los_testbed.run.results import Results
 from support.command_line import call_command
 from support.slow_cases import slow
 
+from pointing_analysis.command.exit_codes import COMMANDS, MEANINGS, ExitCode
 from pointing_analysis.read.run import Run
 
 ROOT = Path(__file__).parents[4]

@@ -8,9 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.nodes.support.transport.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
 from los_testbed.run.processes.ros_variables import check_variables, domain_of
+
+from pointing_analysis.command.exit_codes import ExitCode
 
 TRANSPORT = (
     "transport_descriptors",

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.cli.device import _table
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import DeviceError, Sample
 from los_testbed.rig import motions
@@ -16,6 +15,7 @@ from los_testbed.rig.motions import model_response, peaks_of, record
 from los_testbed.rig.supervisor import Supervisor
 from los_testbed.rig.wiring import Wiring
 
+from pointing_analysis.command.exit_codes import ExitCode
 from titop_plant.interface import CAMERA, COLUMNS, FORCES, MEASURED, MIRROR, TICK_NS
 
 PEAKS = peaks_of((5.3e-3, 31.6))

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import ACTIVE, ERROR, FINALIZED, DeviceError
 from los_testbed.rig.emulator import Mirror, RigSettings
@@ -20,6 +19,7 @@ from los_testbed.rig.supervisor import Supervisor
 from los_testbed.rig.udp import UdpRig
 from los_testbed.rig.wire import Kind, encode
 
+from pointing_analysis.command.exit_codes import ExitCode
 from titop_plant.interface import COMMANDS
 
 SUPPORT = Path(__file__).parents[3] / "support"

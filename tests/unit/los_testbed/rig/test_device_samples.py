@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import (
     ASKED,
@@ -21,6 +20,7 @@ from los_testbed.rig.supervisor import EVERY_TICK, Supervisor, SupervisorSetting
 from los_testbed.rig.wire import Kind, Reader, encode
 from plain_rig import PlainRig
 
+from pointing_analysis.command.exit_codes import ExitCode
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
 CONFIG = RunConfig(device="my:Rig", start="rest")

@@ -12,8 +12,8 @@ from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
 from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.topics import DIAGNOSTICS_TOPIC
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.arrivals import KINDS, Arrivals
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss

@@ -29,7 +29,7 @@ from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import identity
-from los_testbed.run.summary.screen import warn
+from pointing_analysis.command.screen import warn
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0

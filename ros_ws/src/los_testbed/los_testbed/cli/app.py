@@ -20,9 +20,9 @@ from los_testbed import __version__
 from los_testbed.cli.command_group import CommandGroup
 from los_testbed.cli.environment import QUIET, SUPERVISED, TRACEBACK
 from los_testbed.cli.interrupts import remember_command
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY, names_memory
-from los_testbed.run.summary.screen import printable
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.screen import printable
 
 app = typer.Typer(
     cls=CommandGroup,

@@ -24,11 +24,11 @@ from los_testbed.cli.options.cluster_options import (
     TlsKey,
     processes,
 )
-from los_testbed.cli.options.options import Designs, Gate, Json, NewFolder, chosen, with_settings
-from los_testbed.cli.output import leave_by_gate, number, print_json
+from los_testbed.cli.options.options import Designs, NewFolder, chosen, with_settings
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen, on_screen
-from pointing_analysis.requirements.status import MET
+from pointing_analysis.command.options import Gate, Json
+from pointing_analysis.command.output import MET, leave_by_gate, number, print_json
+from pointing_analysis.command.screen import Screen, on_screen
 
 if TYPE_CHECKING:
     from los_testbed.campaign.dataset import Campaign, ResultFolder

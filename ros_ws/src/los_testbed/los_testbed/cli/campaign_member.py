@@ -10,10 +10,10 @@ import typer
 
 from lftkit.errors import InputError
 from lftkit.support.progress import Progress
-from los_testbed.cli.output import print_json
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, warn
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import Screen, on_screen, warn
 from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 

@@ -10,9 +10,9 @@ import typer
 
 from lftkit.errors import InputError
 from los_testbed.cli.options.options import option
-from los_testbed.cli.output import number, seconds
 from los_testbed.config.run_config import NAMESPACE, RunConfig
 from los_testbed.run.loop.changes import owner_of
+from pointing_analysis.command.output import number, seconds
 from pointing_analysis.files.structured_text import load_yaml
 
 if TYPE_CHECKING:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from los_testbed.cli.options.options import Json, TelescopeFile, option
-from los_testbed.cli.output import number, print_json
-from los_testbed.config.exit_codes import ExitCode
+from los_testbed.cli.options.options import TelescopeFile, option
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, say, warn
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, on_screen, say, warn
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 

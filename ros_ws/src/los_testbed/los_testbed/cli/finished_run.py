@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from lftkit.errors import InputError
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.command.screen import Screen, say
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

@@ -9,10 +9,11 @@ import typer
 from rich.console import Console
 from rich.table import Table as ScreenTable
 
-from los_testbed.cli.options.options import Json, TelescopeFile
-from los_testbed.cli.output import print_json
+from los_testbed.cli.options.options import TelescopeFile
 from los_testbed.config.members import CASES, check_ranges, named_cases
-from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import Screen, on_screen
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers
 from titop_plant.interface import FORCE_STAGES, K_PMA_OUTPUTS

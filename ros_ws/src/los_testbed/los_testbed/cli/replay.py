@@ -12,11 +12,12 @@ from rich.console import Console
 
 from lftkit.errors import InputError
 from lftkit.support.progress import Progress
-from los_testbed.cli.analysis.recordings import check_bag
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds
+from los_testbed.cli.options.options import option
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, on_screen, say, warn
+from pointing_analysis.command.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from pointing_analysis.command.output import chunk_limit, leave_if_contradicted, number, print_json, seconds
+from pointing_analysis.command.recordings import check_bag
+from pointing_analysis.command.screen import Screen, on_screen, say, warn
 from pointing_analysis.formatting.number_text import ABSENT, digits, percent
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from pointing_analysis.requirements.exposure import probabilities_of, quantile_key

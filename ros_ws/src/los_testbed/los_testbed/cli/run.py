@@ -20,9 +20,7 @@ from los_testbed.cli.environment import SUPERVISED
 from los_testbed.cli.finished_run import check_trace, sign, write_ticks
 from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
-from los_testbed.cli.options.options import FILES, Case, Cases, Designs, Gate, Json, with_settings
-from los_testbed.cli.output import gate_of, leave_by_gate, print_json
-from los_testbed.config.exit_codes import ExitCode
+from los_testbed.cli.options.options import FILES, Case, Cases, Designs, with_settings
 from los_testbed.config.run_config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.config.run_settings import chosen_member, completed, layered, of_designs
 from los_testbed.parts.run_parts import RunParts
@@ -31,8 +29,11 @@ from los_testbed.run.execution import Nodes, execute
 from los_testbed.run.modes import first_choice
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.results import RunError, check_missed
-from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Gate, Json
+from pointing_analysis.command.output import gate_of, leave_by_gate, print_json
+from pointing_analysis.command.screen import Screen, say
 from pointing_analysis.read.mcap.records import ShortRunError
 from titop_plant.physical_settings import DISTURBANCES, TELESCOPE
 

@@ -16,10 +16,11 @@ from lftkit.support.atomic_output import write_text
 from lftkit.support.progress import Progress
 from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.interrupts import resume_hint
-from los_testbed.cli.options.options import Case, Cases, Designs, Json, NewFolder, chosen, with_settings
-from los_testbed.cli.output import number, print_json
+from los_testbed.cli.options.options import Case, Cases, Designs, NewFolder, chosen, with_settings
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen, on_screen, say, warn
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, on_screen, say, warn
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun

@@ -8,9 +8,9 @@ from typing import Any, Protocol
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.plugins import RAISED, in_one_line, make
 from los_testbed.config.run_config import RunConfig
+from pointing_analysis.command.exit_codes import ExitCode
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED, ERROR = "unconfigured", "inactive", "active", "finalized", "error"
 """States of a device, named as in the life cycle of a ROS 2 node."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from lftkit.errors import InputError
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.run.modes import in_lockstep, late_answers
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError
-from los_testbed.run.summary.screen import warn
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.screen import warn
 from titop_plant.telescope.load import difference_summary
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import LATE_REPORTS, LIVELINESS_LOST, REPORT_DEADLINE_S
+from pointing_analysis.command.exit_codes import ExitCode
 
 MAX_MISSED = float(RunConfig.SETTINGS["max_missed"].default)
 """Percent of the ticks of a run in real time that may be missed."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import NODES
 from los_testbed.parts.device_contract import NOT_ZERO
@@ -40,6 +39,7 @@ from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.ros_variables import domain_of
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
+from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.run_end import FAILURE
 from titop_plant.interface import RATE
 

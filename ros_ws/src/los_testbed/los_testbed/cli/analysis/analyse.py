@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from los_testbed.cli.analysis.recordings import (
+from pointing_analysis.command.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
+from pointing_analysis.command.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
+from pointing_analysis.command.recordings import (
     Bags,
     Los,
     OpticsFile,
@@ -19,10 +21,9 @@ from los_testbed.cli.analysis.recordings import (
     require_different,
     requirements_in,
 )
-from los_testbed.cli.analysis.report_files import Export, Format, PaperSize, report_files
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
-from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
-from los_testbed.run.summary.screen import Screen
+from pointing_analysis.command.report_files import Export, Format, PaperSize, report_files
+from pointing_analysis.command.screen import Screen
+from titop_plant.interface import STAGES
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
@@ -80,7 +81,7 @@ def analyse(
     require_different(bags)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else None
     outputs = report_files(output, usual, form, paper, export)
-    given = requirements_in(requirements)
+    given = requirements_in(requirements, STAGES)
 
     def opener(bag: Path, limit: int) -> Recording:
         return open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit)

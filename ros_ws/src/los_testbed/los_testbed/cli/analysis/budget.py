@@ -10,9 +10,10 @@ import typer
 
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
-from los_testbed.cli.options.options import Designs, Gate, Json, TelescopeFile
-from los_testbed.cli.output import leave_by_gate, number, print_json
-from los_testbed.run.summary.screen import Screen, on_screen
+from los_testbed.cli.options.options import Designs, TelescopeFile
+from pointing_analysis.command.options import Gate, Json
+from pointing_analysis.command.output import leave_by_gate, number, print_json
+from pointing_analysis.command.screen import Screen, on_screen
 from pointing_analysis.formatting.number_text import digits, percent
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 

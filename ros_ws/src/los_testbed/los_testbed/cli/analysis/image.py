@@ -9,15 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.analysis.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
-from los_testbed.cli.options.options import (
-    MAX_CHUNK_MB,
-    Json,
-    MaxChunk,
-    Transient,
-)
-from los_testbed.cli.output import number, print_json, seconds
-from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.command.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from pointing_analysis.command.output import number, print_json, seconds
+from pointing_analysis.command.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
+from pointing_analysis.command.screen import Screen, say
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording

@@ -11,13 +11,14 @@ import typer
 from rich.console import Console
 
 from lftkit.errors import InputError
-from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
-from los_testbed.cli.analysis.report_files import Export, Format, PaperSize, report_files
-from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Gate, Json, MaxChunk, To, Transient
-from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.command.options import MAX_CHUNK_MB, From, Gate, Json, MaxChunk, To, Transient
+from pointing_analysis.command.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
+from pointing_analysis.command.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
+from pointing_analysis.command.report_files import Export, Format, PaperSize, report_files
+from pointing_analysis.command.screen import Screen, on_screen, say
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers
 from pointing_analysis.formatting.tables import texts as text_columns
+from titop_plant.interface import STAGES
 
 if TYPE_CHECKING:
     from pointing_analysis.requirements.summary import Summary
@@ -72,7 +73,7 @@ def report(
         raise InputError(f"--to must be after --from = {start:g} s, got {stop:g} s")
     for bag in bags:
         check_bag(bag)
-    given = requirements_in(requirements)
+    given = requirements_in(requirements, STAGES)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else Path("report")
     outputs = report_files(output, usual, form, paper, export)
 

@@ -11,9 +11,9 @@ import typer
 
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
-from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
-from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.command.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
+from pointing_analysis.command.output import chunk_limit, leave_if_contradicted, print_json
+from pointing_analysis.command.screen import Screen, say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
 

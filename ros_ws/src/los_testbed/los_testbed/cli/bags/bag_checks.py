@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
-from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.command.options import MAX_CHUNK_MB, Json, MaxChunk
+from pointing_analysis.command.output import chunk_limit, leave_if_contradicted, print_json
+from pointing_analysis.command.screen import Screen, on_screen, say
 from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 

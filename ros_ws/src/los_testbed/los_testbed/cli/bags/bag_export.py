@@ -11,10 +11,10 @@ import typer
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
 from lftkit.support.progress import Progress
-from los_testbed.cli.analysis.recordings import check_bag
-from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
-from los_testbed.cli.output import chunk_limit, print_json
-from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.command.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
+from pointing_analysis.command.output import chunk_limit, print_json
+from pointing_analysis.command.recordings import check_bag
+from pointing_analysis.command.screen import Screen, say
 
 EXPORT_EXAMPLES = """Write the signals of a bag for MATLAB, NumPy or as a table, with names and units.
 

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options.options import Json
-from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import Screen, on_screen
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 TOPICS_EXAMPLES = """List topics of any bag that can be the line of sight, for `analyse --los`.

@@ -18,9 +18,9 @@ import typer
 from lftkit.errors import InputError
 from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Json
-from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import printable
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import printable
 from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES

@@ -14,10 +14,11 @@ from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import resume_hint
-from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
-from los_testbed.cli.output import number, print_json
-from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen, met, on_screen, warn
+from los_testbed.cli.options.options import Designs, DesignSeed, TelescopeFile
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, met, on_screen, warn
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import LOOP_DELAY
 

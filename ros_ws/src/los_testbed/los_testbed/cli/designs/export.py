@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.options.options import Designs, Json, TelescopeFile
-from los_testbed.cli.output import print_json
-from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen, warn
+from los_testbed.cli.options.options import Designs, TelescopeFile
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import Screen, warn
 
 EXPORT_EXAMPLES = """Export the laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
 

@@ -18,11 +18,12 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Designs, Json, Uncertain
-from los_testbed.cli.output import number, print_json
-from los_testbed.config.exit_codes import ExitCode
+from los_testbed.cli.options.options import Designs, Uncertain
 from los_testbed.config.members import WORST_POINTS
-from los_testbed.run.summary.screen import Screen, on_screen, warn
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, on_screen, warn
 from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.formatting.number_text import ABSENT, at_least, at_most
 from pointing_analysis.formatting.tables import TextTable, numbers, texts

@@ -27,12 +27,13 @@ from los_testbed.cli.designs.proofs import leave_if_unproven, loops_of, prove_fi
 from los_testbed.cli.designs.verification_tables import verification_tables
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
-from los_testbed.cli.output import number, print_json
-from los_testbed.config.exit_codes import ExitCode
+from los_testbed.cli.options.options import DesignSeed, TelescopeFile, Uncertain
 from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
-from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, on_screen
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers

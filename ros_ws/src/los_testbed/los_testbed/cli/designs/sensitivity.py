@@ -10,9 +10,9 @@ import typer
 from lftkit.errors import InputError
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.designs.proofs import loops_of
-from los_testbed.cli.options.options import Json
-from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import print_json
+from pointing_analysis.command.screen import Screen, on_screen
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import MIRROR_STAGES
 

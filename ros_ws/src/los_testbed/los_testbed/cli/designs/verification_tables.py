@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from los_testbed.run.summary.screen import met
+from pointing_analysis.command.screen import met
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 

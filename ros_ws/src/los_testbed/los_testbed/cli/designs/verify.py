@@ -21,11 +21,12 @@ from los_testbed.cli.designs.mission import Mission, verify_mission
 from los_testbed.cli.designs.redesign import show_implemented
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Designs, Json, Uncertain
-from los_testbed.cli.output import number, print_json
-from los_testbed.config.exit_codes import ExitCode
+from los_testbed.cli.options.options import Designs, Uncertain
 from los_testbed.config.members import WORST_POINTS
-from los_testbed.run.summary.screen import Screen, warn
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.options import Json
+from pointing_analysis.command.output import number, print_json
+from pointing_analysis.command.screen import Screen, warn
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem

@@ -12,7 +12,7 @@ import typer
 
 from lftkit.support.workers import processors
 from los_testbed.cli.options.options import with_options
-from los_testbed.cli.output import number
+from pointing_analysis.command.output import number
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers

@@ -18,8 +18,8 @@ from los_testbed.run.change_requests import requested
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.summary.loop_proof import with_proof
 from los_testbed.run.summary.ran_loop import RanLoop
-from los_testbed.run.summary.screen import marked, met, on_screen, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
+from pointing_analysis.command.screen import marked, met, on_screen, say
 from pointing_analysis.formatting.number_text import ABSENT
 from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read import run_end

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import printable
-from pointing_analysis.requirements.status import MET
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.command.screen import printable
 
 if TYPE_CHECKING:
     from pointing_analysis.requirements.summary import Summary
+
+
+MET = {"compliant": True, "not compliant": False}
+"""Whether a requirement is met, by the status of a verdict; others demonstrate nothing."""
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.output import chunk_limit
+from pointing_analysis.command.output import chunk_limit
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
@@ -108,12 +108,14 @@ def check_bag(path: Path) -> None:
         )
 
 
-def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
-    """Requirements of ``--requirements``; None where none is given: those of each recording hold."""
-    from pointing_analysis.requirements.requirement import load
-    from titop_plant.interface import STAGES
+def requirements_in(file: Path | None, stages: Sequence[str] = ()) -> tuple[Requirement, ...] | None:
+    """Requirements of ``--requirements``; None where none is given: those of each recording hold.
 
-    return None if file is None else load(file, STAGES)
+    `stages` are those of a loop that a requirement may be limited to.
+    """
+    from pointing_analysis.requirements.requirement import load
+
+    return None if file is None else load(file, stages)
 
 
 def check_exposures(run: Recording, requirements: Sequence[Requirement], transient: float | None) -> None:
