@@ -75,7 +75,7 @@ def rows_of(path: Path) -> Rows:
     InputError
         Not text, no rows, rows of different length, columns of the same name, two decimal marks.
     """
-    # Text of a file in UTF-8, UTF-16, UTF-32 or Windows-1252, and a note of the last one
+    # The text, in UTF-8, UTF-16, UTF-32 or Windows-1252
     try:
         content = read_bytes(path, TABLE)
     except OSError as error:
@@ -97,6 +97,7 @@ def rows_of(path: Path) -> Rows:
     if (zero := text.find("\0")) >= 0:
         row = text.count("\n", 0, zero) + 1
         raise InputError(f"{path}: row {row} must be text, got zero bytes: the file was not written to its end")
+    # Its lines without comments and titles; what stands in front of the rows may hold their units
     every = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     named = _SEPARATOR_LINE.match(every[0][1]) if every else None
     lines = [pair for pair in (every[1:] if named else every) if not _is_comment(pair[1])]

@@ -274,7 +274,7 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
 
 
 def telescope_of(run: Run) -> DesignBasis:
-    """Telescope and limits stated in a bag; an older bag has fewer."""
+    """Telescope and limits stated in a bag."""
     names = ("los_sensitivity", "fsm_authority", "pma_authority")
     found: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
     if "parameters_hash" in run.parameters:

@@ -49,8 +49,7 @@ def _prediction(loop: RanLoop, transient: float | None) -> Prediction | None:
         return None  # without tones, or not only those of the scenario
     try:
         if rig:
-            # Parts of the telescope that a rig simulates, with the laws that its nodes announced; InputError for
-            # others
+            # The telescope that the rig simulates, with the laws that its nodes announced
             if loop.parts is None or (reason := contradiction(loop.run, loop.parts, LAWS)):
                 raise InputError(loop.unknown if loop.parts is None else reason)
             parts = replace(loop.parts, config=loop.parts.config.emulated(), recorded_start=None)
