@@ -18,7 +18,14 @@ from pointing_analysis.files.structured_text import load_toml
 
 ROOT = Path(__file__).parents[2]
 OUTSIDE = {"README.md": "overview.md"} | {
-    page: page for page in ("CONTRIBUTING.md", "CHANGELOG.md", "bags/README.md", "lftkit/README.md", "ros_ws/README.md")
+    page: page for page in (
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "bags/README.md",
+        "lftkit/README.md",
+        "pointing_analysis/README.md",
+        "ros_ws/README.md",
+    )
 }
 """Pages of the repository outside docs/ that are part of the site, and their names there (index.md is the start)."""
 PACKAGES = {
