@@ -16,11 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from paper_case import FAMILY
+
 from lftkit import SampledSystem
 from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
 from lftkit.tuning.structures.structures import gain_matrix_of
-from los_design.figures.paper_case import FAMILY
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions

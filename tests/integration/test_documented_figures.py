@@ -11,15 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import paper_numbers
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.run.summary.pointing_budget_sources import testbed_requirements as requirements_of_the_testbed
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_the_testbed
+from paper_case import PaperCase
 from support.scripts import script
 
 import pointing_analysis
-from los_design.figures import paper_numbers
-from los_design.figures.paper_case import PaperCase
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.total import evaluate
 from pointing_analysis.indices.errors import RAD_PER_MAS

@@ -8,20 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import paper_numbers
 import pytest
+from block_diagrams import WIDTH, Diagram, draw_diagram, fsm_synthesis, names, pma_synthesis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from oracles.accurate_response import extended_response
+from paper_case import FAMILY, PaperCase
+from paper_figures import FIGURES, draw
 from support.paper_problem import actuator_structure, observer_requirements
 
 from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
 from lftkit.tuning import certify
-from los_design.figures import paper_numbers, plant_figures
-from los_design.figures.block_diagrams import WIDTH, Diagram, draw_diagram, fsm_synthesis, names, pma_synthesis
-from los_design.figures.paper_case import FAMILY, PaperCase
-from los_design.figures.paper_figures import FIGURES, draw
+from los_design.figures import plant_figures
 from los_design.search.worst_case_search import points_with_ends
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.state_space_requirements import paper_requirements

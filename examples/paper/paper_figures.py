@@ -1,6 +1,6 @@
 """The paper's figures of its own problem: every picture of its results, with the axes and curves that it has.
 
-All are drawn from one parameter file and four stored designs (:class:`los_design.figures.paper_case.PaperCase`); the
+All are drawn from one parameter file and four stored designs (:class:`paper_case.PaperCase`); the
 same files give the same bytes.
 """
 
@@ -13,10 +13,13 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from block_diagrams import draw_diagram, fsm_synthesis, pma_synthesis
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
+from paper_case import PaperCase
+from paper_stages import HIGHEST, LOWEST
 
 from lftkit import System
 from lftkit.analysis.batched_linalg import singular_values
@@ -24,9 +27,6 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from los_design.figures import plant_figures
-from los_design.figures.block_diagrams import draw_diagram, fsm_synthesis, pma_synthesis
-from los_design.figures.paper_case import PaperCase
-from los_design.figures.stage_curves import LOWEST, PAPER_HIGHEST
 from los_design.figures.style import LIMIT, STAGE_STYLES, STYLE, hertz, radians, save_figure
 from los_design.synthesis.store import continuous
 from los_estimator.kalman import kalman_observer
@@ -94,7 +94,7 @@ def _controllers(figure: Figure, case: PaperCase, design: str) -> None:
     k_fsm, k_pma = (continuous(system) for system in case.pairs[design])
     kalman = kalman_observer(case.telescope)
     panels = figure.subplots(2, 3, sharex=True).ravel()
-    omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
+    omega: FloatArray = np.asarray(np.geomspace(LOWEST, HIGHEST, 400), dtype=float)
     _, colour = STAGE_STYLES["fsm"]
     for axes, (port, title) in zip(panels, SENSORS.items()):
         for system, style in ((k_fsm, {"color": colour}), (kalman, {"color": GREY, "ls": "--"})):
@@ -139,7 +139,7 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
             axes.loglog(curve.omega, curve.size, color=colour, lw=WIDTHS[stage])
         axes.plot([], [], color=colour, lw=1.6, label=label)
     weights = case.telescope.weights
-    omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
+    omega: FloatArray = np.asarray(np.geomspace(LOWEST, HIGHEST, 400), dtype=float)
     relative = 1.0 / rpe_weight(omega, weights.rpe_window) / ARCSEC
     templates = (
         (
@@ -158,7 +158,7 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
     )
     for size, style, symbol, limit in templates:
         axes.loglog(omega, size, color=LIMIT, ls=style, lw=1.6, label=f"{symbol}, {limit}")
-    axes.set(xlim=(LOWEST, PAPER_HIGHEST), ylim=(1e-4, 1e3), xlabel="frequency [rad/s]")
+    axes.set(xlim=(LOWEST, HIGHEST), ylim=(1e-4, 1e3), xlabel="frequency [rad/s]")
     axes.set_ylabel(r"largest singular value $[\tilde w_{rws}, \tilde w_{sa}] \to LOS_c$ [arcsec]")
     axes.yaxis.set_major_locator(LogLocator(numticks=12))
     axes.secondary_xaxis("top", functions=(hertz, radians)).set_xlabel("frequency [Hz]")

@@ -8,10 +8,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from paper_stages import PaperStages
 
 from lftkit import SampledSystem
 from lftkit.errors import InputError
-from los_design.figures.stage_curves import NAMES, PaperStages
+from los_design.figures.stage_curves import NAMES
 from titop_plant.disturbances.responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.interface import STAGES
 from titop_plant.telescope.assembly import AssembledTelescope, assembled_telescope

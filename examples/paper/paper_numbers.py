@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from paper_case import DESIGNS, PaperCase
 
 from lftkit.arrays import FloatArray
-from los_design.figures.paper_case import DESIGNS, PaperCase
 from los_design.synthesis.provenance import law_digest
 from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SHORT_NAMES, check_paper
 from los_loop.figures_of_merit import paper_figures
