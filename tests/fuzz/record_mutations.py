@@ -72,7 +72,7 @@ def put_together(found: list[Record], trusted: bool) -> bytes:
         start = len(MAGIC) + sum(map(len, parts[: last + 1]))
         summary, before = b"".join(parts[last + 1 : -1]), struct.unpack("<QQI", found[-1][1])
         old_offsets = before[1] - before[0] if before[1] else 0
-        offsets = start + old_offsets if old_offsets <= len(summary) else 0
+        offsets = start + old_offsets if 0 <= old_offsets <= len(summary) else 0
         head = RECORD.pack(OP_FOOTER, 20) + struct.pack("<QQ", start, offsets)
         parts[-1] = head + struct.pack("<I", zlib.crc32(head, zlib.crc32(summary)))
     return MAGIC + b"".join(parts) + MAGIC
