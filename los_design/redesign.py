@@ -132,7 +132,14 @@ def design_all(
     """
     if options.loop_delay != LOOP_DELAY:
         raise InputError(f"loop_delay must be that of the testbed, {LOOP_DELAY:g} s, got {options.loop_delay:g}")
-    _check_writable(folder)
+    # Make the folder and a file in it before hours of work
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None
     effort = _effort(options)
     with one_thread(), Workers(options.workers) as own:
         workers = workers or own
@@ -251,19 +258,3 @@ def _pair(
         job.finish()
     report(f"k_fsm.json, k_pma.json: {k_fsm.provenance['status']}")
     return k_fsm, k_pma
-
-
-def _check_writable(folder: Path) -> None:
-    """Make the folder and a file in it before hours of work.
-
-    Raises
-    ------
-    ValueError
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None

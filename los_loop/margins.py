@@ -127,7 +127,12 @@ def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -
     delay = np.zeros(len(S), dtype=bool)
     for bounds, least, part in ((T_all, least_T, whole), (S_all, least_S, 0.0 * whole)):
         near = np.flatnonzero(bounds >= least)
-        bounds[near] = _radius_bounds(found[near] - part)
+        # Upper bounds of the spectral radius of each matrix of a stack (N, k, k): norms of their powers
+        M = found[near] - part
+        square = M @ M
+        fourth = square @ square
+        norm = np.sqrt(np.sum(np.abs(fourth @ fourth) ** 2, axis=(1, 2)))
+        bounds[near] = np.asarray((1.0 + BOUND_ROUNDING) * norm**0.125)
         near = near[bounds[near] >= least[near]]
         if near.size:
             values = np.asarray(eigenvalues(S[near] - part))
@@ -166,14 +171,6 @@ def _balanced(S: ComplexArray) -> ComplexArray:
     found[:, first, last] /= ratio[:, None, None]
     found[:, last, first] *= ratio[:, None, None]
     return found
-
-
-def _radius_bounds(M: ComplexArray) -> FloatArray:
-    """Upper bounds of the spectral radius of each matrix of a stack (N, k, k): norms of their powers."""
-    square = M @ M
-    fourth = square @ square
-    norm = np.sqrt(np.sum(np.abs(fourth @ fourth) ** 2, axis=(1, 2)))
-    return np.asarray((1.0 + BOUND_ROUNDING) * norm**0.125)
 
 
 def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, Callable[[], SampledLoop]]]:

@@ -66,17 +66,8 @@ def broken_loops(loop: ImplementedLoop, point: FloatArray) -> tuple[BrokenLoop, 
 def _broken(place: str, omega: FloatArray, S: ComplexArray) -> BrokenLoop:
     unit = np.eye(S.shape[1], dtype=complex)
     loci = eigenvalues(solve(S, np.broadcast_to(unit, S.shape)) - unit)
-    return BrokenLoop(place, omega, _as_curves(loci), largest_gains(S))
-
-
-def _as_curves(loci: ComplexArray) -> ComplexArray:
-    """Eigenvalues (N, k) in an order in which each column is one curve: by the nearest one of the frequency before.
-
-    Examples
-    --------
-    >>> _as_curves(np.array([[1.0, 5.0j], [4.0j, 1.1], [1.2, 3.0j]])).tolist()
-    [[(1+0j), 5j], [(1.1+0j), 4j], [(1.2+0j), 3j]]
-    """
+    # Eigenvalues (N, k) in an order in which each column is one curve: by the nearest one of the frequency
+    # before
     distances = np.abs(loci[:-1, :, None] - loci[1:, None, :])
     following = np.argmin(distances, axis=2)
     # where two are nearest to one, the least sum of distances
@@ -86,7 +77,7 @@ def _as_curves(loci: ComplexArray) -> ComplexArray:
     for k, step in enumerate(following):
         order = step[order]
         found[k + 1] = loci[k + 1, order]
-    return found
+    return BrokenLoop(place, omega, found, largest_gains(S))
 
 
 __all__ = ["BrokenLoop", "broken_loops"]

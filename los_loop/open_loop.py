@@ -76,7 +76,12 @@ class OpenLoop:
         self.disturbances = B.shape[1] - self._u.stop
         # eigenvectors of metres beside microradians: a plain solution with them has errors of 5e-7
         self._poles, self._right, self._left = modal(system.A, B[:, self._u], C[self.channels :])
-        self._flow, self._growth = _held(self._poles)
+        # What modal coordinates p keep over a tick, e^(p dt), and gain by a held input, (e^(p dt) - 1) / p
+        x = self._poles * DT
+        growth = np.where(
+            np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(self._poles == 0.0, 1.0, self._poles)
+        )
+        self._flow, self._growth = np.exp(x), np.asarray(growth)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -179,13 +184,6 @@ class OpenLoop:
         ndarray, complex, shape (N, 24, 30)
         """
         return LftResponse.of(lft, self.channels).closed(self.delta(points), self.angle)
-
-
-def _held(poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """What modal coordinates p keep over a tick, ``e^(p dt)``, and gain by a held input, ``(e^(p dt) - 1) / p``."""
-    x = poles * DT
-    growth = np.where(np.abs(x) < 1e-6, DT * (1.0 + 0.5 * x), np.expm1(x) / np.where(poles == 0.0, 1.0, poles))
-    return np.exp(x), np.asarray(growth)
 
 
 def _hold(omega: FloatArray) -> ComplexArray:

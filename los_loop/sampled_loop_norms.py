@@ -20,7 +20,7 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
@@ -235,7 +235,9 @@ class ToneModes:
         """Of a loop and its continuous plant, each in its own coordinates."""
         n, size = loop.plant_order, loop.hold.shape[0] - HELD.size
         A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
-        kept = size + _kept(loop)
+        # Places of the values that are held beyond a tick among all held values
+        parts = [np.arange(HELD.size)[part] for part, _, _ in _components(loop)]
+        kept = size + (np.concatenate(parts) if parts else np.arange(0))
         commands, sensed = loop.commands, N.shape[1]
         outputs = np.zeros((LOS_ROWS.stop + commands, size))
         outputs[LOS_ROWS], outputs[LOS_ROWS.stop :, n : n + commands] = loop.truth[:, :size], np.eye(commands)
@@ -325,12 +327,6 @@ def _components(loop: SampledLoop) -> list[tuple[slice, int, int]]:
     """Of each port without a sample at every tick: part of the held values, ticks of a sample, components of it."""
     every = {name: loop.sample_ticks.get(name, loop.frame_ticks) for name in HELD_PARTS}
     return [(HELD_PARTS[name], n, loop.frame_ticks // n) for name, n in every.items() if n > 1]
-
-
-def _kept(loop: SampledLoop) -> IntArray:
-    """Places of the values that are held beyond a tick among all held values."""
-    parts = [np.arange(HELD.size)[part] for part, _, _ in _components(loop)]
-    return np.concatenate(parts) if parts else np.arange(0)
 
 
 def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.riccati import riccati
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.arrays import Matrices
 from lftkit.errors import InputError
 
 
@@ -48,11 +48,7 @@ def right_coprime_factors(plant: Matrices, name: str = "system") -> Matrices:
     if X is None or Y is None:  # without Y the factors have a common zero that is not stable
         raise InputError(f"{name}: the system must be stabilisable and detectable to rounding, got one that is not")
     F = -linalg.solve(S, D.T @ C + B.T @ X)
-    into = linalg.inv(_root(S))
+    # Symmetric square root of a positive definite matrix
+    values, vectors = linalg.eigh(S)
+    into = linalg.inv(np.asarray(vectors * np.sqrt(values) @ vectors.T))
     return A + B @ F, B @ into, np.vstack([C + D @ F, F]), np.vstack([D @ into, into])
-
-
-def _root(matrix: FloatArray) -> FloatArray:
-    """Symmetric square root of a positive definite matrix."""
-    values, vectors = linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(values) @ vectors.T)

@@ -92,7 +92,26 @@ def ucover(
     if not envelope.max() > 0.0:
         raise InputError("members must differ from the nominal system, got equal responses")
     weight = fit_magnitude(w, np.maximum(envelope, LEAST * envelope.max()), order, above=True, dt=G0.dt)
-    return Cover(_multiplied(G0, weight, name), weight, w, envelope)
+    # G0 (1 + W delta): w = delta z, z = W u, y = G0 (u + w)
+    (A, B, C, D), (a, b, c, d) = G0.matrices, weight.matrices
+    none, zero = np.zeros((len(a), 1)), np.zeros((1, len(a)))
+    return Cover(
+        System(
+            linalg.block_diag(a, A),
+            np.block([[none, b], [B, B]]),
+            np.block([[c, np.zeros((1, len(A)))], [zero, C]]),
+            np.block([[np.zeros((1, 1)), d], [D, D]]),
+            G0.inputs,
+            G0.outputs,
+            G0.name,
+            G0.dt,
+            (name,),
+            (DynamicElement(name),),
+        ),
+        weight,
+        w,
+        envelope,
+    )
 
 
 def _responses(members: Sequence[Any] | ArrayLike, omega: FloatArray) -> ComplexArray:
@@ -116,21 +135,3 @@ def _responses(members: Sequence[Any] | ArrayLike, omega: FloatArray) -> Complex
     if not np.all(np.isfinite(found)):
         raise InputError("members must have finite responses, got one that is not")
     return found
-
-
-def _multiplied(G0: System, weight: System, name: str) -> System:
-    """``G0 (1 + W delta)``: w = delta z, z = W u, y = G0 (u + w)."""
-    (A, B, C, D), (a, b, c, d) = G0.matrices, weight.matrices
-    none, zero = np.zeros((len(a), 1)), np.zeros((1, len(a)))
-    return System(
-        linalg.block_diag(a, A),
-        np.block([[none, b], [B, B]]),
-        np.block([[c, np.zeros((1, len(A)))], [zero, C]]),
-        np.block([[np.zeros((1, 1)), d], [D, D]]),
-        G0.inputs,
-        G0.outputs,
-        G0.name,
-        G0.dt,
-        (name,),
-        (DynamicElement(name),),
-    )

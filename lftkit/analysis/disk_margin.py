@@ -111,7 +111,11 @@ def margin_of_shifted(shifted: Matrices, dt: float, skew: float) -> DiskMargin:
         return NONE
     worst = hinf_norm(*shifted, dt=dt or None)
     size = 1.0 / worst.value if worst.value > 0.0 else math.inf
-    edge = _edge(shifted, worst.omega, dt, skew)
+    # The factor that makes a pole at a frequency
+    point = np.exp(1j * worst.omega * dt) if dt else 1j * worst.omega
+    response = complex((shifted[3] if math.isinf(worst.omega) else lft.response(shifted, point)).item())
+    below = 2.0 * response - (1.0 + skew)
+    edge = (2.0 * response + 1.0 - skew) / below if below != 0.0 else complex(math.inf)
     return DiskMargin(size, disk_gains(size, skew), disk_phase(size, skew), worst.omega, edge)
 
 
@@ -149,11 +153,3 @@ def disk_phase(size: float, skew: float = 0.0) -> float:
     if math.isinf(size) or slope <= 0.0:
         return 180.0
     return math.degrees(math.acos(max(-1.0, (4.0 - square * (1.0 + skew**2)) / slope)))
-
-
-def _edge(shifted: Matrices, omega: float, dt: float, skew: float) -> complex:
-    """The factor that makes a pole at a frequency."""
-    point = np.exp(1j * omega * dt) if dt else 1j * omega
-    response = complex((shifted[3] if math.isinf(omega) else lft.response(shifted, point)).item())
-    below = 2.0 * response - (1.0 + skew)
-    return (2.0 * response + 1.0 - skew) / below if below != 0.0 else complex(math.inf)

@@ -92,7 +92,13 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     flipped = right_coprime_factors(_transposed(plants[1]), two.name)
     p, m = one.D.shape
     left = _transposed(flipped)
-    norm = hinf_norm(*_beside_floor(_difference(left, right, p, m)))
+    # N2 M1 - M2 N1 of left factors [N2, M2] and right ones [N1; M1]
+    a, b, c, d = left
+    A, B, C, D = right
+    swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
+    into, through = b @ swap, d @ swap
+    whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
+    norm = hinf_norm(*_beside_floor((whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D)))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
     value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
@@ -110,16 +116,6 @@ def _continuous(system: System, dt: float) -> Matrices:
 def _transposed(system: Matrices) -> Matrices:
     A, B, C, D = system
     return A.T, C.T, B.T, D.T
-
-
-def _difference(left: Matrices, right: Matrices, p: int, m: int) -> Matrices:
-    """``N2 M1 - M2 N1`` of left factors ``[N2, M2]`` and right ones ``[N1; M1]``."""
-    a, b, c, d = left
-    A, B, C, D = right
-    swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
-    into, through = b @ swap, d @ swap
-    whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
-    return whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D
 
 
 def _beside_floor(system: Matrices) -> Matrices:

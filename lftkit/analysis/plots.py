@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy import linalg
@@ -96,7 +95,18 @@ def bode_band(
     phase = np.rad2deg(np.unwrap(np.angle(response), axis=1))
     phase -= 360.0 * np.round((phase[:, :1] - phase[0, 0]) / 360.0)
     for axes, values in ((upper, np.abs(response)), (lower, phase)):
-        _band(axes, w, values, len(models) - 1)
+        members = len(models) - 1
+        if members:
+            axes.fill_between(
+                w,
+                values.min(axis=0),
+                values.max(axis=0),
+                color=BAND,
+                alpha=0.6,
+                linewidth=0,
+                label=f"{members} members",
+            )
+        axes.plot(w, values[0], color=LINE, linewidth=1.4, label="nominal")
         axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
     upper.set(yscale="log", ylabel=f"{_label(output, out)} / {_label(input, into)} [{out.unit}/{into.unit}]")
     lower.set(xscale="log", xlabel="frequency [rad/s]", ylabel="phase [deg]")
@@ -194,14 +204,6 @@ def _frequencies(models: Sequence[System], omega: ArrayLike | None) -> FloatArra
     poles = np.concatenate([np.zeros(0, dtype=complex), *(linalg.eigvals(m.A) for m in models)])
     low, high = pole_range(poles)
     return frequency_grid(poles, min(low, 1.0) / MARGIN, max(high, 1.0) * MARGIN, points=300)
-
-
-def _band(axes: Axes, w: FloatArray, values: FloatArray, members: int) -> None:
-    if members:
-        axes.fill_between(
-            w, values.min(axis=0), values.max(axis=0), color=BAND, alpha=0.6, linewidth=0, label=f"{members} members"
-        )
-    axes.plot(w, values[0], color=LINE, linewidth=1.4, label="nominal")
 
 
 def _port(ports: Sequence[Port], channel: Channel) -> Port:

@@ -119,23 +119,14 @@ def _begin(stopped: connection.Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1, user_api="blas")
-    _keep_freed_memory()
-    parent = parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel, stopped), daemon=True).start()
-
-
-def _keep_freed_memory() -> None:
-    """Let arrays of up to 31 MB reuse the memory of earlier ones, in a process that makes and drops many.
-
-    A new process gives what it has freed back to the system as soon as that is some hundred kilobytes, and takes it
-    anew, page by page: a fifth of the time of a proof's check. Both bounds are told to glibc: its own ones stay small
-    where the environment sets one of them, as Dask does. With other C libraries nothing changes.
-    """
+    # Let arrays of up to 31 MB reuse the memory of earlier ones, in a process that makes and drops many
     with contextlib.suppress(OSError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_MMAP_THRESHOLD, _LARGEST_KEPT)
         mallopt(_TRIM_THRESHOLD, 2 * _LARGEST_KEPT)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel, stopped), daemon=True).start()
 
 
 def _end_with(sentinel: int, stopped: connection.Connection) -> None:

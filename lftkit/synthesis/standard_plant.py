@@ -80,15 +80,17 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
             )
         groups.append((tuple(known[name] for name in chosen), rest))
     (seen, errors), (driven, disturbances) = groups
-    found = StandardPlant(_in_balanced_units(system), seen, driven, disturbances, errors)
+    # The system with other units of its states: the equations lose digits where they are far apart
+    A, B, C, D = system.matrices
+    found = StandardPlant(
+        System(*balanced(A, B, C), D, system.inputs, system.outputs, system.name, system.dt),
+        seen,
+        driven,
+        disturbances,
+        errors,
+    )
     _require_stabilisable(found)
     return found
-
-
-def _in_balanced_units(system: System) -> System:
-    """The system with other units of its states: the equations lose digits where they are far apart."""
-    A, B, C, D = system.matrices
-    return System(*balanced(A, B, C), D, system.inputs, system.outputs, system.name, system.dt)
 
 
 def _require_stabilisable(given: StandardPlant) -> None:

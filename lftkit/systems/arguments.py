@@ -169,11 +169,16 @@ def _is_a(value: Any, kind: type) -> bool:
     if kind is complex:
         return isinstance(value, complex | np.number) or is_number(value)
     if kind is int:
-        return _is_integer(value)
+        try:
+            return fits_64_bits(operator.index(value))
+        except TypeError:
+            return False
     if kind is bool:
         return isinstance(value, bool | np.bool_)
     if kind.__name__ == TAKEN[0]:
-        return _is_system(value)
+        # Whether a value may be taken for a system: an object of the packages that have some, a number, a
+        # matrix
+        return type(value).__module__.partition(".")[0] in ("lftkit", "control", "scipy") or _is_numbers(value, False)
     if kind.__name__ == TAKEN[1] and isinstance(value, tuple | list | str):
         return isinstance(value, str) or (len(value) in (2, 3) and isinstance(value[0], str))
     if getattr(kind, "_is_protocol", False):
@@ -182,18 +187,6 @@ def _is_a(value: Any, kind: type) -> bool:
         return isinstance(value, kind)
     except TypeError:  # Any
         return True
-
-
-def _is_integer(value: Any) -> bool:
-    try:
-        return fits_64_bits(operator.index(value))
-    except TypeError:
-        return False
-
-
-def _is_system(value: Any) -> bool:
-    """Whether a value may be taken for a system: an object of the packages that have some, a number, a matrix."""
-    return type(value).__module__.partition(".")[0] in ("lftkit", "control", "scipy") or _is_numbers(value, False)
 
 
 def _is_array(hint: Any) -> bool:

@@ -56,7 +56,10 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
     for name, system in systems.items():
         system.require_real()
         A, B, C, D = system.sorted_channels().lft
-        names = [_cells([_one_based(x) for x in labels_of_ports(side)]) for side in (system.inputs, system.outputs)]
+        names = [
+            _cells([re.sub(r"\[(\d+)\]$", lambda m: f"({int(m[1]) + 1})", x) for x in labels_of_ports(side)])
+            for side in (system.inputs, system.outputs)
+        ]
         units = [_cells([u for p in side for u in p.units]) for side in (system.inputs, system.outputs)]
         content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
         content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
@@ -278,7 +281,3 @@ def _cells(texts: Sequence[str]) -> Any:
     cells = np.empty((len(texts), 1), dtype=object)
     cells[:, 0] = texts
     return cells
-
-
-def _one_based(label: str) -> str:
-    return re.sub(r"\[(\d+)\]$", lambda m: f"({int(m[1]) + 1})", label)

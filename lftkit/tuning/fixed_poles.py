@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.structures.structures import Structure
 
@@ -87,12 +86,8 @@ def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole
             continue
         shifted = A - value * np.eye(len(A))
         for missing, matrix in (("commands", np.hstack([shifted, B])), ("measurements", np.vstack([shifted, C]))):
-            if _loses_rank(np.asarray(matrix)):
+            sizes = linalg.svdvals(np.asarray(matrix))
+            if sizes[-1] <= ROUNDING * len(sizes) * max(float(sizes[0]), np.finfo(float).tiny):
                 found.append(FixedPole(model.name, complex(value), missing, bool(value.real < -slowest)))
                 break
     return found
-
-
-def _loses_rank(matrix: FloatArray) -> bool:
-    sizes = linalg.svdvals(matrix)
-    return bool(sizes[-1] <= ROUNDING * len(sizes) * max(float(sizes[0]), np.finfo(float).tiny))

@@ -43,7 +43,26 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
     if not isinstance(structure, AffineStructure):
         return []
     found: list[FloatArray] = []
-    for plant in _plants(problem):
+    measured = tuple(p.name for p in problem.structure.inputs)
+    commanded = tuple(p.name for p in problem.structure.outputs)
+    gains = [
+        r
+        for r in problem.requirements
+        if isinstance(r, HinfGain | H2Gain) and not (r.hard or isinstance(r, SectorGain))
+    ]
+    plants = [
+        extended_plant(
+            problem.models[0],
+            measured,
+            commanded,
+            0,
+            r,
+            loop_delay=problem.loop_delay,
+            pade_order=problem.pade_order,
+        )
+        for r in gains[:MAX_REQUIREMENTS]
+    ]
+    for plant in [p for p in plants if 0 < len(p.A) <= MAX_ORDER]:
         regular = _regularised(plant)
         for synthesis in (_h2, _hinf):
             try:
@@ -77,29 +96,6 @@ def sampled_lqg_starts(
         starts = [_taken(structure, *law, model.dt) for law in laws]
         found += [x for x in starts if x is not None]
     return found
-
-
-def _plants(problem: Problem) -> list[ExtendedPlant]:
-    measured = tuple(p.name for p in problem.structure.inputs)
-    commanded = tuple(p.name for p in problem.structure.outputs)
-    gains = [
-        r
-        for r in problem.requirements
-        if isinstance(r, HinfGain | H2Gain) and not (r.hard or isinstance(r, SectorGain))
-    ]
-    plants = [
-        extended_plant(
-            problem.models[0],
-            measured,
-            commanded,
-            0,
-            r,
-            loop_delay=problem.loop_delay,
-            pade_order=problem.pade_order,
-        )
-        for r in gains[:MAX_REQUIREMENTS]
-    ]
-    return [p for p in plants if 0 < len(p.A) <= MAX_ORDER]
 
 
 def _regularised(plant: ExtendedPlant) -> ExtendedPlant:

@@ -91,7 +91,16 @@ def tuned_in_order(
     levels.to_the_end()
     best, left = levels.best, max(levels.left, LEAST_SHARE * plain.wall_limit)
     effort = replace(plain, starts=0, wall_limit=left)
-    judged = run(requirements, _constant(structure, best), initial=(), options=effort)
+    # The structure without parameters whose controller is that of a result
+    none: IntArray = np.zeros(0, dtype=np.intp)
+    K, dt = best.controller, best.controller.dt
+    base = gain_matrix_of(K)
+    judged = run(
+        requirements,
+        AffineStructure(structure.inputs, structure.outputs, K.order, base, none, none, none, np.zeros(0), dt=dt),
+        initial=(),
+        options=effort,
+    )
     status = levels.status
     return replace(
         best,
@@ -189,11 +198,3 @@ def largest_values(result: TuningResult) -> FloatArray:
     """Largest value of each requirement: over the models, of a robust design over the box."""
     values = result.values.max(axis=1)
     return np.asarray(np.maximum(values, [w.value for w in result.worst]) if result.worst else values)
-
-
-def _constant(structure: Structure, best: TuningResult) -> AffineStructure:
-    """The structure without parameters whose controller is that of a result."""
-    none: IntArray = np.zeros(0, dtype=np.intp)
-    K, dt = best.controller, best.controller.dt
-    base = gain_matrix_of(K)
-    return AffineStructure(structure.inputs, structure.outputs, K.order, base, none, none, none, np.zeros(0), dt=dt)

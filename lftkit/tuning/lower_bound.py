@@ -69,24 +69,26 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
 
     try:
         if isinstance(requirement, SampledH2Gain):
-            return _sampled_h2_norm(extended_plant(model, measured, commanded, 0, requirement.unlagged), requirement)
+            # Of the discrete plant that belongs to an image, for white noise of unit density
+            image = extended_plant(model, measured, commanded, 0, requirement.unlagged)
+            if len(image.A) > MAX_ORDER:
+                return -np.inf
+            found = h2syn(_system(image, requirement.period), "y", "u")
+            return found.lower * (1.0 - ROUNDING) / float(np.sqrt(requirement.period))
         alone = plant(0)
         if len(alone.A) > MAX_ORDER:
             return -np.inf
         if len(alone.A) and _of_full_rank(alone):
             return synthesis(alone, lambda full: plant(len(full.A)).closed(full.gain_matrix))
         if synthesis is _hinf_level and closely and 0 < len(alone.A) <= MAX_STATES:
-            return _of_full_order(alone)
+            # Bound by the program of :func:~lftkit.synthesis.hinfsyn, or by single points; minus infinity for
+            # none
+            return hinfsyn(_system(alone), "y", "u").lower or -np.inf
         if synthesis is _hinf_level:
             return gain_out_of_reach(alone) or -np.inf
     except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
         pass
     return -np.inf
-
-
-def _of_full_order(plant: ExtendedPlant) -> float:
-    """Bound by the program of :func:`~lftkit.synthesis.hinfsyn`, or by single points; minus infinity for none."""
-    return hinfsyn(_system(plant), "y", "u").lower or -np.inf
 
 
 def _system(plant: ExtendedPlant, dt: float = 0.0) -> System:
@@ -120,14 +122,6 @@ def _hinf_level(plant: ExtendedPlant, closed: Closed) -> float:
     reached = hinf_norm(loop.A, loop.B, loop.C, loop.D).value
     # a loop below the level: the equations had no solution there by rounding alone
     return low if (1.0 - ROUNDING) * low <= reached <= (1.0 + JUST_ABOVE) ** 2 * high else -np.inf
-
-
-def _sampled_h2_norm(image: ExtendedPlant, requirement: SampledH2Gain) -> float:
-    """Of the discrete plant that belongs to an image, for white noise of unit density."""
-    if len(image.A) > MAX_ORDER:
-        return -np.inf
-    found = h2syn(_system(image, requirement.period), "y", "u")
-    return found.lower * (1.0 - ROUNDING) / float(np.sqrt(requirement.period))
 
 
 def _h2_norm(plant: ExtendedPlant, closed: Closed) -> float:

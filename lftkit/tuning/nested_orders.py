@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +47,9 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
     n, K = lower.order, lower.gain_matrix(x)
     rng = np.random.default_rng(n)
     found = []
-    for speed in _speeds(problem.models):
+    sizes = np.abs(linalg.eigvals(problem.models[0].A)) if len(problem.models[0].A) else np.ones(1)
+    sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
+    for speed in [float(s) for s in np.quantile(sizes, SPEEDS)]:
         matrices = with_decaying_state(K, n, speed, rng)
         try:
             model = System(*matrices, structure.inputs, structure.outputs)
@@ -76,12 +77,6 @@ def with_decaying_states(system: System, speeds: ArrayLike, seed: int) -> System
         more = with_decaying_state(gain_matrix_of(system), system.order, float(speed), rng)
         system = System(*more, system.inputs, system.outputs, system.name)
     return system
-
-
-def _speeds(models: Sequence[System]) -> list[float]:
-    sizes = np.abs(linalg.eigvals(models[0].A)) if len(models[0].A) else np.ones(1)
-    sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
-    return [float(s) for s in np.quantile(sizes, SPEEDS)]
 
 
 def _without(index: IntArray, last: int) -> IntArray:

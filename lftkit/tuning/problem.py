@@ -187,7 +187,19 @@ class Problem:
         """Make one more model active; `known`: its gains for another structure with the same ports."""
         model.require_certain()
         model.require_continuous()
-        _check_sizes(model, self.structure)
+        for what, ports, there in (
+            ("measurement", self.structure.inputs, model.outputs),
+            ("command", self.structure.outputs, model.inputs),
+        ):
+            sizes = {p.name: p.size for p in there}
+            for port in ports:
+                if port.name not in sizes:
+                    raise InputError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
+                if sizes[port.name] != port.size:
+                    raise InputError(
+                        f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, "
+                        f"the controller has {port.size}"
+                    )
         for asked in self.given:
             asked.check(model)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
@@ -446,19 +458,3 @@ def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piec
 
 def _pulled(structure: Structure, x: FloatArray, gradient: FloatArray | None) -> FloatArray:
     return np.zeros(0) if gradient is None else np.asarray(structure.pullback(x, gradient), dtype=float)
-
-
-def _check_sizes(model: System, structure: Structure) -> None:
-    for what, ports, there in (
-        ("measurement", structure.inputs, model.outputs),
-        ("command", structure.outputs, model.inputs),
-    ):
-        sizes = {p.name: p.size for p in there}
-        for port in ports:
-            if port.name not in sizes:
-                raise InputError(f"{model.name}: no {what} port {port.name!r}; there are {', '.join(sizes)}")
-            if sizes[port.name] != port.size:
-                raise InputError(
-                    f"{model.name}: {what} port {port.name!r} has size {sizes[port.name]}, "
-                    f"the controller has {port.size}"
-                )

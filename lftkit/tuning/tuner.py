@@ -312,7 +312,10 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         frequencies = np.where(gains, certificate.peak_frequencies, frequencies)
         values = np.where(np.isfinite(values), certificate.values, values)
     hard = np.array([r.hard for r in problem.given])
-    at_bounds = _at_bounds(problem, x)
+    # Names of the parameters (size,) that are at bounds of their own or at the limit of all
+    names = getattr(problem.structure, "names", [f"x[{k}]" for k in range(len(x))])
+    numbers = problem.at_limit(x) if problem.bounds is None else np.union1d(problem.at_limit(x), problem.bounds.at(x))
+    at_bounds = tuple(names[k] for k in numbers)
     return TuningResult(
         status,
         (_found(problem, best, status) or _advice(status, at_bounds, differ)) + _failures(runs),
@@ -356,13 +359,6 @@ def all_met(requirements: Sequence[TuningRequirement], certificate: Certificate 
         return False
     limits = np.array([1.0 + FEASIBLE if requirement.hard else met for requirement in requirements])
     return bool(np.all(certificate.upper <= limits[:, None]))
-
-
-def _at_bounds(problem: Problem, x: FloatArray) -> tuple[str, ...]:
-    """Names of the parameters (size,) that are at bounds of their own or at the limit of all."""
-    names = getattr(problem.structure, "names", [f"x[{k}]" for k in range(len(x))])
-    numbers = problem.at_limit(x) if problem.bounds is None else np.union1d(problem.at_limit(x), problem.bounds.at(x))
-    return tuple(names[k] for k in numbers)
 
 
 def _advice(status: TuningStatus, at_bounds: tuple[str, ...], differ: str = "") -> str:

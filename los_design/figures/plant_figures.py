@@ -104,7 +104,9 @@ def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     wheels, drives = len(both.telescope.wheels), len(both.telescope.driven_arrays)
     for inputs, colour, name, count in ((WHEELS, BLUE, "wheel", wheels), (DRIVES, ORANGE, "array drive", drives)):
         if count:
-            _banded(axis, both, both.isolated, inputs, edges, colour, _counted(count, name))
+            # A number of things in words: "four wheels"
+            word = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}.get(count, str(count))
+            _banded(axis, both, both.isolated, inputs, edges, colour, f"{word} {name}{'s' if count > 1 else ''}")
     # Reach of the mirror, APE limit and both RPE templates
     telescope = both.telescope
     weights, mirror = telescope.weights, telescope.fsm
@@ -115,12 +117,6 @@ def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     _templates(axis, telescope, edges)
     _decorate(axis, edges, (1e-6, 1e3))
     _legend(figure)
-
-
-def _counted(count: int, name: str) -> str:
-    """A number of things in words: "four wheels"."""
-    word = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}.get(count, str(count))
-    return f"{word} {name}{'s' if count > 1 else ''}"
 
 
 def _isolator(figure: Figure, both: DisturbanceResponses) -> None:

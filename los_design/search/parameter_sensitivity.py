@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
@@ -75,7 +74,11 @@ def effects_of_box(loop: ImplementedLoop, metric: LoopMetric, worst: WorstPoint)
     points = np.tile(point, (len(point) * VALUES, 1))
     for k in range(len(point)):
         points[k * VALUES : (k + 1) * VALUES, k] = np.linspace(0.0, 1.0, VALUES)
-    peaks = np.append(_peaks(loop, metric, worst.omega, points), value)
+    # Largest gains at some points (N, 7) over frequencies near one
+    low, high = max(worst.omega * (1.0 - NEAR), metric.band[0]), min(worst.omega * (1.0 + NEAR), metric.band[1])
+    near = np.append(np.geomspace(low, high, FREQUENCIES), worst.omega)
+    values = np.array([loop.gains(closed, metric, points) for closed in loop.at_each(near)])
+    peaks = np.append(np.asarray(values.max(axis=0)), value)
     found = []
     for k, name in enumerate(loop.names):
         own = peaks[[*range(k * VALUES, (k + 1) * VALUES), -1]]
@@ -151,14 +154,6 @@ def changed_entry(telescope: Telescope, entry: str, factor: float) -> Telescope:
             f"an entry must be TABLE.KEY of numbers in the parameter file, e.g. isolator.stiffness, got {entry}"
         )
     return telescope.changed({table: {key: (factor * numbers).tolist()}})
-
-
-def _peaks(loop: ImplementedLoop, metric: LoopMetric, omega: float, points: FloatArray) -> FloatArray:
-    """Largest gains at some points (N, 7) over frequencies near one."""
-    low, high = max(omega * (1.0 - NEAR), metric.band[0]), min(omega * (1.0 + NEAR), metric.band[1])
-    near = np.append(np.geomspace(low, high, FREQUENCIES), omega)
-    values = np.array([loop.gains(closed, metric, points) for closed in loop.at_each(near)])
-    return np.asarray(values.max(axis=0))
 
 
 def _peak(loop: ImplementedLoop, metric: LoopMetric, worst: WorstPoint) -> float:

@@ -102,7 +102,8 @@ def check_stages(
     """
     if not points:
         raise InputError("points must hold at least one parameter point, got none")
-    workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], _all_frequencies()
+    # Those of :func:grid, and the drifts below them, at which no metric counts
+    workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], np.concatenate([DRIFTS, grid()])
     chunks = [slice(k, k + CHUNK) for k in range(0, len(points), CHUNK)]
     blocks = [np.arange(k, len(omega), BLOCKS) for k in range(BLOCKS)]
     metrics = sum(len(search.metrics) for search in searches)
@@ -140,11 +141,6 @@ def check_stages(
         )
         for k, loop in enumerate(loops)
     ]
-
-
-def _all_frequencies() -> FloatArray:
-    """Those of :func:`grid`, and the drifts below them, at which no metric counts."""
-    return np.concatenate([DRIFTS, grid()])
 
 
 class _Told:

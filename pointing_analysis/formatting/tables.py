@@ -120,7 +120,7 @@ class TextTable:
         | \|APE\| | 10 arcsec |
         """
         rule = ["---:" if column.number else "---" for column in self.columns]
-        body = [[_markdown_cell(cell) for cell in row] for row in (self.heads, *self.rows)]
+        body = [[cell.replace("|", "\\|").replace("\n", "<br>") for cell in row] for row in (self.heads, *self.rows)]
         return "\n".join(f"| {' | '.join(line)} |" for line in (body[0], rule, *body[1:]))
 
     def csv(self) -> str:
@@ -140,10 +140,6 @@ class TextTable:
         start = f'<table class="{escape(css)}">' if css else "<table>"
         start += f"<caption>{escape(self.title)}</caption>" if caption else ""
         return f"{start}<thead><tr>{heads}</tr></thead>\n<tbody>{''.join(body)}</tbody></table>"
-
-
-def _markdown_cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", "<br>")
 
 
 def _html(column: Heading, text: str) -> str:

@@ -216,11 +216,6 @@ def _binomial_quantile(q: float, n: int, p: float) -> int:
     return k - 1 if special.bdtr(k - 1, n, p) >= q else k
 
 
-def _upper_rank(n: int, p: float, confidence: float) -> int:
-    """Smallest rank r with P(Binomial(n, p) < r) >= confidence; n + 1 if there is none."""
-    return _binomial_quantile(confidence, n, p) + 1
-
-
 def quantile(
     values: ArrayLike,
     probability: float,
@@ -256,7 +251,8 @@ def quantile(
     low = _binomial_quantile(1 - c, n, p)
     lower_rank = max(math.floor((low - 1) * x.size / n), 0) if low >= 1 else 0
     n, upper_rank = max(int(min(known.with_missing, x.size + missing)), 1), x.size
-    if (up := _upper_rank(n, p, c)) <= n and math.isfinite(missing):
+    # Smallest rank r with P(Binomial(n, p) < r) >= confidence; n + 1 if there is none
+    if (up := _binomial_quantile(c, n, p) + 1) <= n and math.isfinite(missing):
         upper_rank = math.ceil(up * (x.size + missing) / n + known.unseen) - 1
     lower, upper = x.at([lower_rank, min(upper_rank, x.size - 1)]).tolist()
     return Quantile(p, c, x.quantile(p), lower, upper if upper_rank < x.size else math.inf, float(number))

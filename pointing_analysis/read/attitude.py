@@ -105,7 +105,10 @@ def line_of_sight(quaternions: FloatArray, axis: str) -> FloatArray:
         return np.zeros((0, 2))
     q = quaternions / np.sqrt(np.sum(np.square(quaternions), axis=1))[:, None]
     mean = eigh(q.T @ q)[1][:, -1]  # of q q', whose sign does not count
-    x, y, z, w = _relative(mean, q).T
+    # Quaternions (n, 4) of the rotations from the mean: its conjugate times each
+    a, b = -mean[:3], mean[3]
+    vector = b * q[:, :3] + q[:, 3:] * a + np.cross(np.broadcast_to(a, (len(q), 3)), q[:, :3])
+    x, y, z, w = np.column_stack([vector, b * q[:, 3] - q[:, :3] @ a]).T
     columns = {  # of the rotation matrix
         "x": (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)),
         "y": (2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)),
@@ -120,10 +123,3 @@ def line_of_sight(quaternions: FloatArray, axis: str) -> FloatArray:
     if largest > SMALL:
         raise BagError(f"line of sight must stay within {SMALL} rad of its mean attitude, got {largest:.3g} rad")
     return np.asarray(angles)
-
-
-def _relative(mean: FloatArray, q: FloatArray) -> FloatArray:
-    """Quaternions (n, 4) of the rotations from the mean: its conjugate times each."""
-    a, b = -mean[:3], mean[3]
-    vector = b * q[:, :3] + q[:, 3:] * a + np.cross(np.broadcast_to(a, (len(q), 3)), q[:, :3])
-    return np.column_stack([vector, b * q[:, 3] - q[:, :3] @ a])

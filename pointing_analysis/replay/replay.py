@@ -249,12 +249,6 @@ def _is_in(stamp: Stamps, done: Stamps) -> BoolArray:
     return np.isin(stamp, done[low:high])
 
 
-def _gaps(stamp: Stamps, period: int, part: slice) -> IntArray:
-    """Ticks missing before each one of a part."""
-    before = stamp[part.start - 1] if part.start else stamp[0] - period
-    return np.diff(stamp[part], prepend=before) // period - 1
-
-
 def replay(
     run: Run,
     estimator: EstimatorCore,
@@ -334,7 +328,13 @@ def _stepped(
     """Outputs (n, width) of a block that is stepped on samples, which are made part by part."""
     outputs, waiting = empty((len(stamp), width)), list(changes.applied)
     for part in parts(len(stamp)):
-        given, out, gaps = samples(part), np.zeros((part.stop - part.start, width)), _gaps(stamp, period, part)
+        # Ticks missing before each one of a part
+        before = stamp[part.start - 1] if part.start else stamp[0] - period
+        given, out, gaps = (
+            samples(part),
+            np.zeros((part.stop - part.start, width)),
+            np.diff(stamp[part], prepend=before) // period - 1,
+        )
         ticks = (stamp[part] - stamp[0]) // period
         changed = np.searchsorted(ticks, [tick for tick, _ in waiting])
         edges = sorted({*range(0, len(out), REPORT), *changed.tolist(), len(out)})

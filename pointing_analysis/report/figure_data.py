@@ -58,7 +58,15 @@ def _text(value: float) -> str:
 def _curves(axes: Axes) -> Iterator[Curve]:
     """Name, x and y of each curve."""
     for i, line in enumerate(axes.lines, start=1):
-        yield _named(line, f"line {i}"), *_points(axes, line)
+        # Points of a line; NaN for the coordinate along which it crosses the whole panel
+        x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
+        across, along = (
+            line.get_transform() == one for one in (axes.get_yaxis_transform("grid"), axes.get_xaxis_transform("grid"))
+        )
+        yield (
+            _named(line, f"line {i}"),
+            *((np.full(1, np.nan), y[:1]) if across else (x[:1], np.full(1, np.nan)) if along else (x, y)),
+        )
     for i, patch in enumerate(axes.patches, start=1):
         if isinstance(patch, StepPatch):
             values, edges, _ = patch.get_data()
@@ -69,15 +77,6 @@ def _curves(axes: Axes) -> Iterator[Curve]:
         if isinstance(lines, LineCollection) and (segments := lines.get_segments()):
             ends = np.concatenate([np.asarray(segment, dtype=float) for segment in segments])
             yield _named(lines, f"strokes {i}"), ends[:, 0], ends[:, 1]
-
-
-def _points(axes: Axes, line: Line2D) -> tuple[FloatArray, FloatArray]:
-    """Points of a line; NaN for the coordinate along which it crosses the whole panel."""
-    x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
-    across, along = (
-        line.get_transform() == one for one in (axes.get_yaxis_transform("grid"), axes.get_xaxis_transform("grid"))
-    )
-    return (np.full(1, np.nan), y[:1]) if across else (x[:1], np.full(1, np.nan)) if along else (x, y)
 
 
 def _named(artist: Line2D | Rectangle | StepPatch | LineCollection, otherwise: str) -> str:

@@ -8,7 +8,7 @@ written; ``stamp_ns`` is the stamp itself. Lost samples have no row: a gap is se
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,15 @@ def write_signals(signals: Sequence[TopicSignal], path: Path, mat_version: str =
     ValueError
         Another suffix, no signal, a package that is not installed, a variable too large for version 5.
     """
-    writers = {".mat": _mat_writer(signals, mat_version), ".npz": _npz, ".csv": _csv, ".parquet": _parquet}
+    large = max((s.values.nbytes for s in signals), default=0) > MAT_5_LIMIT
+    if large and mat_version == "5":
+        raise InputError(f"--mat-version must be 7.3 for variables of more than {MAT_5_LIMIT / 1e9:.1f} GB, got 5")
+    writers = {
+        ".mat": _mat_7_3 if large or mat_version == "7.3" else _mat_5,
+        ".npz": _npz,
+        ".csv": _csv,
+        ".parquet": _parquet,
+    }
     kind = check_format(path, mat_version)
     if not signals:
         raise InputError("topics must have messages with values, got none")
@@ -156,13 +164,6 @@ def _structures(signals: Sequence[TopicSignal]) -> dict[str, dict[str, Any]]:
         }
         for s in signals
     }
-
-
-def _mat_writer(signals: Sequence[TopicSignal], version: str) -> Callable[[Sequence[TopicSignal], Path], None]:
-    large = max((s.values.nbytes for s in signals), default=0) > MAT_5_LIMIT
-    if large and version == "5":
-        raise InputError(f"--mat-version must be 7.3 for variables of more than {MAT_5_LIMIT / 1e9:.1f} GB, got 5")
-    return _mat_7_3 if large or version == "7.3" else _mat_5
 
 
 def _mat_5(signals: Sequence[TopicSignal], path: Path) -> None:

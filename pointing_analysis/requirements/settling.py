@@ -73,7 +73,10 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
     if seconds > 0.5 * whole:
-        usual, rises = judge(requirement, [run], None), _rises(series, requirement)
+        # Whether the level of an index is higher in the second half of a series
+        squares = _squares(series, requirement)
+        half = len(squares) // 2
+        usual, rises = judge(requirement, [run], None), float(squares[half:].mean()) > float(squares[:half].mean())
         if rises and usual.status != "compliant" and not usual.within_limit:
             return Settled(usual)  # the quiet beginning, too, is in what exceeds the limit
         if not rises and math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
@@ -118,13 +121,6 @@ def _squares(series: ErrorSeries, requirement: Requirement) -> FloatArray:
     else:
         squares = np.square(index_samples(series, requirement).values)
     return np.asarray(squares[np.isfinite(squares)])
-
-
-def _rises(series: ErrorSeries, requirement: Requirement) -> bool:
-    """Whether the level of an index is higher in the second half of a series."""
-    squares = _squares(series, requirement)
-    half = len(squares) // 2
-    return float(squares[half:].mean()) > float(squares[:half].mean())
 
 
 def is_settled(series: ErrorSeries, window: float, tones: Sequence[float] | FloatArray = ()) -> bool:

@@ -114,7 +114,10 @@ def find_lines(
         return ()
     unit = 2.0 ** math.floor(math.log2(largest))  # squares of all values are numbers then, and no value is rounded
     e = e / unit
-    weight = np.where(present, _taper(n), 0.0)
+    # Tukey's taper: ones with cosine edges
+    edge = max(round(0.5 * EDGES * n), 1)
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(edge) + 0.5) / edge)
+    weight = np.where(present, np.concatenate([rise, np.ones(n - 2 * edge), rise[::-1]]), 0.0)
     fitted = fit_sinusoids(e, weight, dt, np.empty(0))
     if not np.abs(fitted.rest).max() > 0.0:
         return ()
@@ -268,13 +271,6 @@ def _sums(values: FloatArray, places: Sequence[tuple[IntArray, IntArray]]) -> tu
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     sums = [total[np.maximum(begin, end)] - total[begin] for begin, end in places]
     return sums, np.stack([np.maximum(end - begin, 0) for begin, end in places])
-
-
-def _taper(n: int) -> FloatArray:
-    """Tukey's taper: ones with cosine edges."""
-    edge = max(round(0.5 * EDGES * n), 1)
-    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(edge) + 0.5) / edge)
-    return np.concatenate([rise, np.ones(n - 2 * edge), rise[::-1]])
 
 
 def _chance(power: FloatArray, noise: FloatArray, d: FloatArray) -> FloatArray:

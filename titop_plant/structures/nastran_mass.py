@@ -60,7 +60,14 @@ def momentum_maps(model: Any, point: FloatArray, coupled: bool) -> tuple[dict[in
             continue
         position = _position(model.nodes[lump.Nid()])
         if lump.type == "CONM1":
-            add(lump.Nid(), tau(position, point).T @ _general(lump))
+            # Mass matrix of a CONM1 at its grid point in the basic coordinates, shape (6, 6)
+            lower = np.tril(np.asarray(lump.mass_matrix, dtype=float))
+            full = lower + np.tril(lower, -1).T
+            if lump.Cid() > 0:
+                axes = np.asarray(lump.cid_ref.beta(), dtype=float)
+                turn = linalg.block_diag(axes, axes)
+                full = turn.T @ full @ turn
+            add(lump.Nid(), tau(position, point).T @ np.asarray(full, dtype=float))
             continue
         center, body = _concentrated(lump, position)
         add(lump.Nid(), tau(center, point).T @ body @ tau(center, position))
@@ -106,7 +113,9 @@ def _not_understood(model: Any) -> str:
 
 def is_exact(model: Any, coupled: bool) -> bool:
     """Whether :func:`momentum_maps` is the mass matrix of the run: point masses, and bars with half at each end."""
-    heavy = [element for element in model.elements.values() if _has_mass(element)]
+    heavy = [
+        element for element in model.elements.values() if hasattr(element, "Mass") and float(element.Mass()) != 0.0
+    ]
     bars = all(element.type in ("CBAR", "CROD", "CONROD") and not _is_offset(element) for element in heavy)
     return bars and not coupled and "BARMASS" not in model.params
 
@@ -114,10 +123,6 @@ def is_exact(model: Any, coupled: bool) -> bool:
 def _is_offset(element: Any) -> bool:
     """Whether an end of a bar is not at its grid point."""
     return element.type in BARS and any(np.any(getattr(element, side, 0.0)) for side in ("wa", "wb"))
-
-
-def _has_mass(element: Any) -> bool:
-    return hasattr(element, "Mass") and float(element.Mass()) != 0.0
 
 
 def _scalar(model: Any, lump: Any) -> list[tuple[int, int]]:
@@ -135,17 +140,6 @@ def _ends(element: Any) -> tuple[FloatArray, FloatArray]:
         offset = np.asarray(getattr(element, side, np.zeros(3)), dtype=float)
         found.append(_position(node) + displacement_axes(node, "deck").T @ offset)
     return found[0], found[1]
-
-
-def _general(lump: Any) -> FloatArray:
-    """Mass matrix of a CONM1 at its grid point in the basic coordinates, shape (6, 6)."""
-    lower = np.tril(np.asarray(lump.mass_matrix, dtype=float))
-    full = lower + np.tril(lower, -1).T
-    if lump.Cid() > 0:
-        axes = np.asarray(lump.cid_ref.beta(), dtype=float)
-        turn = linalg.block_diag(axes, axes)
-        full = turn.T @ full @ turn
-    return np.asarray(full, dtype=float)
 
 
 def _concentrated(lump: Any, position: FloatArray) -> tuple[FloatArray, FloatArray]:

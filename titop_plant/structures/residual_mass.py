@@ -129,21 +129,17 @@ def repair_residual_mass(data: ModalData, *, mode: int | None = None, margin: fl
         if mode is None:
             scale[:] = np.sqrt((1.0 - margin) / eigvalsh(whitened @ whitened.T)[-1])
         else:
-            scale[mode] = _row_scale(data, whitened, mode, margin)
+            if not 0 <= mode < data.n_modes:
+                raise InputError(f"{data.name}: mode must be 0 to {data.n_modes - 1}, got {mode}")
+            others = np.delete(whitened, mode, axis=0)
+            rest = (1.0 - margin) * np.eye(6) - others.T @ others
+            if eigvalsh(rest)[0] <= 0:
+                raise InputError(f"{data.name}: modes other than {mode} must leave residual mass, got none")
+            row = solve_triangular(_lower(rest), whitened[mode], lower=True)
+            scale[mode] = float(min(1.0, 1.0 / np.sqrt(row @ row)))
     repaired = dataclasses.replace(data, participation=scale[:, None] * data.participation)
     scale.setflags(write=False)
     return ResidualRepair(repaired, scale, before, smallest_residual_fraction(repaired))
-
-
-def _row_scale(data: ModalData, whitened: FloatArray, mode: int, margin: float) -> float:
-    if not 0 <= mode < data.n_modes:
-        raise InputError(f"{data.name}: mode must be 0 to {data.n_modes - 1}, got {mode}")
-    others = np.delete(whitened, mode, axis=0)
-    rest = (1.0 - margin) * np.eye(6) - others.T @ others
-    if eigvalsh(rest)[0] <= 0:
-        raise InputError(f"{data.name}: modes other than {mode} must leave residual mass, got none")
-    row = solve_triangular(_lower(rest), whitened[mode], lower=True)
-    return float(min(1.0, 1.0 / np.sqrt(row @ row)))
 
 
 @dataclass(frozen=True)

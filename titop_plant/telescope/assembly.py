@@ -155,12 +155,24 @@ def build_telescope(
     outside = (*map(load_port, loads), *(motor_ports(given) if motors else ()))
     driven = _driven_at_G(given, body, payload, isolated, loads, outside)
     free = invert(driven, {"accel_G": "wrench_G"})
-    inertia = total_inertia(_torque_to_acceleration(free))
+    # External torque at G -> angular acceleration of G, attitude not integrated
+    pick = np.vstack([np.zeros((3, 3)), np.eye(3)])
+    torque, response = Port("torque", 3, "Nm"), Port("response", 3, "rad/s2")
+    both = free["accel_G", "wrench_G"]
+    inertia = total_inertia(
+        transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
+    )
     system = _free_flying(free, given, inertia, attitude_controlled, outside)
     order = list(given.uncertain)
     kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
     own = [component.body_modes(one) for one in kinds.values()]
-    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own), _rigid_mass(free))
+    # Inverse low-frequency gain from external forces and torques at G to its acceleration, (6, 6)
+    nominal = free["accel_G", "wrench_G"].at({})
+    gain = nominal.D - nominal.C @ linalg.solve(nominal.A, nominal.B) if nominal.A.size else nominal.D
+    found = -linalg.inv(gain)  # the port is the wrench that the bodies exert
+    return AssembledTelescope(
+        system.sorted_channels(order), inertia, (body, payload, *own), np.asarray(0.5 * (found + found.T))
+    )
 
 
 def _from_file(system: System, isolated: bool) -> AssembledTelescope:
@@ -403,22 +415,6 @@ def _flexible(telescope: Telescope, kind: str, data: ModalData, idle: set[str], 
     if not loads:
         return body
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
-
-
-def _rigid_mass(free: System) -> FloatArray:
-    """Inverse low-frequency gain from external forces and torques at G to its acceleration, (6, 6)."""
-    nominal = free["accel_G", "wrench_G"].at({})
-    gain = nominal.D - nominal.C @ linalg.solve(nominal.A, nominal.B) if nominal.A.size else nominal.D
-    found = -linalg.inv(gain)  # the port is the wrench that the bodies exert
-    return np.asarray(0.5 * (found + found.T))
-
-
-def _torque_to_acceleration(free: System) -> System:
-    """External torque at G -> angular acceleration of G, attitude not integrated."""
-    pick = np.vstack([np.zeros((3, 3)), np.eye(3)])
-    torque, response = Port("torque", 3, "Nm"), Port("response", 3, "rad/s2")
-    both = free["accel_G", "wrench_G"]
-    return transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
 
 
 def _free_flying(

@@ -126,7 +126,11 @@ def body_frame(telescope: Telescope) -> BeamFrame:
     _brackets(table, section, nodes, beams)
     masses = [_equipment(item, nodes) for item in table.equipment]
     loose = BeamFrame("body", nodes, tuple(beams), tuple(masses))
-    nodes["G"] = _center_of_mass(loose)
+    names, M, _ = assemble(loose)
+    rigid = rigid_body_modes(loose, names, np.zeros(3))
+    at_origin = rigid.T @ M @ rigid
+    moment = at_origin[3:, :3] / at_origin[0, 0]  # skew of the position of the centre of mass
+    nodes["G"] = np.array([moment[2, 1], moment[0, 2], moment[1, 0]])
     tube_nodes = {name: xyz for name, xyz in nodes.items() if name.startswith("tube")}
     link = Section(**{**asdict(materials["aluminium"]), "density": 0.0}, A=1.0, Iy=0.1, Iz=0.1, J=0.2)
     beams.append(Beam("G", _nearest(nodes["G"], tube_nodes), link))
@@ -290,11 +294,3 @@ def _equipment(item: Equipment, nodes: Mapping[str, FloatArray]) -> LumpedMass:
 
 def _nearest(point: FloatArray, nodes: Mapping[str, FloatArray]) -> str:
     return min(nodes, key=_distance(point, nodes))
-
-
-def _center_of_mass(frame: BeamFrame) -> FloatArray:
-    names, M, _ = assemble(frame)
-    rigid = rigid_body_modes(frame, names, np.zeros(3))
-    at_origin = rigid.T @ M @ rigid
-    moment = at_origin[3:, :3] / at_origin[0, 0]  # skew of the position of the centre of mass
-    return np.array([moment[2, 1], moment[0, 2], moment[1, 0]])

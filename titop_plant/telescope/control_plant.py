@@ -23,8 +23,6 @@ of samples at 1 kHz: its two-sided density is sigma^2 dt. Source: the paper, "Fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from lftkit import Connection, Port, System, connect, state_space, static_gain, transform
@@ -80,7 +78,13 @@ def with_sensors(system: System, telescope: Telescope) -> System:
         port, source = entry.port, system.output_port(entry.source)
         outputs[port.name] = f"telescope.{source.name}"
         if sensor.low_pass:
-            systems[port.name] = _low_pass(sensor.low_pass, source, port)
+            # c0 / (s^2 + c1 s + c2) from each value of source to that of port
+            c0, c1, c2 = sensor.low_pass
+            each = np.eye(port.size)
+            A = np.kron(each, [[0.0, 1.0], [-c2, -c1]])
+            B = np.kron(each, [[0.0], [1.0]])
+            C = np.kron(each, [[c0, 0.0]])
+            systems[port.name] = state_space(A, B, C, np.zeros((port.size, port.size)), [source], [port])
             wires.append((f"telescope.{source.name}", f"{port.name}.{source.name}"))
             outputs[port.name] = f"{port.name}.{port.name}"
         factor = known.get(f"{port.name}.{GAIN}")
@@ -91,16 +95,6 @@ def with_sensors(system: System, telescope: Telescope) -> System:
             outputs[port.name] = f"{block}.{port.name}"
     seen = connect(systems, wires, inputs=system.inputs, outputs=outputs)
     return seen.sorted_channels(list(telescope.uncertain)) if known else seen
-
-
-def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> System:
-    """``c0 / (s^2 + c1 s + c2)`` from each value of `source` to that of `port`."""
-    c0, c1, c2 = coefficients
-    each = np.eye(port.size)
-    A = np.kron(each, [[0.0, 1.0], [-c2, -c1]])
-    B = np.kron(each, [[0.0], [1.0]])
-    C = np.kron(each, [[c0, 0.0]])
-    return state_space(A, B, C, np.zeros((port.size, port.size)), [source], [port])
 
 
 def sample_hold(port: Port, period: float) -> System:

@@ -254,16 +254,12 @@ def _bernstein(coefficients: Integers) -> Integers:
     common = int(np.lcm.reduce(np.array(row, dtype=object)))
     out = np.array([c * (common // r) for c, r in zip(coefficients, row)], dtype=object)
     for k in range(1, degree + 1):  # b_j = sum_i comb(j, i) a_i / comb(degree, i), by sums of neighbours
-        out[k:] = _running(out, k)
+        # One pass of the binomial transform
+        result = out.copy()
+        for j in range(len(out) - 1, k - 1, -1):
+            result[j] = out[j] + out[j - 1]
+        out[k:] = result[k:]
     return out
-
-
-def _running(values: Integers, k: int) -> Integers:
-    """One pass of the binomial transform."""
-    result = values.copy()
-    for j in range(len(values) - 1, k - 1, -1):
-        result[j] = values[j] + values[j - 1]
-    return result[k:]
 
 
 def _split(values: Integers) -> tuple[Integers, Integers]:

@@ -72,7 +72,12 @@ class Branching:
             return None
         gains = self._gains(root, omega)
         if gains is None or not np.any(gains):
-            return int(np.argmax(_without_circles(losses, box)))
+            # Losses, for a whole circle of an angle (which has no D, so no loss) half of the largest
+            losses = np.array(losses)
+            for k, ends in enumerate(box):
+                if losses[k] == 0.0 and is_circle(*ends):
+                    losses[k] = 0.5 * float(np.max(losses))
+            return int(np.argmax(losses))
         left = [(b - a) / (high - low) if high > low else 0.0 for (a, b), (low, high) in zip(box, root)]
         return int(np.argmax(np.where(real, (gains + SMALL) * left, -np.inf)))
 
@@ -121,12 +126,3 @@ class Branching:
         if time.monotonic() > self.until:
             return False
         return ScalingTest(self.model, box, omega, self.level * math.pow(RATIO, number)).feasible()[0] is not None
-
-
-def _without_circles(losses: FloatArray, box: Box) -> FloatArray:
-    """Losses, for a whole circle of an angle (which has no D, so no loss) half of the largest."""
-    losses = np.array(losses)
-    for k, ends in enumerate(box):
-        if losses[k] == 0.0 and is_circle(*ends):
-            losses[k] = 0.5 * float(np.max(losses))
-    return losses

@@ -220,7 +220,10 @@ class CellTest:
     def _blocks(self, M: ComplexArray, scale: FloatArray) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
         inputs = np.eye(M.shape[1], dtype=complex)
-        scaled = M / _column_scale(scale, M.shape[1])
+        # Scale of every column of M: that of the last block for all the inputs
+        columns = M.shape[1]
+        inner = len(scale) - 1
+        scaled = M / np.concatenate([scale[:inner], np.full(columns - inner, scale[inner])])
         scaled[:total] *= scale[:total, None]
         blocks, at = [], 0
         for size in ([n] if n else []) + self.sizes[: len(self.nominal)]:
@@ -287,12 +290,6 @@ class CellTest:
         every = [*names, *(disk.name for disk in self.disks)]
         performance = 2.0 * float(found.D[-1][0, 0].real) * (scale[-1] / level) ** 2 if self.gain else 1.0
         return CellScalings(D[0], G[0], dict(zip(every, D[1:])), dict(zip(names, G[1:])), centre, performance)
-
-
-def _column_scale(scale: FloatArray, columns: int) -> FloatArray:
-    """Scale of every column of M: that of the last block for all the inputs."""
-    inner = len(scale) - 1
-    return np.concatenate([scale[:inner], np.full(columns - inner, scale[inner])])
 
 
 def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:

@@ -66,7 +66,9 @@ class _Scaling:
 
     def plain(self) -> tuple[float, MuCertificate]:
         """The norm of the balanced matrix, a little raised so that it passes the check."""
-        D = tuple(s * s * np.eye(_size(b), dtype=complex) for b, s in zip(self.structure, self.scale))
+        D = tuple(
+            s * s * np.eye(1 if b.kind == FULL else b.rows, dtype=complex) for b, s in zip(self.structure, self.scale)
+        )
         G = tuple(0.0 * d for d in D)
         level = float(linalg.norm(self.balanced, 2))
         for part in 1e-12, 1e-9, 1e-6, 1e-3:
@@ -107,10 +109,6 @@ class _Scaling:
             if 0.0 < level < certificate.level and self._passes(lowered):
                 return lowered
         return certificate
-
-
-def _size(block: UncertaintyBlock) -> int:
-    return 1 if block.kind == FULL else block.rows
 
 
 def _hermitian(matrix: ComplexArray) -> ComplexArray:

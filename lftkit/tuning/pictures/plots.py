@@ -17,7 +17,7 @@ from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
-from lftkit.arrays import BoolArray, ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import close_loop
@@ -97,29 +97,22 @@ def plot_goals(
     for number, (goal, r) in enumerate(panels):
         axes = figure.add_subplot(rows, min(len(panels), COLUMNS), number + 1)
         values = certificate.values[number]
-        _panel(axes, goal, r, ready, K, omega, values)
+        if isinstance(r, Poles):
+            _poles(axes, r, ready, K)
+        elif isinstance(goal, StepTracking):
+            _steps(axes, goal, ready, K)
+        elif isinstance(r, HinfGain):
+            _gains(axes, r, ready, K, omega, float(values.max()))
+        elif isinstance(r, H2Gain):
+            rms = r.bound * values
+            axes.bar(np.arange(len(rms)), rms, color=RESULT, width=0.6, zorder=2)
+            axes.axhline(r.bound, color=LIMIT, linestyle="--", linewidth=1.2)
+            top = 1.2 * max(float(rms.max()), r.bound)
+            axes.axhspan(r.bound, top, color=REFUSED, zorder=0, linewidth=0)
+            axes.set(ylim=(0.0, top), xlabel="model", ylabel="root mean square", xticks=np.arange(len(rms)))
         axes.set_title(f"{r.name}{' (hard)' if r.hard else ''}: {values.max():.3g}", fontsize=9)
         axes.grid(True, color="#dddddd", linewidth=0.6)
     return figure
-
-
-def _panel(
-    axes: Axes,
-    goal: TuningRequirement | Goal,
-    r: TuningRequirement,
-    models: Sequence[System],
-    K: System,
-    omega: ArrayLike | None,
-    values: FloatArray,
-) -> None:
-    if isinstance(r, Poles):
-        _poles(axes, r, models, K)
-    elif isinstance(goal, StepTracking):
-        _steps(axes, goal, models, K)
-    elif isinstance(r, HinfGain):
-        _gains(axes, r, models, K, omega, float(values.max()))
-    elif isinstance(r, H2Gain):
-        _variances(axes, r, r.bound * values)
 
 
 def _gains(axes: Axes, r: HinfGain, models: Sequence[System], K: System, omega: ArrayLike | None, value: float) -> None:
@@ -136,7 +129,14 @@ def _gains(axes: Axes, r: HinfGain, models: Sequence[System], K: System, omega: 
     axes.plot(w, results.T, color=RESULT, linewidth=1.2)
     axes.plot(w, limit, color=LIMIT, linestyle="--", linewidth=1.2)
     axes.set(xscale="log", yscale="log", xlabel="frequency [rad/s]", ylabel=label, xlim=(w[0], w[-1]))
-    _refuse(axes, w, limit, r.counts(w))
+    # Red above the limit, grey where it does not count
+    counts = r.counts(w)
+    low, high = axes.get_ylim()
+    high = max(high, 3.0 * float(limit.min()))
+    axes.fill_between(w, limit, np.maximum(limit, high), where=counts, color=REFUSED, linewidth=0, zorder=0)
+    if not counts.all():
+        axes.fill_between(w, low, high, where=~counts, color=IDLE, linewidth=0, zorder=0)
+    axes.set_ylim(low, high)
 
 
 def _curves(r: HinfGain, loops: Sequence[System], w: FloatArray) -> tuple[FloatArray, FloatArray, str]:
@@ -154,24 +154,6 @@ def _curves(r: HinfGain, loops: Sequence[System], w: FloatArray) -> tuple[FloatA
         found = np.array([largest_gains(r.indexed(T / r.bound, w)) for T in responses])
         return found, np.ones(len(w)), "index of the sector"
     return np.array([largest_gains(T) for T in responses]), np.full(len(w), r.bound), "weighted gain"
-
-
-def _refuse(axes: Axes, w: FloatArray, limit: FloatArray, counts: BoolArray) -> None:
-    """Red above the limit, grey where it does not count."""
-    low, high = axes.get_ylim()
-    high = max(high, 3.0 * float(limit.min()))
-    axes.fill_between(w, limit, np.maximum(limit, high), where=counts, color=REFUSED, linewidth=0, zorder=0)
-    if not counts.all():
-        axes.fill_between(w, low, high, where=~counts, color=IDLE, linewidth=0, zorder=0)
-    axes.set_ylim(low, high)
-
-
-def _variances(axes: Axes, r: H2Gain, rms: FloatArray) -> None:
-    axes.bar(np.arange(len(rms)), rms, color=RESULT, width=0.6, zorder=2)
-    axes.axhline(r.bound, color=LIMIT, linestyle="--", linewidth=1.2)
-    top = 1.2 * max(float(rms.max()), r.bound)
-    axes.axhspan(r.bound, top, color=REFUSED, zorder=0, linewidth=0)
-    axes.set(ylim=(0.0, top), xlabel="model", ylabel="root mean square", xticks=np.arange(len(rms)))
 
 
 def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:

@@ -260,25 +260,6 @@ def _entry_name(row: int, column: int, order: int) -> str:
     return f"{part}[{row - order * (row >= order)},{column - order * (column >= order)}]"
 
 
-def _affine(
-    inputs: Sequence[Any], outputs: Sequence[Any], order: int, free: BoolArray, spread: float = 1.0
-) -> AffineStructure:
-    ins = tuple(p if isinstance(p, Port) else Port(*p) for p in inputs)
-    outs = tuple(p if isinstance(p, Port) else Port(*p) for p in outputs)
-    rows, columns = np.nonzero(free)
-    return AffineStructure(
-        ins,
-        outs,
-        order,
-        read_only(np.zeros(free.shape)),
-        rows,
-        columns,
-        np.arange(len(rows)),
-        np.ones(len(rows)),
-        spread,
-    )
-
-
 @checked
 def state_space(
     inputs: Sequence[Any], outputs: Sequence[Any], order: int, *, form: str = "full", feedthrough: bool = True
@@ -317,7 +298,20 @@ def state_space(
         raise InputError(f"form must be one of {', '.join(forms)}, got {form!r}")
     free[:order, :order] = forms[form]
     free[order:, order:] = feedthrough
-    structure = _affine(inputs, outputs, order, free)
+    ins = tuple(p if isinstance(p, Port) else Port(*p) for p in inputs)
+    outs = tuple(p if isinstance(p, Port) else Port(*p) for p in outputs)
+    rows, columns = np.nonzero(free)
+    structure = AffineStructure(
+        ins,
+        outs,
+        order,
+        read_only(np.zeros(free.shape)),
+        rows,
+        columns,
+        np.arange(len(rows)),
+        np.ones(len(rows)),
+        1.0,
+    )
     if form == "companion" and order > 1:
         base = structure.base.copy()
         base[np.arange(order - 1), np.arange(1, order)] = 1.0

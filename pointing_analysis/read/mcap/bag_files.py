@@ -90,7 +90,15 @@ def bag_files(path: Path) -> BagFiles:
     if not files:
         got = "links to files only" if any(f.is_symlink() for f in of_name) else "none"
         raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got {got}")
-    return BagFiles(tuple(files), _counts(info), tuple(problems), _count(info.get("message_count")))
+    rows = info.get("topics_with_message_count", [])
+    found = {}
+    for row in rows if isinstance(rows, list) else []:
+        about = row.get("topic_metadata") if isinstance(row, dict) else None
+        name = about.get("name") if isinstance(about, dict) else None
+        count = _count(row.get("message_count")) if isinstance(row, dict) else None
+        if isinstance(name, str) and count is not None:
+            found[name] = count
+    return BagFiles(tuple(files), found, tuple(problems), _count(info.get("message_count")))
 
 
 def files_digest(files: Sequence[Path]) -> str:
@@ -134,18 +142,6 @@ def _named(path: Path, info: Mapping[str, Any], problems: list[str]) -> list[Pat
     if len(inside) < len(possible):
         problems.append("metadata.yaml names files outside the bag folder: they are ignored")
     return [path / name for name in inside if not (path / name).is_dir()]
-
-
-def _counts(info: Mapping[str, Any]) -> dict[str, int]:
-    rows = info.get("topics_with_message_count", [])
-    found = {}
-    for row in rows if isinstance(rows, list) else []:
-        about = row.get("topic_metadata") if isinstance(row, dict) else None
-        name = about.get("name") if isinstance(about, dict) else None
-        count = _count(row.get("message_count")) if isinstance(row, dict) else None
-        if isinstance(name, str) and count is not None:
-            found[name] = count
-    return found
 
 
 def _count(value: object) -> int | None:

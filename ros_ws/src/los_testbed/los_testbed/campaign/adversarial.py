@@ -26,17 +26,6 @@ MOST_ASCENTS = 200
 _last: dict[tuple[RunConfig, int, int], tuple[tuple[float, dict[str, float]], ...]] = {}
 
 
-def _worst(
-    base: RunConfig, ascents: int, seed: int, workers: Workers | None
-) -> tuple[tuple[float, dict[str, float]], ...]:
-    """Value and parameters of the worst point of each band of each metric, worst first; those of the last call kept."""
-    key = (base, ascents, seed)
-    if key not in _last:
-        _last.clear()
-        _last[key] = _searched(*key, workers)
-    return _last[key]
-
-
 def _searched(
     base: RunConfig, ascents: int, seed: int, workers: Workers | None
 ) -> tuple[tuple[float, dict[str, float]], ...]:
@@ -81,7 +70,13 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
     own = MemberParameters.of(base.parameters)
     width = np.ptp(own.limits, axis=1)
     chosen: list[FloatArray] = []
-    for _, values in _worst(base, ascents, seed, workers):
+    # Value and parameters of the worst point of each band of each metric, worst first; those of the last call
+    # kept
+    key = (base, ascents, seed)
+    if key not in _last:
+        _last.clear()
+        _last[key] = _searched(*key, workers)
+    for _, values in _last[key]:
         point = np.array([values[name] for name in own.ranges])
         if all(np.abs((point - other) / width).max() > APART for other in chosen):
             chosen.append(point)

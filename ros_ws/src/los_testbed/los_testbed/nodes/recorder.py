@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.errors import InputError
 from los_testbed.bags.cdr import stamp_of
@@ -241,7 +240,10 @@ class Recorder:
         log, sent = np.array(track.received, np.int64), np.array(track.sent, np.int64)
         if self.simulated:
             log = sent = np.array([stamp_of(message) for message in track.data], np.int64)
-        for start, stop in _runs(sizes):
+        # Stretches of equal sizes
+        cuts = np.flatnonzero(np.diff(sizes)) + 1
+        edges = [0, *cuts.tolist(), len(sizes)]
+        for start, stop in list(itertools.pairwise(edges)):
             block = np.frombuffer(b"".join(track.data[start:stop]), np.uint8).reshape(stop - start, -1)
             bag.write(self._sent_as.get(track.path, track.path), log[start:stop], sent[start:stop], block)
         track.data, track.received, track.sent = [], [], []
@@ -324,13 +326,6 @@ class Recorder:
         self.context.event("done", statistics=self.own_statistics(), bag=path)
         if self.bag is None and not self.finished:
             raise InputError("a plant must run on this domain, got no message before the recorder ended")
-
-
-def _runs(sizes: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Stretches of equal sizes."""
-    cuts = np.flatnonzero(np.diff(sizes)) + 1
-    edges = [0, *cuts.tolist(), len(sizes)]
-    return list(itertools.pairwise(edges))
 
 
 if __name__ == "__main__":

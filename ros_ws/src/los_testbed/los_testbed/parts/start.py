@@ -192,7 +192,13 @@ def find_run_start(
         with one_thread():
             return _computed(config, family, settings, controllers, authority, ports, tone)
     chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
-    key = f"{chosen} {family.name(settings)} {_digest(controllers)} {ports.further_actuators}"
+    digest = hashlib.sha256()
+    for name in ("k_fsm", "k_pma"):
+        system = controllers[name]
+        for matrix in (system.A, system.B, system.C, system.D):
+            digest.update(matrix.tobytes())
+        digest.update(json.dumps(dict(system.design_basis), sort_keys=True).encode())
+    key = f"{chosen} {family.name(settings)} {digest.hexdigest()} {ports.further_actuators}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]
@@ -204,16 +210,6 @@ def find_run_start(
 def needs_tone(config: RunConfig) -> bool:
     """Whether the disturbance of a run is the worst-case tone."""
     return config.scenario == "worst_case" and config.scenario_acts
-
-
-def _digest(controllers: Mapping[str, SampledSystem]) -> str:
-    digest = hashlib.sha256()
-    for name in ("k_fsm", "k_pma"):
-        system = controllers[name]
-        for matrix in (system.A, system.B, system.C, system.D):
-            digest.update(matrix.tobytes())
-        digest.update(json.dumps(dict(system.design_basis), sort_keys=True).encode())
-    return digest.hexdigest()
 
 
 def _computed(
@@ -240,7 +236,11 @@ def _computed(
             closed = closed.with_tones(family.tones(with_tones(settings, RunStart(tone))))
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
-            states = steady_start(closed, _bias(family, settings, closed), orders)
+            # Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)
+            known = family.bias(settings)
+            further = float(settings.noise) * family.telescope.loop_ports.bias[len(known) :]
+            size = closed.loop.noise_frame.shape[1]
+            states = steady_start(closed, np.concatenate([known, further])[:size], orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
     unstable = _unstable(config.loop, loop(loop=config.loop), partial(model, settings), controllers)
@@ -257,14 +257,6 @@ def _unstable(
         silent = replace(controllers["k_pma"], A=0.0 * controllers["k_pma"].A)
         closed = model(loop=stage, controllers={**controllers, "k_pma": silent})
     return not closed.loop.growth < 1.0
-
-
-def _bias(family: PlantFamily, settings: PlantConfig, model: ToneModel) -> FloatArray:
-    """Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)."""
-    known = family.bias(settings)
-    further = float(settings.noise) * family.telescope.loop_ports.bias[len(known) :]
-    size = model.loop.noise_frame.shape[1]
-    return np.concatenate([known, further])[:size]
 
 
 def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel], notes: list[str]) -> WorstTone:

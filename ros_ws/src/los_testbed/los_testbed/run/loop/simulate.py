@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lftkit.support.threads import one_thread
@@ -118,19 +118,16 @@ def record(
     finally:
         statistics["plant"] |= {"ticks": str(done), **frame_counts(plant)}
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
-        _close(bag, {METADATA_NAME: final_metadata(parts, statistics, start)}, done)
+        # Complete the bag; without a tick in it, it is removed
+        metadata = {METADATA_NAME: final_metadata(parts, statistics, start)}
+        try:
+            bag.close(metadata)
+        except OSError as error:  # the disk is full
+            if done:
+                advice = f"`los-testbed bag repair {bag.path}` makes a bag of the written data"
+                raise OSError(error.errno, f"{error.strerror}; {advice}", error.filename) from None
+            raise
+        finally:
+            if not done:
+                shutil.rmtree(bag.path, ignore_errors=True)
     return statistics
-
-
-def _close(bag: BagWriter, metadata: Mapping[str, Mapping[str, str]], done: int) -> None:
-    """Complete the bag; without a tick in it, it is removed."""
-    try:
-        bag.close(metadata)
-    except OSError as error:  # the disk is full
-        if done:
-            advice = f"`los-testbed bag repair {bag.path}` makes a bag of the written data"
-            raise OSError(error.errno, f"{error.strerror}; {advice}", error.filename) from None
-        raise
-    finally:
-        if not done:
-            shutil.rmtree(bag.path, ignore_errors=True)

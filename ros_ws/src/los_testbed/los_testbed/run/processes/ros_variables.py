@@ -52,7 +52,11 @@ def check_layer(environment: Mapping[str, str]) -> None:
     ValueError
         Another one.
     """
-    layer, installed = environment.get(LAYER_VARIABLE, ""), _layers(environment)
+    # Middleware layers that are installed where this interpreter or the ROS environment has its index
+    places = [sys.prefix, *environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    folders = [Path(place, *INDEX) for place in places if place]
+    found = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()}
+    layer, installed = environment.get(LAYER_VARIABLE, ""), sorted(found - {"rmw_implementation"})
     if layer and installed and layer not in installed:
         raise InputError(f"{LAYER_VARIABLE} must be {' or '.join(installed)}, which is installed, got {layer}")
 
@@ -76,11 +80,3 @@ def domain_of(environment: Mapping[str, str]) -> int:
     if not (text.isascii() and text.isdecimal() and int(text[:9]) <= MAX_DOMAIN_ID and len(text) < 9):
         raise InputError(f"{DOMAIN_VARIABLE} must be between 0 and {MAX_DOMAIN_ID}, got {text}")
     return int(text)
-
-
-def _layers(environment: Mapping[str, str]) -> list[str]:
-    """Middleware layers that are installed where this interpreter or the ROS environment has its index."""
-    places = [sys.prefix, *environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
-    folders = [Path(place, *INDEX) for place in places if place]
-    found = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()}
-    return sorted(found - {"rmw_implementation"})
