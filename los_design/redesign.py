@@ -21,6 +21,7 @@ from lftkit.support.atomic_output import write_text
 from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
+from los_design.files import CONTROLLERS, ROUNDS, VERIFICATION, WORST_POINTS
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.search.worst_points import (
     WorstPoint,
@@ -48,8 +49,6 @@ from titop_plant.telescope.telescope import Telescope
 Report = Callable[[str], None]
 PAIR = DesignOptions(wall_limit=3600.0)
 """Options where none are given."""
-ROUNDS_FILE = "rounds.json"
-"""State of a design between its rounds; it stays where the wall limit ended the design, which can then go on."""
 OUT_OF_TIME = "out_of_time"
 SAMPLES = {"full": 200, "short": 20}
 """Random parameter points of the verification, beside the nominal one and corners."""
@@ -150,7 +149,7 @@ def design_all(
         adversarial = adversarial_points(found, (k_fsm, k_pma))
         basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": law_digest(k_fsm), "k_pma": law_digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
-        store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
+        store_worst_points(folder / WORST_POINTS, worst, basis, adversarial)
         system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
         at = verification_points(telescope, system, SAMPLES[effort], options.seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
@@ -158,7 +157,7 @@ def design_all(
     further, lines = verify_further(report)
     not_met = [*broken_requirements(check), *lines]
     content = {"implemented": check.to_mapping(), **further, "not_met": not_met}
-    write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
+    write_text(folder / VERIFICATION, json.dumps(content, indent=1) + "\n")
     return DesignSummary(folder, check, not_met, further)
 
 
@@ -241,7 +240,7 @@ def _pair(
 ) -> tuple[SampledSystem, SampledSystem]:
     """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
     key = _key(telescope, options)
-    files, job = (folder / "k_fsm.json", folder / "k_pma.json"), Job("design", key, folder / ROUNDS_FILE)
+    files, job = [folder / name for name in CONTROLLERS.values()], Job("design", key, folder / ROUNDS)
     if resume and all(path.exists() for path in files):
         k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)
         same = all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma))

@@ -20,6 +20,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from los_design.figures.stage_curves import HIGHEST, LOWEST, sampled_curve
 from los_design.figures.style import STAGE_STYLES, STYLE, hertz, radians, save_figure
+from los_design.files import CONTROLLERS, TELESCOPE
 from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.verification import ARCSEC
@@ -81,8 +82,8 @@ class DesignedTelescope:
         """
         if designs is None:
             return cls(load_telescope(), None, load_designs("implemented"), load_worst_points())
-        file = designs / "telescope.toml"
-        pair = [SampledSystem.from_file(designs / f"{name}.json") for name in ("k_fsm", "k_pma")]
+        file = designs / TELESCOPE
+        pair = [SampledSystem.from_file(designs / name) for name in CONTROLLERS.values()]
         given = str(file) if file.exists() else None
         return cls(load_telescope(given), given, (pair[0], pair[1]), load_worst_points(designs))
 

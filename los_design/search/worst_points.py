@@ -16,9 +16,9 @@ from lftkit.errors import InputError
 from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
+from los_design.files import WORST_POINTS
 from titop_plant.interface import COMMANDS
 
-FILE = "worst_points.json"
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 
 
@@ -139,7 +139,7 @@ def load_adversarial(folder: Path | None = None) -> list[dict[str, float]]:
 @contextmanager
 def _named(folder: Path | None) -> Iterator[dict[str, Any]]:
     """Content of a file of worst points; whatever is wrong with it is told with its path."""
-    path = (folder or Path(__file__).parent) / FILE
+    path = (folder or Path(__file__).parent) / WORST_POINTS
     if not path.exists():
         raise InputError(f"{path} must exist: it is made by `los-testbed design all`")
     try:

@@ -86,6 +86,11 @@ def met(requirement: bool) -> Marked:
     return Marked("met", "open") if requirement else Marked("not met", "bad")
 
 
+def tell(line: str) -> None:
+    """Write a line to the error output."""
+    sys.stderr.write(f"{printable(line)}\n")
+
+
 def warn(lines: Iterable[str]) -> None:
     """Write warnings to the error output, one line each."""
     sys.stderr.writelines(f"warning: {printable(line)}\n" for line in lines)

@@ -134,8 +134,12 @@ def test_refused_input_has_the_exception_of_the_library() -> None:
 
 
 def test_functions_have_few_parameters() -> None:
-    """But the commands, which have one for each of their options."""
-    commands = FOLDERS["los_testbed"] / "cli", FOLDERS["pointing_analysis"] / "command" / "program.py"
+    """But the commands and the functions of the api, which have one for each of their options."""
+    commands = (
+        FOLDERS["los_testbed"] / "cli",
+        FOLDERS["los_testbed"] / "api",
+        FOLDERS["pointing_analysis"] / "command" / "program.py",
+    )
     many = [
         f"{identifier(case)}: {function.name} has {len(parameters(function))} parameters"
         for case in MODULES

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.api import designs
 from los_testbed.cli import app
-from los_testbed.cli.designs import mission
-from los_testbed.cli.designs.mission import verify_mission
 from los_testbed.config.run_config import RunConfig
+from los_testbed.run import mission
 from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.mission import verify_mission
 from support.command_line import refused
 
 import fsm_pma_controller
 import los_estimator
 from los_design.search import worst_points
-from los_design.verification import verification
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
@@ -99,9 +99,9 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
 ) -> None:
     """The exit code of a strong source is 1, with the number; of a weak one the sources change nothing."""
     monkeypatch.setattr(mission, "SECONDS", 2.0)  # long enough for a verdict
-    monkeypatch.setattr(verification, "verification_points", lambda *given, **more: [{}])
-    monkeypatch.setattr(verification, "check_implemented", lambda *given, **more: Check())
-    monkeypatch.setattr(verification, "broken_requirements", lambda check: [])
+    monkeypatch.setattr(designs, "verification_points", lambda *given, **more: [{}])
+    monkeypatch.setattr(designs, "check_implemented", lambda *given, **more: Check())
+    monkeypatch.setattr(designs, "broken_requirements", lambda check: [])
     codes, told = {}, {}
     for scale in ("0.001", "300.0"):
         scaled = SOURCES.replace("frequency = 47.0", f"frequency = 47.0\nscale = {scale}")

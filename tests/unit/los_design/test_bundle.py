@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.designs.check_proof import _sentences
-from los_testbed.cli.designs.proofs import SUMMARY, _bundle
 from support.command_line import call_command
 from support.forged_proofs import zip_of_zeros
 
@@ -23,6 +22,7 @@ from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.trusted.noise import NoiseProof
 from lftkit.proofs.trusted.proof import ProofError, Strip
+from los_design.files import BOUNDS
 from los_design.synthesis.store import load_designs
 from los_design.verification import statements
 from los_design.verification.bundle import (
@@ -41,6 +41,7 @@ from los_design.verification.bundle import (
     requirements_of,
     write_bundle,
 )
+from los_design.verification.figure_proofs import bundle_proofs
 from los_design.verification.loop_models import box_of, figures_of, noise_model, provable, telescope_model
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
@@ -450,14 +451,15 @@ def test_shipped_statements_are_of_the_shipped_pair() -> None:
 
 
 def test_a_proof_of_another_loop_in_the_folder_is_named_and_left_out(
-    loop: ImplementedLoop, proof: LoopProof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    loop: ImplementedLoop, proof: LoopProof, tmp_path: Path
 ) -> None:
     write_loop_proof(proof, tmp_path / "of_this.npz")
     write_loop_proof(replace(proof, model=replace(proof.model, dt=0.002)), tmp_path / "of_another.npz")
     placed = {"of_this": FIGURE, "of_another": "fast"}
     rows = [{"stage": STAGE, "figure": figure, "proof": f"{name}.npz"} for name, figure in placed.items()]
-    (tmp_path / SUMMARY).write_text(json.dumps({"figures": rows}))
-    _bundle(tmp_path, {STAGE: loop})
+    (tmp_path / BOUNDS).write_text(json.dumps({"figures": rows}))
+    lines: list[str] = []
+    bundle_proofs(tmp_path, {STAGE: loop}, lines.append)
     with open_bundle(tmp_path / BUNDLE) as bundle:
         assert bundle.figures == ((STAGE, FIGURE),)
-    assert capsys.readouterr().err.startswith(f"of_another.npz is not in {BUNDLE}: ")
+    assert len(lines) == 1 and lines[0].startswith(f"of_another.npz is not in {BUNDLE}: ")

@@ -7,16 +7,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from los_testbed.cli.designs import redesign
-from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
-from los_testbed.cli.designs.redesign import check_output
+from los_testbed.api import designs
+from los_testbed.api.designs import design, prove_designs, unseen_requirements
 from los_testbed.cli.run import configure
-from los_testbed.config.members import WORST_POINTS, worst_member
+from los_testbed.config.members import worst_member
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE, of_designs
+from los_testbed.config.run_settings import of_designs
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import telescope_digest
 from support.command_line import call_command
@@ -24,7 +24,8 @@ from support.command_line import call_command
 from lftkit import SampledSystem
 from lftkit.errors import InputError
 from lftkit.support.workers import Workers
-from los_design.redesign import ROUNDS_FILE
+from los_design.files import CONTROLLERS, ROUNDS, TELESCOPE, WORST_POINTS
+from los_design.folder import load_folder, store_telescope
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
 from titop_plant.structures.modal_file import write_modal_data
@@ -47,7 +48,7 @@ def soft(tmp_path: Path) -> Path:
 def folder(tmp_path: Path, soft: Path) -> Path:
     """A folder of designs for the soft telescope, the controllers those that ship."""
     made = tmp_path / "designs"
-    check_output(made, soft)
+    store_telescope(made, soft)
     for kind in ("k-fsm", "k-pma"):
         (made / f"{kind.replace('-', '_')}.json").write_bytes(design_file(kind).read_bytes())
     values = {f"wheel_{i}.speed": 100.0 * i for i in range(1, 5)}
@@ -62,9 +63,9 @@ def folder(tmp_path: Path, soft: Path) -> Path:
 def test_a_run_takes_controllers_telescope_and_worst_point(folder: Path) -> None:
     config = configure(None, [], {"output": "bag", "mode": "inprocess"}, designs=str(folder))
     assert config.k_fsm == str(folder / "k_fsm.json") and config.k_pma == str(folder / "k_pma.json")
-    assert config.parameters == str(folder / TELESCOPE_FILE)
+    assert config.parameters == str(folder / TELESCOPE)
     assert (config.tau, config.wheel_speed) == (0.25, (100.0, 200.0, 300.0, 400.0))
-    assert load_telescope(config.parameters) == load_telescope(folder / TELESCOPE_FILE)
+    assert load_telescope(config.parameters) == load_telescope(folder / TELESCOPE)
 
 
 def test_worst_points_of_another_telescope_are_not_used(folder: Path, soft: Path) -> None:
@@ -80,14 +81,12 @@ def test_a_folder_without_a_controller_is_refused(folder: Path) -> None:
         of_designs(str(folder))
 
 
-def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    name_unseen_requirements(load_telescope())
-    assert capsys.readouterr().err == ""
+def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path) -> None:
+    assert not unseen_requirements(load_telescope())
     table = '[[requirement]]\nname = "slow"\ntext = "prob(rms RPE(250 ms) < 100 mas) >= 0.99 at 90 % confidence"\n'
     (tmp_path / "mission.toml").write_text(table)
-    name_unseen_requirements(load_telescope(tmp_path / "mission.toml"))
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in said
+    (line,) = unseen_requirements(load_telescope(tmp_path / "mission.toml"))
+    assert "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in line
 
 
 PANEL = """
@@ -143,42 +142,57 @@ def with_controllers(folder: Path, telescope: Telescope) -> None:
     for name, path in RunParts(RunConfig()).model_files.items():
         law = SampledSystem.from_file(path)
         made = {**law.design_basis, "parameters_hash": telescope.parameters_hash}
-        replace(law, design_basis=made).to_file(folder / DESIGN_FILES[name])
+        replace(law, design_basis=made).to_file(folder / CONTROLLERS[name])
 
 
 def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, tmp_path: Path) -> None:
     """The same values, noise and sources, when neither the user's file nor the first folder is there any more."""
     wanted = telescope_digest(load_telescope(mine))
     sources = len(RunParts(RunConfig(parameters=str(mine))).sources)
-    check_output(tmp_path / "designs", mine)
-    check_output(tmp_path / "designs", mine)  # the same telescope goes on
-    check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE)
+    store_telescope(tmp_path / "designs", mine)
+    store_telescope(tmp_path / "designs", mine)  # the same telescope goes on
+    store_telescope(tmp_path / "designs", tmp_path / "designs" / TELESCOPE)
     moved = (tmp_path / "designs").rename(tmp_path / "moved")
     mine.parent.rename(tmp_path / "gone")
-    file = moved / TELESCOPE_FILE
+    file = moved / TELESCOPE
     assert telescope_digest(load_telescope(file)) == wanted
     assert len(RunParts(RunConfig(parameters=str(file))).sources) == sources
     with_controllers(moved, load_telescope(file))
-    assert telescope_digest(designs_in(moved)[0]) == wanted
+    assert telescope_digest(load_folder(moved)[0]) == wanted
 
 
 def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     """They were refused beside a file with files of its own."""
     mine = tmp_path / "mine.toml"
     mine.write_text(payload(tmp_path), "utf-8")
-    check_output(tmp_path / "designs", mine, ["isolator.stiffness=10%"])
-    found = load_telescope(tmp_path / "designs" / TELESCOPE_FILE)
+    store_telescope(tmp_path / "designs", mine, ["isolator.stiffness=10%"])
+    found = load_telescope(tmp_path / "designs" / TELESCOPE)
     assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
     with pytest.raises(ValueError, match="--uncertain must be in the table"):
-        check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE, ["isolator.stiffness=10%"])
+        store_telescope(tmp_path / "designs", tmp_path / "designs" / TELESCOPE, ["isolator.stiffness=10%"])
 
 
-@pytest.mark.parametrize("made", ["", ROUNDS_FILE, "k_fsm.json"])
+def test_a_folder_of_the_api_has_the_telescope_and_its_files(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`design(folder, parameters=...)` left out telescope.toml: runs of the folder had the reference telescope."""
+
+    def design_all(telescope: Telescope, folder: Path, *_: object, **__: object) -> Any:
+        with_controllers(folder, telescope)
+        return SimpleNamespace(check=None, not_met=[])
+
+    monkeypatch.setattr("los_design.redesign.design_all", design_all)
+    result = design(tmp_path / "designs", parameters=mine, workers=1)
+    assert result.met and of_designs(str(result.folder))["parameters"] == str(tmp_path / "designs" / TELESCOPE)
+    assert telescope_digest(load_folder(result.folder)[0]) == telescope_digest(load_telescope(mine))
+
+
+@pytest.mark.parametrize("made", ["", ROUNDS, "k_fsm.json"])
 def test_a_refused_design_leaves_no_new_folder_but_what_was_made(
     tmp_path: Path, soft: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], made: str
 ) -> None:
     def refuse(telescope: Telescope, folder: Path, *_: object, **__: object) -> None:
-        assert (folder / TELESCOPE_FILE).exists()
+        assert (folder / TELESCOPE).exists()
         if made:
             (folder / made).write_text("{}")
         raise InputError("the controller must stabilise the telescope, got one that does not")
@@ -194,25 +208,25 @@ def loops(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Loops that were to be proven, in place of the proofs of hours."""
     found: list[Any] = []
 
-    def prove(chosen: Any, loops: Any, *_: Any) -> tuple[()]:
-        found.append(loops)
+    def prove(chosen: Any, loops: Any, *_: Any, **__: Any) -> tuple[()]:
+        found.append(loops.stages)
         return ()
 
-    monkeypatch.setattr(redesign, "prove_figures", prove)
+    monkeypatch.setattr(designs, "prove_figures", prove)
     return found
 
 
 def proven(telescope: Telescope, folder: Path) -> None:
     """What `design all --certify` does behind the design."""
     with Workers(1) as workers:
-        redesign._proven(telescope, folder, workers, time.monotonic() + 1.0)
+        prove_designs(telescope, folder, workers, time.monotonic() + 1.0)
 
 
 def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any]) -> None:
     """The loop has the poles of the telescope of the file, not of the reference."""
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
     mine.write_text(appendage(tmp_path), "utf-8")
-    check_output(folder, mine)
+    store_telescope(folder, mine)
     with_controllers(folder, load_telescope(mine))
     proven(load_telescope(mine), folder)
     orders = [loops[0]["fsm"].system.order]
@@ -226,12 +240,12 @@ def test_another_telescope_or_controllers_of_another_are_not_proven(tmp_path: Pa
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
     mine.write_text(payload(tmp_path) + "[body]\ndamping = 0.004\n", "utf-8")
     own = load_telescope(mine)
-    check_output(folder, mine)
+    store_telescope(folder, mine)
     with_controllers(folder, load_telescope())
     with pytest.raises(ValueError, match=f"must be made for the telescope there.*{own.parameters_hash}"):
         proven(own, folder)
     with_controllers(folder, own)
-    (folder / TELESCOPE_FILE).unlink()
+    (folder / TELESCOPE).unlink()
     with pytest.raises(ValueError, match=f"must be of the telescope {own.parameters_hash} to be proven"):
         proven(own, folder)
     assert not loops

@@ -15,12 +15,12 @@ from los_testbed.campaign.sampling import MemberParameters, member_seeds, member
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import identity, telescope_digest
-from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_table
 from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.source_shares import source_shares
 
+from los_design.copied_files import with_files_beside
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.telescope.load import load_telescope

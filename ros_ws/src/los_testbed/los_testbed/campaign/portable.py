@@ -12,8 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from lftkit.support.input_files import read_text
+from los_design.copied_files import with_files_beside
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.input_files import with_files_beside
 
 FILES = ("k_fsm", "k_pma")
 """Controllers of a campaign, which are files; beside them there is the parameter file with the files that it names."""

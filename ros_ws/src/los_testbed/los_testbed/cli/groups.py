@@ -8,7 +8,7 @@ from los_testbed.cli.bags.bag_export import EXPORT_EXAMPLES, export
 from los_testbed.cli.bags.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.designs.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.designs.design import design_app
-from los_testbed.cli.designs.proofs import CERTIFY_EXAMPLES, certify
+from los_testbed.cli.designs.proofs import CERTIFY_EXAMPLES, design_certify
 from los_testbed.cli.designs.sensitivity import sensitivity
 
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
@@ -16,7 +16,7 @@ bag_app.command(name="export", help=EXPORT_EXAMPLES)(export)
 bag_app.command(name="info", help=INFO_EXAMPLES)(info)
 bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
 bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
-design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
+design_app.command("certify", help=CERTIFY_EXAMPLES)(design_certify)
 design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
 design_app.command()(sensitivity)
 

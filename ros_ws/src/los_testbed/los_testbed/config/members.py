@@ -18,6 +18,7 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
+from los_design.files import WORST_POINTS
 from los_testbed.config.run_config import RunConfig, read_yaml
 from titop_plant.simulation.plant_config import check_wheels, frequencies
 from titop_plant.telescope.layout import ANGLE, speed_names
@@ -34,9 +35,6 @@ CASES = Path(__file__).with_name("plant_cases.yaml")
 
 MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies")
 """Settings that choose a member of the family."""
-
-WORST_POINTS = "worst_points.json"
-"""File of the worst parameter values of each stage, beside the controllers that they were found for."""
 
 
 def family(parameters: str | None = None) -> dict[str, RealParameter]:
@@ -158,7 +156,7 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
     parameters : str, optional
         Parameter file; default: the reference telescope.
     designs : str
-        Folder of designs with :data:`WORST_POINTS`; empty for the stored designs.
+        Folder of designs with :data:`los_design.files.WORST_POINTS`; empty for the stored designs.
 
     Returns
     -------

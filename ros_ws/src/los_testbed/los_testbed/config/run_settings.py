@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lftkit.errors import InputError
+from los_design.files import CONTROLLERS, TELESCOPE
 from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import NO_SCENARIO, SCENARIOS
@@ -19,12 +20,6 @@ from titop_plant.telescope.load import load_telescope
 
 if TYPE_CHECKING:
     from titop_plant.telescope.telescope import Telescope
-
-DESIGN_FILES = {"k_fsm": "k_fsm.json", "k_pma": "k_pma.json"}
-"""Files of the controllers in a folder of designs."""
-
-TELESCOPE_FILE = "telescope.toml"
-"""Parameter file of the telescope that a folder of designs was made for."""
 
 SIMULATED = (
     *("duration", "loop", "scenario", "worst_of", "k_fsm", "k_pma", "ports_in_order", "parameters"),
@@ -62,11 +57,11 @@ def of_designs(designs: str) -> dict[str, Any]:
     if not designs:
         return {}
     folder = Path(designs)
-    settings = {name: str(folder / file) for name, file in DESIGN_FILES.items()}
+    settings = {name: str(folder / file) for name, file in CONTROLLERS.items()}
     for path in settings.values():
         if not Path(path).exists():
-            raise InputError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
-    telescope = folder / TELESCOPE_FILE
+            raise InputError(f"designs must hold {' and '.join(CONTROLLERS.values())}, got no {path}")
+    telescope = folder / TELESCOPE
     return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
 
 

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from pointing_analysis.command.options import Json
 from pointing_analysis.command.output import print_json
-from pointing_analysis.command.screen import printable
+from pointing_analysis.command.screen import printable, warn
 from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
@@ -161,6 +160,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
     from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
     from los_design.verification.check_proof_texts import require_plain
+    from los_design.verification.figure_proofs import loops_of
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
 
     whose = "the shipped controllers and telescope" if designs is None else f"those of {designs}"
@@ -169,7 +169,7 @@ def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool)
     stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
     compared = ProofComparison((f"stage, got {stage}",))
     if stage in MIRROR_STAGES:
-        loop = loops_of(designs, [stage])[0][stage]
+        loop = loops_of(designs, [stage], warn=warn).stages[stage]
         compared = compare_proof(proof, loop, figure)
         proof = proof_of_loop(proof, loop, figure) if compared.same else proof
     other = printable(", ".join(compared.mismatches))

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.folders import name_unseen_requirements
-from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
+from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import resume_hint
 from los_testbed.cli.options.options import Designs, DesignSeed, TelescopeFile
 from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.command.options import Json
 from pointing_analysis.command.output import number, print_json
-from pointing_analysis.command.screen import Screen, met, on_screen, warn
+from pointing_analysis.command.screen import Screen, met, on_screen, tell, warn
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import LOOP_DELAY
 
@@ -121,18 +120,22 @@ def _make(
     from lftkit.support.atomic_output import check_output
     from lftkit.support.job import Job
     from lftkit.support.threads import one_thread
-    from los_design.redesign import OUT_OF_TIME, ROUNDS_FILE
+    from los_design.files import ROUNDS
+    from los_design.folder import refuse_shipped
+    from los_design.redesign import OUT_OF_TIME
     from los_design.synthesis.provenance import law_digest
     from los_design.synthesis.store import design_file
     from los_design.synthesis.synthesis import design_actuators, design_observer
+    from los_testbed.api.designs import unseen_requirements
     from titop_plant.interface import design_warnings
     from titop_plant.telescope.load import load_telescope
 
-    path = given_output(output, "a file for the design")
+    path = refuse_shipped(output, "a file for the design")
     check_output(path, "--output", suffixes=(".json",))
     telescope = load_telescope(file)
-    name_unseen_requirements(telescope)
-    rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
+    for line in unseen_requirements(telescope):
+        tell(line)
+    rounds = path.with_name(f"{path.stem}.{ROUNDS}")
     key = {"parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
     go_on = resume_hint("rounds so far", path, state=rounds)
     with one_thread(), go_on, Progress(kind) as bar:

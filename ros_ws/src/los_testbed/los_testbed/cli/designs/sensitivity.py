@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lftkit.errors import InputError
-from los_testbed.cli.designs.folders import designs_in
-from los_testbed.cli.designs.proofs import loops_of
 from pointing_analysis.command.options import Json
 from pointing_analysis.command.output import print_json
-from pointing_analysis.command.screen import Screen, on_screen
+from pointing_analysis.command.screen import Screen, on_screen, warn
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import MIRROR_STAGES
 
@@ -38,15 +36,17 @@ def sensitivity(
     Example: los-testbed design sensitivity --entry isolator.stiffness --entry isolator.damping
     """
     from lftkit.support.threads import one_thread
+    from los_design.folder import load_folder
     from los_design.search.parameter_sensitivity import changed_entry, effects_of_box, effects_of_entries
+    from los_design.verification.figure_proofs import loops_of
     from los_design.verification.loop_models import figures_of
     from titop_plant.telescope.load import load_telescope
 
-    telescope = load_telescope() if folder is None else designs_in(folder)[0]
+    telescope = load_telescope() if folder is None else load_folder(folder)[0]
     for one in entry or ():
         changed_entry(telescope, one, 1.0)
     with one_thread():
-        loops, points = loops_of(folder, list(MIRROR_STAGES))
+        loops, points = loops_of(folder, MIRROR_STAGES, warn=warn)
         metrics = {stage: figures_of(telescope, stage) for stage in loops}
         points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
         if not points:

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
+from lftkit.support.on_demand import names_on_demand
 from los_testbed.config.run_settings import completed, layered, of_designs, with_scenario, with_stage
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
@@ -35,10 +35,24 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from los_design.redesign import DesignSummary
     from pointing_analysis.read.recording import Recording
 
 PathLike = str | os.PathLike[str]
+
+__getattr__ = names_on_demand(
+    __name__,
+    {
+        "designs": (
+            "DesignResult",
+            "Verification",
+            "certify",
+            "design",
+            "prove_designs",
+            "verify_folder",
+            "verify_stored",
+        )
+    },
+)
 
 LABELS = {"name": "requirement", "text": "definition", "quantile": "value", "status": "verdict"}
 """Columns of the table of requirements that are named differently in the JSON object."""
@@ -299,48 +313,6 @@ def campaign(
     options = CampaignOptions(samples, seed, sampling, depth, resume, workers)
     asked, warnings = evaluate_campaign(base, folder, options)
     return CampaignResult(folder.path, campaign_summary(asked, folder), warnings)
-
-
-def design(
-    output: PathLike,
-    *,
-    parameters: PathLike | None = None,
-    effort: str = "full",
-    seed: int = 0,
-    time_limit: float = 3600.0,
-    workers: int = 1,
-    resume: bool = True,
-) -> DesignSummary:
-    """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
-
-    Parameters
-    ----------
-    output : path
-        Folder of the designs, for ``designs=`` of :func:`run`.
-    parameters : path, optional
-        Parameter file; default: the reference telescope.
-    effort : {"full", "short"}
-    seed, time_limit, workers, resume
-        As the options of ``los-testbed design all``.
-
-    Returns
-    -------
-    DesignSummary
-        With ``not_met``, a line for each requirement that is not met.
-
-    Raises
-    ------
-    ValueError
-        An unreadable parameter file, a folder that is not writable.
-    """
-    from los_design.redesign import PAIR, design_all
-    from titop_plant.telescope.load import load_telescope
-
-    if effort not in ("full", "short"):
-        raise InputError(f"effort must be full or short, got {effort!r}")
-    telescope = load_telescope(None if parameters is None else str(parameters))
-    options = replace(PAIR, short=effort == "short", seed=seed, wall_limit=time_limit, workers=workers)
-    return design_all(telescope, Path(output), options, resume=resume)
 
 
 def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -192,9 +191,3 @@ def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVer
         pairs = list(zip(closed.rows, opened.rows))
     found = [MissionVerdict(stage, member, row, other.value) for row, other in pairs]
     return found, (closed.rpe_rms, opened.rpe_rms)
-
-
-def show_mission(mission: Mission) -> None:
-    """Write to the error output what the tuning does not consider, with the numbers."""
-    for text in mission.statements:
-        sys.stderr.write(f"sources: {text}\n")
