@@ -21,7 +21,8 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
-from titop_plant.structures import BeamFrame, mass_summary, nastran_mass, read_nastran, write_modal_data
+from titop_plant.nastran import nastran_mass, read_nastran
+from titop_plant.structures import BeamFrame, mass_summary, write_modal_data
 from titop_plant.structures.beam_element import beam_axes
 from titop_plant.structures.beam_frame import assemble, rigid_body_modes
 from titop_plant.telescope.bodies import payload_frame

@@ -12,7 +12,8 @@ import pytest
 from support.nastran_deliveries import Delivery, write_deck, write_superelement
 from unit.titop_plant.test_nastran_decks import scaled
 
-from titop_plant.structures import read_nastran_matrices, write_modal_data
+from titop_plant.nastran import read_nastran_matrices
+from titop_plant.structures import write_modal_data
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.bodies import payload_frame
 from titop_plant.telescope.load import load_telescope

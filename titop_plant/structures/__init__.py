@@ -5,9 +5,6 @@ from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, to_mo
 from titop_plant.structures.mass_summary import MassProperties, MassSummary, mass_summary
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
-from titop_plant.structures.nastran import nastran_mass, read_nastran
-from titop_plant.structures.nastran_interface import Interface
-from titop_plant.structures.nastran_matrices import read_nastran_matrices
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     ResidualRepair,
@@ -23,7 +20,6 @@ __all__ = [
     "Beam",
     "BeamFrame",
     "ChildPort",
-    "Interface",
     "LumpedMass",
     "MassProperties",
     "MassSummary",
@@ -36,11 +32,8 @@ __all__ = [
     "effective_masses",
     "from_inertia",
     "mass_summary",
-    "nastran_mass",
     "port_visibility",
     "read_modal_data",
-    "read_nastran",
-    "read_nastran_matrices",
     "repair_residual_mass",
     "smallest_residual_fraction",
     "to_modal_data",

@@ -168,7 +168,7 @@ def mass_summary(data: ModalData, source: ArrayLike | None = None) -> MassSummar
     data : ModalData
     source : array_like, shape (6, 6), optional
         Rigid mass matrix at the same P of what the body was made from, as of
-        :func:`~titop_plant.structures.nastran.nastran_mass` [kg, kg m, kg m2].
+        :func:`~titop_plant.nastran.modes.nastran_mass` [kg, kg m, kg m2].
 
     Returns
     -------

@@ -13,20 +13,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.nastran_deliveries import Delivery, write_deck, write_results
 
-from titop_plant.structures import (
-    Beam,
-    BeamFrame,
-    Interface,
-    LumpedMass,
-    ModalData,
-    Section,
-    nastran_mass,
-    read_nastran,
-    to_modal_data,
-)
-from titop_plant.structures.nastran_files import of_subcase
-from titop_plant.structures.nastran_match import check_grids
-from titop_plant.structures.nastran_units import INCH, POUND_FORCE
+from titop_plant.nastran import Interface, nastran_mass, read_nastran
+from titop_plant.nastran.files import of_subcase
+from titop_plant.nastran.match import check_grids
+from titop_plant.nastran.units import INCH, POUND_FORCE
+from titop_plant.structures import Beam, BeamFrame, LumpedMass, ModalData, Section, to_modal_data
 
 PARENT, KEEP = "a", 8
 

@@ -26,19 +26,10 @@ from support.nastran_deliveries import (
 )
 from unit.titop_plant.test_nastran_decks import same_body, scaled
 
-from titop_plant.structures import (
-    Beam,
-    BeamFrame,
-    ChildPort,
-    Interface,
-    LumpedMass,
-    ModalData,
-    nastran_mass,
-    read_nastran,
-    to_modal_data,
-)
+from titop_plant.nastran import Interface, nastran_mass, read_nastran
+from titop_plant.nastran.units import INCH, POUND_FORCE, DeckUnits
+from titop_plant.structures import Beam, BeamFrame, ChildPort, LumpedMass, ModalData, to_modal_data
 from titop_plant.structures.beam_frame import rigid_body_modes
-from titop_plant.structures.nastran_units import INCH, POUND_FORCE, DeckUnits
 from titop_plant.structures.sections import tube
 
 pytest.importorskip("pyNastran", reason="extra nastran")

@@ -13,8 +13,9 @@ from support.nastran_deliveries import Delivery, write_deck, write_superelement
 from unit.titop_plant.test_nastran_decks import same_body, scaled
 from unit.titop_plant.test_nastran_deliveries import HELD, RING, expected, tower
 
-from titop_plant.structures import Interface, ModalData, read_nastran_matrices
-from titop_plant.structures.nastran_units import INCH, POUND_FORCE
+from titop_plant.nastran import Interface, read_nastran_matrices
+from titop_plant.nastran.units import INCH, POUND_FORCE
+from titop_plant.structures import ModalData
 
 pytest.importorskip("pyNastran", reason="extra nastran")
 

@@ -21,15 +21,15 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from titop_plant.nastran.axes import displacement_axes
+from titop_plant.nastran.files import grid_positions, read_model
+from titop_plant.nastran.interface import Interface
+from titop_plant.nastran.mass import check_rigid
+from titop_plant.nastran.units import DeckUnits, Units, units_of
 from titop_plant.ports import AXES
 from titop_plant.structures.clamped_modes import FreeStructure, clamped_body
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
-from titop_plant.structures.nastran_axes import displacement_axes
-from titop_plant.structures.nastran_files import grid_positions, read_model
-from titop_plant.structures.nastran_interface import Interface
-from titop_plant.structures.nastran_mass import check_rigid
-from titop_plant.structures.nastran_units import DeckUnits, Units, units_of
 from titop_plant.structures.residual_mass import check_residual_mass
 
 STIFFNESS, MASS = "KAAX", "MAAX"

@@ -16,9 +16,9 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from titop_plant.nastran.axes import six_axes
+from titop_plant.nastran.files import grid_positions, rows_of
 from titop_plant.structures.kinematics import tau
-from titop_plant.structures.nastran_axes import six_axes
-from titop_plant.structures.nastran_files import grid_positions, rows_of
 
 SPRINGS = ("CELAS1", "CELAS2", "CELAS3", "CELAS4", "CBUSH", "CBUSH1D")
 DIRECTED = ("CELAS1", "CELAS2")

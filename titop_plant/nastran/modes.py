@@ -5,7 +5,7 @@ Requirements on the run:
 * the bulk data (BDF), in SI, in the units that ``PARAM,UNITSYS`` states, or with the option `units`;
   ``PARAM,WTMASS`` is read. Displacement coordinates (CD) are turned to the basic ones;
 * ``SOL 103`` clamped at the parent by ``SPC1``: one grid point in all six components, as that at the centre of a ring
-  of bolts (RBE2, RBE3), or the grid points of an :class:`~titop_plant.structures.nastran_interface.Interface`;
+  of bolts (RBE2, RBE3), or the grid points of an :class:`~titop_plant.nastran.interface.Interface`;
   constraints elsewhere only of what has no stiffness;
 * real eigenvectors of at least the ports (``DISPLACEMENT(PLOT)=ALL``), mass-normalised or with the table of
   eigenvalues that has their generalised masses;
@@ -25,7 +25,7 @@ Deck and OP2 must be of the same model: grid points, positions and mass are comp
 constraint forces with the momentum of the deck's masses in each mode, within 1 % for lumped masses of bars and points.
 
 Free-free modes are refused: cut off above, they lack the flexibility of the interface, and no number of the files tells
-how much. Reduced matrices have it: :func:`~titop_plant.structures.nastran_matrices.read_nastran_matrices`.
+how much. Reduced matrices have it: :func:`~titop_plant.nastran.matrices.read_nastran_matrices`.
 """
 
 from __future__ import annotations
@@ -39,11 +39,9 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.structures.kinematics import read_only
-from titop_plant.structures.modal_data import ChildPort, ModalData
-from titop_plant.structures.nastran_axes import to_basic
-from titop_plant.structures.nastran_deck import is_coupled, parameters_of, reduced_by
-from titop_plant.structures.nastran_files import (
+from titop_plant.nastran.axes import to_basic
+from titop_plant.nastran.deck import is_coupled, parameters_of, reduced_by
+from titop_plant.nastran.files import (
     grid_positions,
     mass_normalisation,
     of_subcase,
@@ -51,9 +49,9 @@ from titop_plant.structures.nastran_files import (
     read_results,
     rows_of,
 )
-from titop_plant.structures.nastran_interface import Interface, check_clamped, held_wrench
-from titop_plant.structures.nastran_mass import is_exact, mass_of_elements, momentum_maps, rigid_mass
-from titop_plant.structures.nastran_match import (
+from titop_plant.nastran.interface import Interface, check_clamped, held_wrench
+from titop_plant.nastran.mass import is_exact, mass_of_elements, momentum_maps, rigid_mass
+from titop_plant.nastran.match import (
     EXACT_MOMENTUM,
     MASS,
     MOMENTUM,
@@ -65,7 +63,9 @@ from titop_plant.structures.nastran_match import (
     modal_masses,
     momentum_of,
 )
-from titop_plant.structures.nastran_units import Units, units_of
+from titop_plant.nastran.units import Units, units_of
+from titop_plant.structures.kinematics import read_only
+from titop_plant.structures.modal_data import ChildPort, ModalData
 from titop_plant.structures.residual_mass import check_residual_mass
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def nastran_mass(bdf: str | Path, *, parent: tuple[str, int] | Interface, units:
     Returns
     -------
     ndarray, shape (6, 6)
-        At P, in kg, kg m and kg m2; see :func:`~titop_plant.structures.nastran_mass.momentum_maps`.
+        At P, in kg, kg m and kg m2; see :func:`~titop_plant.nastran.mass.momentum_maps`.
 
     Raises
     ------

@@ -15,7 +15,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.structures.nastran_deck import Deck, number_of, parameters_of
+from titop_plant.nastran.deck import Deck, number_of, parameters_of
 
 FOOT, INCH, POUND_FORCE, POUND = 0.3048, 0.0254, 4.4482216152605, 0.45359237
 STRUCTURAL = (1e9, 2e12)

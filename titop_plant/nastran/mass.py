@@ -12,8 +12,8 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from titop_plant.nastran.axes import displacement_axes, six_axes
 from titop_plant.structures.kinematics import skew, tau
-from titop_plant.structures.nastran_axes import displacement_axes, six_axes
 
 BARS = ("CBAR", "CBEAM", "CROD", "CTUBE", "CONROD")
 UNKNOWN = ("CPYRAM", "CBEAM3", "CBEND", "CCONEAX", "CQUADX", "CTRIAX", "CTRIAX6")

@@ -135,7 +135,7 @@ def check_momentum(
     Parameters
     ----------
     maps : mapping of int to ndarray, shape (6, 6)
-        Of :func:`~titop_plant.structures.nastran_mass.momentum_maps`, about the clamped point.
+        Of :func:`~titop_plant.nastran.mass.momentum_maps`, about the clamped point.
     table : object
         Eigenvectors; where they lack a grid point with mass, nothing is compared.
     participation : ndarray, shape (n, 6)

@@ -14,7 +14,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import RESULTS
-from titop_plant.structures.nastran_deck import Deck, read_deck
+from titop_plant.nastran.deck import Deck, read_deck
 
 SAME_VALUE = 1e-3
 """Largest relative difference of eigenvalues of two tables that are those of one mode."""
