@@ -14,7 +14,6 @@ one along y:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,7 +40,6 @@ def along(path: FloatArray) -> tuple[FloatArray, FloatArray]:
     return places.reshape(-1, 2), weights
 
 
-@dataclass(frozen=True)
 class StarCamera:
     """Images of a guide star.
 
@@ -49,6 +47,17 @@ class StarCamera:
     ----------
     optics : Optics
     camera : GuideCamera
+
+    Attributes
+    ----------
+    line : ndarray, shape (n,)
+        Centres of the pixels along an axis of the window [rad].
+    reach : float
+        Half width of the field from which light is in the window [rad].
+    flux, second : float
+        Electrons of the star and of the second one in an exposure.
+    fx : ndarray
+        Frequencies along x that are not negative [1/rad].
 
     Examples
     --------
@@ -59,44 +68,24 @@ class StarCamera:
     (376, 58)
     """
 
-    optics: Optics
-    camera: GuideCamera
-    line: FloatArray = field(init=False, repr=False, compare=False)
-    reach: float = field(init=False, repr=False, compare=False)
-    flux: float = field(init=False, repr=False, compare=False)
-    second: float = field(init=False, repr=False, compare=False)
-    fx: FloatArray = field(init=False, repr=False, compare=False)
-    _response: ComplexArray = field(init=False, repr=False, compare=False)
-    _turn_x: ComplexArray = field(init=False, repr=False, compare=False)
-    _turn_y: ComplexArray = field(init=False, repr=False, compare=False)
-    _still: tuple[ComplexArray, ComplexArray, ComplexArray] = field(init=False, repr=False, compare=False)
-    _both_x: FloatArray = field(init=False, repr=False, compare=False)
-    _both_y: ComplexArray = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        half = self.camera.window // 2
-        line = np.asarray(self.optics.pixel * np.arange(-half, half + 1), dtype=np.float64)
-        border = (half + 0.5) * self.optics.pixel + BORDER * self.optics.resolution
-        fx, fy, response = self._spectrum(line, border)
-        still = self._spectrum(line, border + (STILL_BORDER - BORDER) * self.optics.resolution)
+    def __init__(self, optics: Optics, camera: GuideCamera) -> None:
+        self.optics, self.camera = optics, camera
+        half = camera.window // 2
+        line = np.asarray(optics.pixel * np.arange(-half, half + 1), dtype=np.float64)
+        self.line = line
+        self.reach = (half + 0.5) * optics.pixel + BORDER * optics.resolution
+        area = collecting_area(optics)
+        self.flux, self.second = (camera.electrons(area, m) for m in (camera.magnitude, camera.second_magnitude))
+        self.fx, fy, self._response = self._spectrum(line, self.reach)
+        self._turn_x = np.exp(2j * math.pi * np.outer(self.fx, line))
+        self._turn_y = np.exp(2j * math.pi * np.outer(line, fy))
+        still = self._spectrum(line, self.reach + (STILL_BORDER - BORDER) * optics.resolution)
+        self._still = (-2j * math.pi * still[0], -2j * math.pi * still[1][:, None], still[2])
         still_x, still_y = (np.exp(2j * math.pi * np.outer(f, line)) for f in still[:2])
         both_x = np.hstack([still_x, -2j * math.pi * still[0][:, None] * still_x])
-        made: dict[str, object] = {
-            "line": line,
-            "reach": border,
-            "flux": self.camera.electrons(collecting_area(self.optics), self.camera.magnitude),
-            "second": self.camera.electrons(collecting_area(self.optics), self.camera.second_magnitude),
-            "fx": fx,
-            "_response": response,
-            "_turn_x": np.exp(2j * math.pi * np.outer(fx, line)),
-            "_turn_y": np.exp(2j * math.pi * np.outer(line, fy)),
-            "_still": (-2j * math.pi * still[0], -2j * math.pi * still[1][:, None], still[2]),
-            # the real part of a product: of each complex number on the left its two parts follow one another
-            "_both_x": np.stack([both_x.real, -both_x.imag], axis=1).reshape(-1, both_x.shape[1]),
-            "_both_y": np.vstack([still_y.T, -2j * math.pi * still[1] * still_y.T]),
-        }
-        for name, value in made.items():
-            object.__setattr__(self, name, value)
+        # the real part of a product: of each complex number on the left its two parts follow one another
+        self._both_x = np.stack([both_x.real, -both_x.imag], axis=1).reshape(-1, both_x.shape[1])
+        self._both_y = np.vstack([still_y.T, -2j * math.pi * still[1] * still_y.T])
 
     def _spectrum(self, line: FloatArray, border: float) -> tuple[FloatArray, FloatArray, ComplexArray]:
         """Frequencies along x, not negative, and along y; image of a star at rest in the middle of a field."""

@@ -8,15 +8,14 @@ as compiled code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from los_testbed.config.plugins import RAISED, in_one_line
-from los_testbed.config.topics import IMAGE_VECTOR, READINGS
+from los_testbed.config.topics import READINGS
 from los_testbed.parts.image_camera import image_camera_of, window_of
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.stepped_plant import SteppedPlant
@@ -63,7 +62,6 @@ def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
     return -(-not_before_ns // period) * period
 
 
-@dataclass(frozen=True)
 class SampleBlock:
     """Signals of some consecutive ticks; row i belongs to stamp i.
 
@@ -78,25 +76,15 @@ class SampleBlock:
         Forces of further actuators behind the commands.
     """
 
-    size: int
-    window: int = 0
-    sensed: int = 0
-    actuators: int = 0
-    stamps: NDArray[np.int64] = field(init=False)
-    measurement: FloatArray = field(init=False)
-    truth: FloatArray = field(init=False)
-    los_estimate: FloatArray = field(init=False)
-    command: FloatArray = field(init=False)
-    image: FloatArray = field(init=False)
-    readings: FloatArray = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
-        sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES}
-        sizes |= {"command": COMMANDS + self.actuators}
-        sizes |= {IMAGE_VECTOR: self.window**2, READINGS: self.sensed}
-        for name, width in sizes.items():
-            object.__setattr__(self, name, np.zeros((self.size, width)))
+    def __init__(self, size: int, window: int = 0, sensed: int = 0, actuators: int = 0) -> None:
+        self.size, self.window, self.sensed, self.actuators = size, window, sensed, actuators
+        self.stamps = np.zeros(size, np.int64)
+        self.measurement = np.zeros((size, MEASUREMENTS))
+        self.truth = np.zeros((size, TRUTH))
+        self.los_estimate = np.zeros((size, ESTIMATES))
+        self.command = np.zeros((size, COMMANDS + actuators))
+        self.image = np.zeros((size, window**2))
+        self.readings = np.zeros((size, sensed))
 
 
 @dataclass(frozen=True)
