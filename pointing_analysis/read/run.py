@@ -246,6 +246,11 @@ class Run:
         return self._read.contradictions
 
     @property
+    def has_digests(self) -> bool:
+        """Whether a digest covers every chunk of messages, as in all bags of the testbed and in none of others."""
+        return all(info.manifests >= info.chunks > 0 for info in self._read.infos)
+
+    @property
     def topics(self) -> tuple[str, ...]:
         """Names of the topics that can be read, without the namespace, sorted."""
         return tuple(sorted(name for name, schema in self._schemas.items() if schema in COLUMNS))

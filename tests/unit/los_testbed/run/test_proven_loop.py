@@ -22,6 +22,8 @@ from los_testbed.run.replay import write_signals
 from los_testbed.run.summary.loop_proof import NONE_AT_HAND, with_proof
 from los_testbed.run.summary.ran_loop import RanLoop
 from los_testbed.run.summary.summary import judged
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from simple_telescope import SimpleTelescope
 
 from los_design.verification.subject import BUNDLE
@@ -44,11 +46,12 @@ OTHER: list[tuple[dict[str, Any], str]] = [
         "plant is simple_telescope:SimpleTelescope, proofs have none",
     ),
     ({"disturbance_source": "my.code:Shaker"}, SOURCES_ACT),
+    ({"start": "rest"}, "the run starts at rest, proofs are of the steady state"),
 ]
 SAME: list[dict[str, Any]] = [
     {},
     {"scenario": "unit_norm", "seed": 9, "theta": 0.7, "omega_1": 0.71},
-    {"noise": False, "start": "rest", "mode": "lockstep", "loop": "fsm"},
+    {"noise": False, "mode": "lockstep", "loop": "fsm"},
     {"fsm_authority": 0.0053, "old_frames": "drop", "lost_samples": "hold", "hold_ticks": 3},
     {"disturbance_source": "my.code:Shaker", "disturbance": False},
     {"theta_rate": 0.01, "profile": "trapezoidal"},  # for no time
@@ -239,7 +242,8 @@ CHANGED = '[{{"tick": 5, "name": "{}", "value": {}}}]'
         ({"plant": {"changes": CHANGED.format("camera_dropout", 0.5)}}, "camera_dropout changed"),
         ({"controller": {"changes": CHANGED.format("loop", '"fsm"')}}, "loop changed"),
         ({"estimator": {"changes": CHANGED.format("active", "false")}}, "what was active changed"),
-        ({"plant": {"changes": CHANGED.format("noise", "false")}}, ""),
+        ({"plant": {"changes": CHANGED.format("noise", "false")}}, "noise changed"),
+        ({"plant": {"changes": CHANGED.format("disturbance", "true")}}, "disturbance changed"),
         ({"plant": {"changes": CHANGED.format("stop", "true")}}, ""),
         ({"plant": {"changes": "[1, 2"}}, "changes of the node plant must be a list with tick, name and value"),
         ({"controller": {"changes": "null"}}, "changes of the node controller must be a list"),
@@ -352,3 +356,32 @@ def test_code_of_the_user_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     )
     run_in_process(RunConfig(duration=1.2, mode="inprocess", k_fsm="own_laws:Still"), tmp_path / "bag")
     assert unproven(Run.open(tmp_path / "bag")).startswith("the bag does not hold the controllers k_")
+
+
+def test_a_bag_that_another_program_has_written_has_no_proof(proven: Path, tmp_path: Path) -> None:
+    """Nothing shows that its line of sight is the recorded one, as the controllers do not see it."""
+    (tmp_path / "bag").mkdir()
+    (file,) = proven.glob("*.mcap")
+    with file.open("rb") as source, (tmp_path / "bag" / "bag_0.mcap").open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start(profile="ros2", library="another program")
+        summary = reader.get_summary()
+        assert summary is not None
+        schemas = {k: writer.register_schema(s.name, s.encoding, s.data) for k, s in summary.schemas.items()}
+        channels = {
+            k: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id], c.metadata)
+            for k, c in summary.channels.items()
+        }
+        for _, channel, message in reader.iter_messages():
+            halved = np.frombuffer(message.data, np.uint8).copy()
+            if channel.topic.endswith("truth/los"):
+                halved[-24:] = (0.5 * halved[-24:].view("<f8")).view(np.uint8)
+            writer.add_message(
+                channels[channel.id], message.log_time, halved.tobytes(), message.publish_time, message.sequence
+            )
+        for one in reader.iter_attachments():
+            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for table in reader.iter_metadata():
+            writer.add_metadata(table.name, table.metadata)
+        writer.finish()
+    assert unproven(Run.open(tmp_path / "bag")).startswith("another program has written the bag")

@@ -35,7 +35,7 @@ AUTO = "auto"
 PROCESSES = COMPOSED, SEPARATE = ("composed", "separate")
 """Estimator and controller in one process, or each in its own."""
 
-STARTS = ("steady", "rest")
+STEADY, AT_REST = STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
 OLD_FRAMES = ("correct", "use", "drop")

@@ -1,8 +1,9 @@
 """Proven statements about the loop of a run; without a proof, the reasons.
 
 Proofs are of one loop (:mod:`los_loop.implemented_loop`): the linear telescope at any point of its box that does not
-move, the camera of 50 frames per second of which none is lost, both laws each tick, and tones. A setting that
-changes the loop, or is unknown here, leaves no proof.
+move, the camera of 50 frames per second of which none is lost, both laws each tick, and tones that have acted since
+long ago: a start at rest, or a tone that begins, makes a free motion that no proof bounds. A setting that changes the
+loop, or is unknown here, leaves no proof.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 from los_design.verification.error_sum import WITH_NOISE
 from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import Subject
-from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_config import STEADY, RunConfig
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements.guarantee import ErrorBounds, ProvenBound
 from pointing_analysis.units import ANGLES
@@ -25,8 +26,8 @@ ADMITTED = frozenset(
         *("parameters", "theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies"),
         # what acts only on samples and commands that come late or not at all
         *("hold_ticks", "fade_ticks", "old_frames", "lost_samples", "camera_latency"),
-        # where and how long the same loop runs, and how it starts
-        *("loop", "duration", "mode", "start", "output", "namespace", "domain", "priority", "pin"),
+        # where and how long the same loop runs
+        *("loop", "duration", "mode", "output", "namespace", "domain", "priority", "pin"),
         *("processes", "exercise", "max_missed", "hang_timeout", "mode_choice"),
         *("wait_for_recorder", "wait_for_start", "start_timeout"),
         # of a device, which is none of these
@@ -41,15 +42,13 @@ MOTION = ("theta_rate", "wheel_acceleration", "ramp_duration", "profile")
 JUDGED = frozenset(
     {
         *MOTION,
+        "start",
         *("fsm_authority", "pma_authority"),
         *("disturbance_source", "disturbance_files"),
         *("k_fsm", "k_pma", "ports_in_order"),  # the controllers as they are read
     }
 )
 """Settings that a proof admits with some values, see :func:`reasons_against`; any other must have its default."""
-
-OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
-"""Settings whose change during a run makes another loop."""
 
 
 def proof_of(parts: RunParts) -> Statement | None:
@@ -108,6 +107,8 @@ def reasons_against(parts: RunParts) -> list[str]:
         for name in ("fsm_authority", "pma_authority")
         if (limit := getattr(parts.basis, name)) != (proven := getattr(own, name))
     ]
+    if config.start != STEADY:
+        found.append("the run starts at rest, proofs are of the steady state")
     moved = any(getattr(config, name) != RunConfig.SETTINGS[name].default for name in MOTION)
     if moved and parts.settings.ramps:  # most runs need not load for it what builds a plant
         found.append("array angle or wheel speeds vary")

@@ -28,8 +28,8 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.change_requests import changes_in
 from los_testbed.run.identity import DIGEST, announced
-from los_testbed.run.loop.changes import STOP
-from los_testbed.run.proven_loop import OTHER_LOOP, reasons_against
+from los_testbed.run.loop.changes import RESET, STOP
+from los_testbed.run.proven_loop import reasons_against
 from los_testbed.run.replay import changes_of, models_of_controllers
 from los_testbed.run.replay_ports import layout_of
 from pointing_analysis.arrays import FloatArray
@@ -76,7 +76,8 @@ class RanLoop:
             start = RunStart.from_bytes(run.attachments[START_FILE])
             unstated = start.states is None and start.tone is None  # the recorder node leaves it out at rest
             parts = RunParts(config, models_of_controllers(run), None if unstated else start)
-            unknown = contradiction(run, parts) or _other_settings(run, parts)
+            unknown = "" if run.has_digests else "another program has written the bag: no digests cover its messages"
+            unknown = unknown or contradiction(run, parts) or _other_settings(run, parts)
             if not unknown:
                 _ = _counts(run), [changes_in(run, node) for node in NODES]  # which say what is wrong with them
             return cls(run, parts, unknown)
@@ -112,9 +113,9 @@ class RanLoop:
         """Why no proof of the loop is one of this run, one phrase each; empty where it is one."""
         if self.unknown or self.parts is None:
             return [self.unknown]
-        changed = {row["name"] for node in NODES for row in changes_in(self.run, node) if row["name"] in OTHER_LOOP}
-        turned = [row for node in NODES for row in changes_in(self.run, node) if row["name"] == ACTIVE]
-        changed |= {"what was active"} if any(not row["value"] for row in turned) else set()
+        rows = [row for node in NODES for row in changes_in(self.run, node)]
+        changed = {row["name"] for row in rows} - {STOP, RESET, ACTIVE}
+        changed |= {"what was active"} if any(row["name"] == ACTIVE and not row["value"] for row in rows) else set()
         _, late = _counts(self.run)
         found = [f"{counted(late, 'tick')} had an older command"] * (late > 0) + reasons_against(self.parts)
         found += [f"{name} changed" for name in sorted(changed)]
