@@ -49,6 +49,8 @@ class LiveRowSettings:
     left : times the rounding of the fourth differences that the third ones of a polynomial have at least
     turned : times the allowed bend of a line from which the change of its slope is one
     format : largest part of the largest norm that is the rounding of a number format
+    multiple : part of a quantum by which the steps of a rounded record miss a multiple of it
+    decimated : rows that are taken together where rounding hides a polynomial between single ones
     """
 
     fewest: int = 32
@@ -68,9 +70,13 @@ class LiveRowSettings:
     left: float = 4.0
     turned: float = 3.0
     format: float = 1e-3
+    multiple: float = 1e-3
+    decimated: int = 4
 
 
 SETTINGS = LiveRowSettings()
+BEND, TURN = 2.001, 8.001
+"""Largest rounding of second and fourth differences, in quanta of the values."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +129,9 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     steps = np.diff(e[:PART], axis=0)
     if not np.isfinite(steps).any(axis=0).all() or not np.nansum(np.abs(steps)):
         return None
-    allowed = settings.straight * np.sqrt(np.nanmean(steps**2, axis=0))
+    quantum = _quantum(steps, settings)
+    straight = settings.straight * np.sqrt(np.nanmean(steps**2, axis=0))
+    allowed = np.maximum(straight, BEND * quantum)
     corner = _marks(e, lambda rows: ~(np.abs(rows[2:] - 2.0 * rows[1:-1] + rows[:-2]) <= allowed).all(axis=1))
     # A corner between two rows, and a step between two straight lines, mark both of them.
     second = np.append(False, corner[1:] & corner[:-1])
@@ -131,18 +139,32 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     jumps = np.flatnonzero(second[:PART])
     jumps = jumps[jumps > 1]
     jumped = e[jumps] - 2.0 * e[jumps - 1] + e[jumps - 2]
-    saw = len(jumps) > 0 and _of_quantisation(jumped, settings)  # always the same one: a motion
+    saw = len(jumps) > 0 and _of_quantisation(jumped, settings, quantum)  # always the same one: a motion
     turns = np.flatnonzero((corner & ~second)[1 : PART - 1]) + 1
     turns = turns[(turns > 1) & (turns < len(e) - 2)]
     turned = e[turns + 2] - e[turns + 1] - e[turns - 1] + e[turns - 2]  # of the slope
-    turned[np.abs(turned) <= settings.turned * allowed] = 0.0
-    saw |= bool(np.any(turned)) and _of_quantisation(turned, settings)  # a triangle
+    turned[np.abs(turned) <= settings.turned * straight] = 0.0
+    saw |= bool(np.any(turned)) and _of_quantisation(turned, settings, quantum)  # a triangle
     if not saw and further.sum() <= settings.corners * corner.sum():
         return _regular(corner & ~second, settings)
-    return _cubic_pieces(e, settings)
+    for stride in (1, settings.decimated) if quantum.any() else (1,):
+        if hold := _cubic_pieces(e[::stride], quantum, settings):
+            return Hold(hold.rows * stride, hold.starts * stride, hold.repeats)
+    return None
 
 
-def _cubic_pieces(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
+def _quantum(steps: FloatArray, settings: LiveRowSettings) -> FloatArray:
+    """Quantum (2,) of which all steps (n, 2) between rows are multiples; zero in an axis that is not rounded."""
+    found = np.zeros(steps.shape[1])
+    for k, column in enumerate(np.abs(steps).T):
+        moving = column[column > 0.0]
+        if moving.size:
+            places = moving / moving.min()
+            found[k] = moving.min() if (np.abs(places - np.rint(places)) <= settings.multiple).all() else 0.0
+    return found
+
+
+def _cubic_pieces(e: FloatArray, quantum: FloatArray, settings: LiveRowSettings) -> Hold | None:
     """Samples between which a record (n, 2) follows a polynomial of third order, as splines do.
 
     Its fourth differences vanish but for the three or four about each sample, its third ones do not: a body under a
@@ -153,11 +175,15 @@ def _cubic_pieces(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     if len(fifth) < settings.fewest or not np.isfinite(fifth).any(axis=0).all():
         return None
     typical = np.sqrt(np.nanmean(third**2, axis=0))
-    allowed = settings.cubic * typical
+    allowed = np.maximum(settings.cubic * typical, TURN * quantum)
     usual = [np.nanmedian(np.abs(one), axis=0) for one in (third, fourth, fifth)]
     least = np.maximum(settings.straight * typical, settings.left * usual[1])
     if not (usual[0] > least).any() or (usual[2] < usual[1]).any():
         return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        jumps = np.nanmax(np.abs(fourth) / allowed, axis=1, initial=0.0)
+    if not (jumps > 1.0).any() or np.median(jumps[jumps > 1.0]) < settings.turned:
+        return None  # a smooth motion whose differences rounding hides
 
     def bends(rows: FloatArray) -> BoolArray:
         change = rows[4:] - 4.0 * rows[3:-1] + 6.0 * rows[2:-2] - 4.0 * rows[1:-3] + rows[:-4]
@@ -188,11 +214,14 @@ def _moves(rows: FloatArray) -> BoolArray:
     return np.asarray(~(row == before).all(axis=1) & ~both_missing)
 
 
-def _of_quantisation(steps: FloatArray, settings: LiveRowSettings) -> bool:
-    """Whether the steps (m, 2) between runs of equal rows are of one quantum, which also a smooth motion has."""
-    for column in np.abs(steps).T:
+def _of_quantisation(steps: FloatArray, settings: LiveRowSettings, rounded: FloatArray | float = 0.0) -> bool:
+    """Whether the steps (m, 2) between runs of equal rows are of one quantum, which also a smooth motion has.
+
+    Those of values that are `rounded` differ by four times that quantum at most.
+    """
+    for column, quantum in zip(np.abs(steps).T, np.broadcast_to(rounded, steps.shape[1])):
         moving = column[column > 0.0]
-        if moving.size and np.mean(moving <= 1.001 * moving.min()) < settings.single:
+        if moving.size and np.mean(moving <= 1.001 * moving.min() + 4.001 * quantum) < settings.single:
             return False
     return True
 
