@@ -17,13 +17,11 @@ from lftkit import h2_norm, s
 from lftkit.synthesis import h2syn
 
 FOLDER = Path(__file__).parents[2] / "docs" / "lftkit"
-SUMMARY, OTHERS = (FOLDER / "published_values.md").read_text("utf-8").split("## Values that differ")
+SUMMARY = (FOLDER / "published_values.md").read_text("utf-8").split("## Values that differ")[0]
 TABLE = list(csv.DictReader((FOLDER / "published_values.csv").read_text("utf-8").splitlines()))
 ROWS = {row["quantity"]: row["printed"] for row in TABLE}
-DIFFERENT = {
-    name: (printed, here)
-    for name, printed, here in re.findall(r"^\| ([^|]+?) \| ([-\d.]+) \| ([-\d.]+) \|", OTHERS, re.MULTILINE)
-}
+OTHERS = csv.DictReader((FOLDER / "values_that_differ.csv").read_text("utf-8").splitlines())
+DIFFERENT = {row["quantity"]: (row["printed"], row["here"]) for row in OTHERS}
 COMPUTED = {**norms.COMPUTED, **margins.COMPUTED, **robustness.COMPUTED, **synthesis.COMPUTED}
 RESONANT = margins.system(margins.RESONANT)
 TRIPLE = margins.system((s + 0.1) ** 2 / (s**3 * (s + 1)))
