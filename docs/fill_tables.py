@@ -212,24 +212,23 @@ def place(figure: str) -> tuple[int, str]:
 
 
 def bounds(figures: Sequence[Mapping[str, Any]]) -> str:
-    """One row a figure: bounds, frequency of the lower one, size and cost of the proof.
+    """One row a figure: bounds, frequency of the lower one, cost of the proof.
 
     Examples
     --------
     >>> print(bounds([{"stage": "fsm", "figure": "slow", "lower": 0.19, "upper": 1.0, "frequency": 2.84,
-    ...                "strips": 49, "windows": 574, "seconds": 110.9}]))
-    | stage, figure | lower | at, rad/s | upper, proven | strips | windows | proof, CPU s |
-    | --- | ---: | ---: | ---: | ---: | ---: | ---: |
-    | fsm, RPE, slow tone | 0.190 | 2.840 | 1 | 49 | 574 | 111 |
+    ...                "seconds": 110.9}]))
+    | stage, figure | lower | at, rad/s | upper, proven | proof, CPU s |
+    | --- | ---: | ---: | ---: | ---: |
+    | fsm, RPE, slow tone | 0.190 | 2.840 | 1 | 111 |
     """
-    head = ("stage, figure", "lower", "at, rad/s", "upper, proven", "strips", "windows", "proof, CPU s")
+    head = ("stage, figure", "lower", "at, rad/s", "upper, proven", "proof, CPU s")
     rows = []
     for f in sorted(figures, key=lambda f: (f["stage"], *place(f["figure"]))):
         lower, upper = f"{f['lower']:.3g}" if f["lower"] < 0.1 else f"{f['lower']:.3f}", f["upper"]
-        work = (f"{f['strips']}", f"{f['windows']}", f"{f['seconds']:.0f}")
         at = f"{f['frequency']:#.4g}".rstrip(".")
         name = f"{f['stage']}, {FIGURES.get(f['figure'], f['figure'])}"
-        rows.append((name, lower, at, "" if upper is None else rounded_up(upper), *work))
+        rows.append((name, lower, at, "" if upper is None else rounded_up(upper), f"{f['seconds']:.0f}"))
     return markdown(head, rows)
 
 
