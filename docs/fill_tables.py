@@ -2,7 +2,6 @@
 
     los-testbed design table --json | python docs/fill_tables.py gammas
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
-    python docs/fill_tables.py prediction < FOLDER/stages.md
     python docs/fill_tables.py worst_case < FOLDER/stages.md
     python docs/fill_tables.py bounds < FOLDER/bounds.json       # FOLDER of los-testbed design certify
     python docs/fill_tables.py proven < FOLDER/bounds.json
@@ -10,8 +9,8 @@
     COLUMNS=100 los-testbed run --mode inprocess --output FOLDER | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
-the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
-docs/results.md, as are ``gammas``, ``proven``, one row a stage, and ``run``, the output of a command. README.md has
+the results of the scenario of worst cases on docs/results.md, as are ``gammas``, ``proven``, one row a stage, and
+``run``, the output of a command. README.md has
 ``worst_case``, one row a stage; docs/certificates.md has ``bounds``; docs/paper.md has ``paper_gammas``,
 ``paper_decades`` and ``paper_reduction``.
 """
@@ -29,12 +28,14 @@ from typing import Any
 from pointing_analysis.formatting.tables import TextTable, numbers
 
 DOCS = Path(__file__).parent
-PAGES = dict.fromkeys(("gammas", "stages", "prediction", "proven", "run"), DOCS / "results.md")
+PAGES = dict.fromkeys(("gammas", "stages", "proven", "run"), DOCS / "results.md")
 PAGES["worst_case"] = DOCS.parent / "README.md"
 PAGES["bounds"] = DOCS / "certificates.md"
 PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction", "paper_orders"), DOCS / "paper.md")
 FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}
 """Figures of ``design certify``."""
+WORST_CASE = "**Scenario `worst_case`"
+"""Begin of the paragraph of stages.md that the tables are made from."""
 TONES = ("APE", "RPE, slow", "RPE, fast")
 """Rows of a stage in the table of worst cases."""
 COLUMNS = ("APE", "RPE", "mirror", "force", "noise -> APE", "noise -> RPE")
@@ -170,7 +171,7 @@ def worst_case(text: str) -> str:
     """
     lines = [
         [cell.strip() for cell in line.split("|")[1:-1]]
-        for line in parts(text, "**Scenario `worst_case`")[0].splitlines()
+        for line in parts(text, WORST_CASE)[0].splitlines()
         if line.startswith("|")
     ]
     head, rows = lines[0], [dict(zip(lines[0], line)) for line in lines[2:]]
@@ -291,15 +292,14 @@ def table_of(name: str, text: str) -> str:
         return {"bounds": bounds, "proven": proven}[name](json.loads(text)["figures"])
     if name == "run" and "verdict" in text:
         return screen(text)
-    if name == "worst_case" and parts(text, "**Scenario `worst_case`"):
+    if name == "worst_case" and parts(text, WORST_CASE):
         return worst_case(text)
-    chosen = {"stages": "**Scenario", "prediction": "Transmissibility"}
-    if name not in chosen:
+    if name != "stages":
         raise ValueError(f"name must be one of {', '.join(PAGES)} with an input of its kind, got {name!r}")
-    found = parts(text, chosen[name])
+    found = parts(text, WORST_CASE)
     if not found:
-        raise ValueError(f"input must be stages.md with a paragraph that begins with {chosen[name]!r}, got none")
-    return "\n\n".join(found if name == "stages" else found[:1])
+        raise ValueError(f"input must be stages.md with a paragraph that begins with {WORST_CASE!r}, got none")
+    return found[0]
 
 
 def filled(page: str, name: str, table: str) -> str:
