@@ -104,7 +104,6 @@ DECADES: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
 """Lines of the distance between wheels and drives."""
 
 REDUCTION = (
-    *((f"{name}, median [dB]", cell) for name, cell in DECADES),
     ("largest value of all members [dB]", lambda row: f"{row['peaks']:.1f}"),
     ("largest value, FSM [mas]", lambda row: f"{row['peak_mas'][0]:.3g}"),
     ("largest value, FSM + PMA [mas]", lambda row: f"{row['peak_mas'][1]:.3g}"),
@@ -113,21 +112,23 @@ REDUCTION = (
 
 
 def orders(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Gammas of both controllers of each order.
+    """Gammas of both controllers of each order; one that is not converged has its status.
 
     Examples
     --------
     >>> gammas = {"APE": 0.7, "RPE": 0.69, "mirror": 0.999, "noise -> APE": 0.6, "force": 0.2}
-    >>> design = {"gammas": gammas, "status": "converged"}
-    >>> print(orders([{"order": 2, "k-fsm": design, "k-pma": design}]).splitlines()[-1])
-    | 2 | 0.7000 | 0.6900 | 0.9990 | `converged` | 0.7000 | 0.6900 | 0.6000 | 0.2000 | `converged` |
+    >>> design, other = ({"gammas": gammas, "status": status} for status in ("converged", "stalled"))
+    >>> print(orders([{"order": 2, "k-fsm": design, "k-pma": other}]).splitlines()[-1])
+    | 2 | 0.7000 | 0.6900 | 0.7000, `stalled` | 0.6900 | 0.6000 | 0.2000 |
     """
-    columns = {"k-fsm": ("APE", "RPE", "mirror"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
+    columns = {"k-fsm": ("APE", "RPE"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
     head, lines = ["order"], [[str(row["order"])] for row in rows]
     for kind, names in columns.items():
-        head += [*(f"{DESIGNS[kind]}: {name.replace('->', '→')}" for name in names), "status"]
+        head += [f"{DESIGNS[kind]}: {name.replace('->', '→')}" for name in names]
         for line, row in zip(lines, rows):
-            line += [*(f"{row[kind]['gammas'][name]:.4f}" for name in names), f"`{row[kind]['status']}`"]
+            first, *others = [f"{row[kind]['gammas'][name]:.4f}" for name in names]
+            status = row[kind]["status"]
+            line += [first if status == "converged" else f"{first}, `{status}`", *others]
     return markdown(head, lines)
 
 

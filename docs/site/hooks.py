@@ -18,7 +18,8 @@ from pointing_analysis.files.structured_text import load_toml
 
 ROOT = Path(__file__).parents[2]
 OUTSIDE = {"README.md": "overview.md"} | {
-    page: page for page in (
+    page: page
+    for page in (
         "CONTRIBUTING.md",
         "CHANGELOG.md",
         "bags/README.md",
