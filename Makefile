@@ -176,7 +176,6 @@ docs: $(EVERYTHING)
 	$(BIN)/los-testbed design table --json | $(BIN)/python docs/fill_tables.py gammas
 	folder=$$(mktemp -d) && $(BIN)/los-testbed stages --output $$folder/stages \
 	    && $(BIN)/python docs/fill_tables.py stages < $$folder/stages/stages.md \
-	    && $(BIN)/python docs/fill_tables.py prediction < $$folder/stages/stages.md \
 	    && $(BIN)/python docs/fill_tables.py worst_case < $$folder/stages/stages.md \
 	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --output $$folder/run > $$folder/run.txt \
 	    && $(BIN)/python docs/fill_tables.py run < $$folder/run.txt && rm -r $$folder

@@ -1,9 +1,8 @@
 """What a run does when its rig fails: exit code, line, and the time until mirror and forces are at zero.
 
-    python benchmarks/device_faults.py --docs
+    python benchmarks/device_faults.py --table
 
 Each fault is one of the emulator's, two seconds after its first command, in a run with ROS in real time over UDP.
-`--docs` writes the table of docs/connect_your_rig.md.
 """
 
 from __future__ import annotations
@@ -18,11 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.rig.emulator import FAULTS
-from real_time_loop import write_between
 
 from pointing_analysis.formatting.tables import TextTable
 
-ROOT = Path(__file__).parents[1]
 DRIVER = "los_testbed.rig.udp:UdpRig"
 SECONDS, AT = 4.0, 2.0
 LOSS = "lost, reordered"
@@ -83,19 +80,19 @@ def table(rows: list[list[str]]) -> str:
 
 
 def main() -> int:
-    """Measure, print, and write the table."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--domain", type=int, default=91)
-    parser.add_argument("--docs", action="store_true", help="write the table of docs/connect_your_rig.md")
+    parser.add_argument("--table", action="store_true", help="at the end all of them as a table of Markdown")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = []
         for number, case in enumerate(given.cases):
             rows.append(fly(case, Path(folder) / str(number), given.domain))
             print(json.dumps(rows[-1]), flush=True)
-    if given.docs:
-        write_between(ROOT / "docs" / "connect_your_rig.md", "device_faults", table(rows))
+    if given.table:
+        print(table(rows))
     return 0
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/real_time_loop.py --seconds 60 --hogs 2 --json
     python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/real_time.md
-    python benchmarks/real_time_loop.py --seconds 60 --fair --docs # the same scheduling for both, another table there
+    python benchmarks/real_time_loop.py --seconds 60 --fair        # the same scheduling for both
 
 `ours` has real-time scheduling and three processes: plant, both laws, the testbed's recorder. `ours_separate` has four,
 with a process for each law; `ours_ordinary` is `ours` without any rights, `ours_hogs` with busy processes beside it;
@@ -65,6 +65,8 @@ def main() -> None:
     parser.add_argument("--docs", action="store_true", help="write table and histogram into docs/real_time.md")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args()
+    if args.fair and args.docs:
+        parser.error("expected one of --fair and --docs, got both")
     loops = list(FAIR) if args.fair else [name for name in args.loops if args.hogs or name != "ours_hogs"]
     load = os.getloadavg()[0]
     runs, bare = {}, {}
@@ -89,8 +91,7 @@ def main() -> None:
         result["miss_rate_hogs"] = result["ours_hogs"]["miss_rate"]
     result["machine"] = {**machine(), "load_before": load}
     if args.docs:
-        write_between(DOCS / "real_time.md", "fair_rows" if args.fair else "real_time_loop", table(result))
-    if args.docs and not args.fair:
+        write_between(DOCS / "real_time.md", "real_time_loop", table(result))
         histogram({name: run[0].latency for name, run in runs.items()}, DOCS / "figures" / "real_time_latency.png")
     print(json.dumps(result) if args.json else table(result))
 

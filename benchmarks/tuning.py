@@ -175,7 +175,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--cpu", action="store_true", help="all limits and times in processor seconds")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="rows measured so far, and those to come")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--table", action="store_true", help="Markdown, as in docs/lftkit/rank.md")
+    parser.add_argument("--table", action="store_true", help="Markdown, a row for each plant and order")
     found = parser.parse_args()
     if unknown := sorted(set(found.plants.split(",")) - set(plants())):
         parser.error(f"--plants must be among {', '.join(plants())}, got {', '.join(unknown)}")

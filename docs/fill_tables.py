@@ -2,7 +2,6 @@
 
     los-testbed design table --json | python docs/fill_tables.py gammas
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
-    python docs/fill_tables.py prediction < FOLDER/stages.md
     python docs/fill_tables.py worst_case < FOLDER/stages.md
     python docs/fill_tables.py bounds < FOLDER/bounds.json       # FOLDER of los-testbed design certify
     python docs/fill_tables.py proven < FOLDER/bounds.json
@@ -10,8 +9,8 @@
     COLUMNS=100 los-testbed run --mode inprocess --output FOLDER | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
-the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
-docs/results.md, as are ``gammas``, ``proven``, one row a stage, and ``run``, the output of a command. README.md has
+the results of the scenario of worst cases on docs/results.md, as are ``gammas``, ``proven``, one row a stage, and
+``run``, the output of a command. README.md has
 ``worst_case``, one row a stage; docs/certificates.md has ``bounds``; docs/paper.md has ``paper_gammas``,
 ``paper_decades`` and ``paper_reduction``.
 """
@@ -29,12 +28,14 @@ from typing import Any
 from pointing_analysis.formatting.tables import TextTable, numbers
 
 DOCS = Path(__file__).parent
-PAGES = dict.fromkeys(("gammas", "stages", "prediction", "proven", "run"), DOCS / "results.md")
+PAGES = dict.fromkeys(("gammas", "stages", "proven", "run"), DOCS / "results.md")
 PAGES["worst_case"] = DOCS.parent / "README.md"
 PAGES["bounds"] = DOCS / "certificates.md"
 PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction", "paper_orders"), DOCS / "paper.md")
 FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}
 """Figures of ``design certify``."""
+WORST_CASE = "**Scenario `worst_case`"
+"""Begin of the paragraph of stages.md that the tables are made from."""
 TONES = ("APE", "RPE, slow", "RPE, fast")
 """Rows of a stage in the table of worst cases."""
 COLUMNS = ("APE", "RPE", "mirror", "force", "noise -> APE", "noise -> RPE")
@@ -103,7 +104,6 @@ DECADES: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
 """Lines of the distance between wheels and drives."""
 
 REDUCTION = (
-    *((f"{name}, median [dB]", cell) for name, cell in DECADES),
     ("largest value of all members [dB]", lambda row: f"{row['peaks']:.1f}"),
     ("largest value, FSM [mas]", lambda row: f"{row['peak_mas'][0]:.3g}"),
     ("largest value, FSM + PMA [mas]", lambda row: f"{row['peak_mas'][1]:.3g}"),
@@ -112,21 +112,23 @@ REDUCTION = (
 
 
 def orders(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Gammas of both controllers of each order.
+    """Gammas of both controllers of each order; one that is not converged has its status.
 
     Examples
     --------
     >>> gammas = {"APE": 0.7, "RPE": 0.69, "mirror": 0.999, "noise -> APE": 0.6, "force": 0.2}
-    >>> design = {"gammas": gammas, "status": "converged"}
-    >>> print(orders([{"order": 2, "k-fsm": design, "k-pma": design}]).splitlines()[-1])
-    | 2 | 0.7000 | 0.6900 | 0.9990 | `converged` | 0.7000 | 0.6900 | 0.6000 | 0.2000 | `converged` |
+    >>> design, other = ({"gammas": gammas, "status": status} for status in ("converged", "stalled"))
+    >>> print(orders([{"order": 2, "k-fsm": design, "k-pma": other}]).splitlines()[-1])
+    | 2 | 0.7000 | 0.6900 | 0.7000, `stalled` | 0.6900 | 0.6000 | 0.2000 |
     """
-    columns = {"k-fsm": ("APE", "RPE", "mirror"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
+    columns = {"k-fsm": ("APE", "RPE"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
     head, lines = ["order"], [[str(row["order"])] for row in rows]
     for kind, names in columns.items():
-        head += [*(f"{DESIGNS[kind]}: {name.replace('->', '→')}" for name in names), "status"]
+        head += [f"{DESIGNS[kind]}: {name.replace('->', '→')}" for name in names]
         for line, row in zip(lines, rows):
-            line += [*(f"{row[kind]['gammas'][name]:.4f}" for name in names), f"`{row[kind]['status']}`"]
+            first, *others = [f"{row[kind]['gammas'][name]:.4f}" for name in names]
+            status = row[kind]["status"]
+            line += [first if status == "converged" else f"{first}, `{status}`", *others]
     return markdown(head, lines)
 
 
@@ -170,7 +172,7 @@ def worst_case(text: str) -> str:
     """
     lines = [
         [cell.strip() for cell in line.split("|")[1:-1]]
-        for line in parts(text, "**Scenario `worst_case`")[0].splitlines()
+        for line in parts(text, WORST_CASE)[0].splitlines()
         if line.startswith("|")
     ]
     head, rows = lines[0], [dict(zip(lines[0], line)) for line in lines[2:]]
@@ -212,24 +214,23 @@ def place(figure: str) -> tuple[int, str]:
 
 
 def bounds(figures: Sequence[Mapping[str, Any]]) -> str:
-    """One row a figure: bounds, frequency of the lower one, size and cost of the proof.
+    """One row a figure: bounds, frequency of the lower one, cost of the proof.
 
     Examples
     --------
     >>> print(bounds([{"stage": "fsm", "figure": "slow", "lower": 0.19, "upper": 1.0, "frequency": 2.84,
-    ...                "strips": 49, "windows": 574, "seconds": 110.9}]))
-    | stage, figure | lower | at, rad/s | upper, proven | strips | windows | proof, CPU s |
-    | --- | ---: | ---: | ---: | ---: | ---: | ---: |
-    | fsm, RPE, slow tone | 0.190 | 2.840 | 1 | 49 | 574 | 111 |
+    ...                "seconds": 110.9}]))
+    | stage, figure | lower | at, rad/s | upper, proven | proof, CPU s |
+    | --- | ---: | ---: | ---: | ---: |
+    | fsm, RPE, slow tone | 0.190 | 2.840 | 1 | 111 |
     """
-    head = ("stage, figure", "lower", "at, rad/s", "upper, proven", "strips", "windows", "proof, CPU s")
+    head = ("stage, figure", "lower", "at, rad/s", "upper, proven", "proof, CPU s")
     rows = []
     for f in sorted(figures, key=lambda f: (f["stage"], *place(f["figure"]))):
         lower, upper = f"{f['lower']:.3g}" if f["lower"] < 0.1 else f"{f['lower']:.3f}", f["upper"]
-        work = (f"{f['strips']}", f"{f['windows']}", f"{f['seconds']:.0f}")
         at = f"{f['frequency']:#.4g}".rstrip(".")
         name = f"{f['stage']}, {FIGURES.get(f['figure'], f['figure'])}"
-        rows.append((name, lower, at, "" if upper is None else rounded_up(upper), *work))
+        rows.append((name, lower, at, "" if upper is None else rounded_up(upper), f"{f['seconds']:.0f}"))
     return markdown(head, rows)
 
 
@@ -292,15 +293,14 @@ def table_of(name: str, text: str) -> str:
         return {"bounds": bounds, "proven": proven}[name](json.loads(text)["figures"])
     if name == "run" and "verdict" in text:
         return screen(text)
-    if name == "worst_case" and parts(text, "**Scenario `worst_case`"):
+    if name == "worst_case" and parts(text, WORST_CASE):
         return worst_case(text)
-    chosen = {"stages": "**Scenario", "prediction": "Transmissibility"}
-    if name not in chosen:
+    if name != "stages":
         raise ValueError(f"name must be one of {', '.join(PAGES)} with an input of its kind, got {name!r}")
-    found = parts(text, chosen[name])
+    found = parts(text, WORST_CASE)
     if not found:
-        raise ValueError(f"input must be stages.md with a paragraph that begins with {chosen[name]!r}, got none")
-    return "\n\n".join(found if name == "stages" else found[:1])
+        raise ValueError(f"input must be stages.md with a paragraph that begins with {WORST_CASE!r}, got none")
+    return found[0]
 
 
 def filled(page: str, name: str, table: str) -> str:

@@ -3,6 +3,18 @@
 A file is a header and arrays (:mod:`lftkit.proofs.trusted.entries` reads both). Every header begins with the same four
 entries: the format, the kind, the claim and the plant that it is about. No check depends on how a proof was read: what
 is read is checked.
+
+================  =====================================================================================================
+kind              further header entries; arrays
+================  =====================================================================================================
+``cells``         ``cells`` (intervals, band, P, Q, D, G, centre, factor); ``stable``, the member with a factor of its
+                  Lyapunov matrix; ``posed``, in discrete time; ``sha256``; no arrays
+``axis``          ``border`` [rad/s]; A, B, C, D, ``poles``, T, X; strips with the prefixes ``below_`` and ``above_``
+``lower bound``   A, B, C, D, ``unseen``, ``unmoved``, ``left``, ``right``, ``noiseless``, ``weightless``,
+                  ``decaying(_adjoint)``, ``undisturbed(_adjoint)``
+``sampled loop``  ``about``, text for readers; poles, matrices, hold and weights of the loop; strips
+``noise``         the same
+================  =====================================================================================================
 """
 
 from __future__ import annotations

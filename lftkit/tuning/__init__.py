@@ -1,7 +1,7 @@
 """Fixed-structure robust tuning: H-infinity and H2 requirements, soft and hard, on many models at once.
 
 It works on :class:`lftkit.System` models with named ports. Start at :func:`tune` (given models) or
-:func:`tune_robust` (a plant with parameters in a box); ``docs/lftkit/tuning.md`` compares it with systune.
+:func:`tune_robust` (a plant with parameters in a box); ``docs/lftkit/from_matlab.md`` compares it with systune.
 """
 
 from typing import TYPE_CHECKING

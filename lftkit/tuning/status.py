@@ -12,7 +12,27 @@ FAR = 0.01
 
 
 class TuningStatus(str, Enum):
-    """Why a tuning run ended and what it promises; :attr:`advice` says what to do."""
+    """Why a tuning run ended and what it promises; :attr:`advice` says what to do.
+
+    ==================  ==============================================================================================
+    ``converged``       Certificate and tuned value agree within 0.1 %, the point is stationary, and a second descent,
+                        a hundred random directions and descents from 3 and 10 times the gain do not lower it by
+                        0.1 %. Or the value is within ``gap`` of the lower bound, or at most ``met``, or no soft
+                        requirement is left.
+    ``target``          The target value was reached.
+    ``stalled``         No progress and no confirmation.
+    ``iterations``      Iteration limit, or the infimum is zero and only approached.
+    ``rounds``          Of a robust tuning: the last round still found worse parameters.
+    ``inaccurate``      Tuned value and certificate differ by more than 0.1 % after the grid was refined.
+    ``not_stabilised``  No start made all models stable.
+    ``unbounded``       Parameters reached the limit of their magnitude.
+    ``failed``          The arithmetic failed (singular matrix, overflow); the result has the best point until then.
+    ``infeasible``      No start meets the hard requirements, or a lower bound shows that no controller meets one; the
+                        result has the least violation.
+    ``out_of_time``     Wall limit: the best point so far, which depends on the machine.
+    ``interrupted``     The best point so far.
+    ==================  ==============================================================================================
+    """
 
     CONVERGED = "converged"
     TARGET = "target"

@@ -2,7 +2,8 @@
 
 The columns are described in ``docs/pointing_analysis.md``. A row corresponds to a table ``[sources.x]`` of a TOML file;
 values of several axes are separated by ``;``. Rows of the types ``requirement``, ``total`` and ``setting`` hold the
-rest of the file.
+rest of the file: a setting has its key in ``source`` and its value in ``text`` (``title``, ``summation``, ``axes``,
+``draws``, ``seed``), a total the index in ``source`` and the columns ``window`` [s] and ``factor``.
 """
 
 from __future__ import annotations

@@ -91,7 +91,6 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "reference.md": tables_and_clusters,
     "your_controller.md": a_design_that_is_only_called,
     "tuning.md": the_mass_and_spring,
-    "your_spacecraft.md": files_of_nastran,
     "structures.md": files_of_nastran,
 }
 """What the text of a page presupposes."""

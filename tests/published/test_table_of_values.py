@@ -1,8 +1,10 @@
-"""Each value of docs/lftkit/published_values.md, computed, agrees with all digits that are printed."""
+"""Each value of docs/lftkit/published_values.csv, computed, agrees with all digits that are printed."""
 
 from __future__ import annotations
 
+import csv
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,13 +16,12 @@ from published.values import margins, norms, robustness, synthesis
 from lftkit import h2_norm, s
 from lftkit.synthesis import h2syn
 
-PAGE = (Path(__file__).parents[2] / "docs" / "lftkit" / "published_values.md").read_text("utf-8")
-SAME, OTHERS = PAGE.split("## Values that differ")
-ROWS = dict(re.findall(r"^\| ([^|]+?) \| ([-\d. ]+?) \|", SAME, re.MULTILINE))
-DIFFERENT = {
-    name: (printed, here)
-    for name, printed, here in re.findall(r"^\| ([^|]+?) \| ([-\d.]+) \| ([-\d.]+) \|", OTHERS, re.MULTILINE)
-}
+FOLDER = Path(__file__).parents[2] / "docs" / "lftkit"
+SUMMARY = (FOLDER / "published_values.md").read_text("utf-8").split("## Values that differ")[0]
+TABLE = list(csv.DictReader((FOLDER / "published_values.csv").read_text("utf-8").splitlines()))
+ROWS = {row["quantity"]: row["printed"] for row in TABLE}
+OTHERS = csv.DictReader((FOLDER / "values_that_differ.csv").read_text("utf-8").splitlines())
+DIFFERENT = {row["quantity"]: (row["printed"], row["here"]) for row in OTHERS}
 COMPUTED = {**norms.COMPUTED, **margins.COMPUTED, **robustness.COMPUTED, **synthesis.COMPUTED}
 RESONANT = margins.system(margins.RESONANT)
 TRIPLE = margins.system((s + 0.1) ** 2 / (s**3 * (s + 1)))
@@ -120,7 +121,10 @@ def test_the_tables_and_the_tests_have_the_same_rows() -> None:
 
 
 def test_there_are_150_values() -> None:
-    assert sum(len(printed.split()) for printed in ROWS.values()) + len(DIFFERENT) >= 150
+    """As many of each topic as the page counts."""
+    of_topic = Counter(row["topic"] for row in TABLE for _ in row["printed"].split())
+    assert re.findall(r"^\|[^|]+\| (\d+) \|", SUMMARY, re.MULTILINE) == [str(count) for count in of_topic.values()]
+    assert f"The {of_topic.total()} values of" in SUMMARY and of_topic.total() + len(DIFFERENT) >= 150
 
 
 @pytest.mark.parametrize("name", COMPUTED)

@@ -24,6 +24,12 @@ sum of all inertia forces of the mode, whatever mass formulation the elements ha
 Deck and OP2 must be of the same model: grid points, positions and mass are compared as far as the OP2 has them, and the
 constraint forces with the momentum of the deck's masses in each mode, within 1 % for lumped masses of bars and points.
 
+Without a statement the units are SI, and a deck without a Young's modulus from 1 GPa to 2 TPa is refused. In stated
+units one must be from 1 MPa (rubber) to 10 TPa, and a density from 10 (foam) to 5e4 kg/m3. The grid point weight is in
+the units of the input: ``WTMASS`` is applied to it, too.
+``INCLUDE`` reads files in the folder of the deck and below it. Of several sets of SPC those count that the case control
+names. Constraints of other grid points are accepted where no mode has a force or a motion in them.
+
 Free-free modes are refused: cut off above, they lack the flexibility of the interface, and no number of the files tells
 how much. Reduced matrices have it: :func:`~titop_plant.nastran.matrices.read_nastran_matrices`.
 """
