@@ -166,7 +166,8 @@ class IndependentSamples:
         known = correlated / float(inflation(correlated - 1.0))
         unit = math.sqrt(power) or 1.0
         factor = BlockSums.of(lambda part: (x[part] - mean) / unit, n).factor(1.0, n / correlated, math.inf)
-        most = min(known, n / factor if factor else n, cap, period(x, unit))
+        once = period(x, unit)
+        most = min(known, n / factor if factor else n, cap * min(once / len(x), 1.0), once)
         if components is not None and (beta := persistence(components)):
             most = min(most, n ** (1.0 - beta))
         usual = SortedValues(x)

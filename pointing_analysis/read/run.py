@@ -141,7 +141,9 @@ class Run:
         """The topic of a column, with what is known to be lost before and after it."""
         name = self.short(column.name)
         column.name = name
-        topic = column.topic(self._unit(name, column.schema))
+        rate = self.parameters.get("rate_hz")
+        period = 1.0 / rate if name in OF_EVERY_TICK and is_number(rate) and rate > 0 else None
+        topic = column.topic(self._unit(name, column.schema), period)
         unfinished = self._window[1] == math.inf and self._read.cut
         before, after = self._lost_ends(topic)
         expected = self._expected(topic)
@@ -174,6 +176,8 @@ class Run:
         sent = run_end(self.parameters).sent if self._window == WHOLE else None
         if topic.name == CAMERA and sent is not None and is_number(rate) and rate > 0 and topic.period > 0:
             return math.floor(sent / rate / topic.period + 1e-6) - 1
+        if topic.name == "truth/los" and not len(topic) and self.parameters.get("device"):
+            return None  # which a rig need not have
         return sent if topic.name in OF_EVERY_TICK else None
 
     def _take(

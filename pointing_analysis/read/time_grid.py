@@ -1,8 +1,9 @@
 """Sampling grid of times with rounding and jitter: period, place of each sample, and what the times miss it by.
 
 The period is that of a straight line through times over places (least squares), not the median interval: of times with
-six decimals at 512 Hz the median is 1953 us, which is one sample off after 16 s. The line is found on the first times,
-then on twice as many, so that each place is known to a part of a period before it is rounded.
+six decimals at 512 Hz the median is 1953 us, which is one sample off after 16 s. Where each interval is nearly a whole
+number of the periods about it, these numbers add up to the places, also of a clock that drifts. Else the line is found
+on the first times, then on twice as many, so that each place is known to a part of a period before it is rounded.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from pointing_analysis.arrays import FloatArray, IntArray
 
@@ -21,6 +23,25 @@ DECIMALS = 9
 
 
 @dataclass(frozen=True)
+class TimeGridSettings:
+    """How a clock that is not quite regular is followed.
+
+    Attributes
+    ----------
+    local : intervals whose mean is the period about a sample
+    told : part of the period by which an interval may miss a whole number of periods, if it tells how many they are
+    drift : largest change of the rate, a part of it, that is one of a clock
+    """
+
+    local: int = 257
+    told: float = 0.25
+    drift: float = 1e-3
+
+
+SETTINGS = TimeGridSettings()
+
+
+@dataclass(frozen=True)
 class TimeGrid:
     """Uniform times of samples.
 
@@ -28,9 +49,10 @@ class TimeGrid:
     ----------
     period : [s]
     place : (n,) of each sample on the grid, the first one of the array at 0; negative before it
-    jitter : rms of the times about the grid [s]
+    jitter : rms of the times about the grid, which follows a clock whose rate changes slowly [s]
     largest : largest distance of a time from the grid [s]
     resolution : decimal step that all times are rounded to [s]; 0 where there is none above 1 ns
+    drift : change of the rate over the record, a part of it
     """
 
     period: float
@@ -38,21 +60,29 @@ class TimeGrid:
     jitter: float
     largest: float
     resolution: float
+    drift: float = 0.0
+
+    @property
+    def changes(self) -> bool:
+        """Whether the rate changes by more than that of a clock."""
+        return self.drift > SETTINGS.drift
 
     @property
     def fits(self) -> bool:
-        """Whether the times are those of the grid but for rounding and 2 % of the period."""
+        """Whether the times are those of the grid but for rounding, 2 % of the period and the drift of a clock."""
         rounding = 0.5 * self.resolution if self.resolution <= 0.5 * self.period else 0.0
-        return self.largest <= OFF_GRID * self.period + rounding
+        return self.largest <= OFF_GRID * self.period + rounding and not self.changes
 
     def __str__(self) -> str:
         rate = f"{1 / self.period:.9g} Hz from the times"
+        if self.drift:
+            rate += f", which changes by {1e6 * self.drift:.2g} ppm"
         if self.largest < 1e-9:
             return rate
         return f"{rate}, jitter {1e6 * self.jitter:.2g} us rms, at most {1e6 * self.largest:.2g} us"
 
 
-def time_grid(times: FloatArray) -> TimeGrid | None:
+def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeGrid | None:
     """Grid of times, or None where there is none.
 
     Parameters
@@ -71,7 +101,7 @@ def time_grid(times: FloatArray) -> TimeGrid | None:
     if times.size < 2:
         return None
     order = np.argsort(times, kind="stable")
-    grid = _grid_of_sorted(times[order] - times[order[0]])
+    grid = _grid_of_sorted(times[order] - times[order[0]], settings)
     if grid is None:
         return None
     place = np.empty_like(grid.place)
@@ -79,25 +109,42 @@ def time_grid(times: FloatArray) -> TimeGrid | None:
     return replace(grid, place=place - place[0])
 
 
-def _grid_of_sorted(since: FloatArray) -> TimeGrid | None:
-    """Grid of ascending times [s] from the first one: its line is followed from one end to the other."""
+def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid | None:
+    """Grid of ascending times [s] from the first one: by intervals where each tells its places, else along a line."""
     steps = np.diff(since)
     middle = float(np.median(steps))
-    usual = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]
-    if middle <= 0 or not usual.size:
+    usual = (steps > 0.5 * middle) & (steps < 1.5 * middle)
+    if middle <= 0 or not usual.any():
         return None
-    place, period = _line(since, float(usual.mean()))
-    if not (period > 0 and np.ptp(place)):
+    width = min(settings.local, steps.size)
+    counts = uniform_filter1d(usual.astype(float), width, mode="nearest")
+    sums = uniform_filter1d(np.where(usual, steps, 0.0), width, mode="nearest")
+    local = np.where(counts > 0.5 / width, sums / np.maximum(counts, 0.5 / width), float(steps[usual].mean()))
+    places = np.rint(steps / local)
+    told = (np.abs(steps / local - places)[usual] <= settings.told).all() and bool((places >= 1.0).all())
+    place = np.append(0.0, np.cumsum(places)) if told else _line(since, float(steps[usual].mean()))
+    if not np.ptp(place):
         return None
-    period = _round_rate(period, place, since)
+    centred = place - place.mean()
+    period = float(centred @ (since - since.mean()) / (centred @ centred))
+    if not period > 0:
+        return None
     rest = since - place * period
-    rest -= 0.5 * (rest.max() + rest.min())
+    rest -= rest.mean()
+    inner, drift = slice(width // 2, -(width // 2)), 0.0
+    if told and len(since) > 4 * width:
+        rest = (rest - uniform_filter1d(rest, width, mode="nearest"))[inner]
+        drift = float(np.ptp(local[inner])) / period
     jitter, largest = float(np.sqrt(np.mean(np.square(rest)))), float(np.abs(rest).max())
-    return TimeGrid(period, place.astype(np.int64), jitter, largest, _resolution(since))
+    resolution = _resolution(since)
+    drift = max(drift - 16.0 * max(resolution, jitter) / (width * period), 0.0)
+    if drift == 0.0:
+        period = _round_rate(period, float(np.ptp(place)), max(2.0 * largest, 1e-9))
+    return TimeGrid(period, place.astype(np.int64), jitter, largest, resolution, drift)
 
 
-def _line(since: FloatArray, period: float) -> tuple[FloatArray, float]:
-    """Place of each time, and the period of the line through them, found on more and more of the times."""
+def _line(since: FloatArray, period: float) -> FloatArray:
+    """Place of each time on the line through them, which is found on more and more of the times."""
     offset, m = 0.0, min(FIRST, since.size)
     while True:
         part = since[:m]
@@ -109,17 +156,15 @@ def _line(since: FloatArray, period: float) -> tuple[FloatArray, float]:
             period = float(centred @ (part - part.mean()) / (centred @ centred))
             offset = float(np.mean(part - place * period))
         if m == since.size or not period > 0:
-            return place - place[0], period
+            return np.asarray(place - place[0])
         m = min(2 * m, since.size)
 
 
-def _round_rate(period: float, place: FloatArray, since: FloatArray) -> float:
-    """The period, or that of the next whole rate [Hz] where the times cannot tell it from the one that was found."""
-    rest = since - place * period
-    spread = max(float(np.ptp(rest)), 1e-9)
+def _round_rate(period: float, length: float, spread: float) -> float:
+    """The period, or that of the next whole rate [Hz] where times with a spread cannot tell it from the one found."""
     for whole in (1.0, 1e-3):
         rate = round(1 / period / whole) * whole
-        if rate > 0 and abs(1 / rate - period) * float(np.ptp(place)) <= 0.5 * spread:
+        if rate > 0 and abs(1 / rate - period) * length <= 0.5 * spread:
             return 1 / rate
     return period
 

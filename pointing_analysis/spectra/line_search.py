@@ -70,6 +70,10 @@ CAP = 6.0
 EDGES = 0.25
 """Part of the record over which the taper rises and falls (Tukey)."""
 
+EXACT, ADDED = 1e-15, 1e-6
+"""Median density over the largest one below which a record is one without noise, and noise that is added to it then,
+a part of its root mean square: without any, a line has only what the taper leaves of it to stand out of."""
+
 MOST_LINES, MOST_ASKED, PASSES = 60, 2000, 8
 BLOCK = 1 << 16
 """Frequencies of the spectrum at a time."""
@@ -121,6 +125,11 @@ def find_lines(
     fitted = fit_sinusoids(e, weight, dt, np.empty(0))
     if not np.abs(fitted.rest).max() > 0.0:
         return ()
+    density = _Background.of(fitted.rest, weight, dt).power[:, :2].sum(axis=1)
+    if np.median(density) < EXACT * density.max():
+        rms = float(np.sqrt(np.mean(np.square(fitted.rest[present]))))
+        e = e + ADDED * rms * np.random.default_rng(0).standard_normal(e.shape)
+        fitted = fit_sinusoids(e, weight, dt, np.empty(0))
     for _ in range(PASSES):
         background = _Background.of(fitted.rest, weight, dt)
         more = background.candidates(fitted.omega, false_lines)[: MOST_LINES - fitted.omega.size]

@@ -57,14 +57,17 @@ class Column:
         """Size of the arrays [byte]."""
         return sum(array.nbytes for array in self.arrays)
 
-    def topic(self, unit: str) -> Topic:
-        """The finished topic with the unit of its values; the column is empty afterwards."""
+    def topic(self, unit: str, period: float | None = None) -> Topic:
+        """The finished topic with the unit of its values, and its period [s] if that is known.
+
+        The column is empty afterwards.
+        """
         columns = list(COLUMNS[self.schema])
         stamp, values, published = (array.array() for array in self.arrays)
         if len(columns) != values.shape[1]:
             columns = [f"{columns[0]}[{i}]" for i in range(values.shape[1])]
         self.arrays = ()
-        return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published)
+        return make_topic(self.name, self.schema, unit, tuple(columns), stamp, values, published, period)
 
 
 def _nothing(width: int) -> tuple[GrowingArray, ...]:

@@ -119,6 +119,12 @@ def _series_of(table: Table, los: str | None, unit: str | None, rate: float | No
     if when is not None and (lost := _lost_digits(when, columns[when])):
         if rate is None:
             raise InputError(f"{lost}; --rate HERTZ reads the rows in their order")
+        gap, row = _gap_between(columns[when], rate, TIME_UNITS.get(unit_of_time or table.unit(when), 1.0))
+        if gap > 0.0:
+            raise InputError(
+                f"{table.path}: rows of {when} must follow each other at {rate:g} Hz, got {gap:.4g} s without rows "
+                f"after row {row} (--time none reads them all the same)"
+            )
         when, problems = None, [*problems, f"{lost}: rows read at {rate:g} Hz in their order"]
     unused = _others(table, x, y) if when is None else ""
     if when is None and stated_rate is not None:
@@ -217,6 +223,21 @@ def _lost_digits(name: str, column: Column) -> str:
     return (
         f"times must differ from row to row, got {different} different ones in {count} rows of {name}: too few digits"
     )
+
+
+def _gap_between(column: Column, rate: float, unit: float) -> tuple[float, int]:
+    """Longest time [s] that rows with equal time stamps do not fill at a rate, and the row before it; 0 for none."""
+    if column.dtype.kind not in "fiu":
+        return 0.0, 0
+    times, first = np.unique(column.astype(float), return_index=True)
+    rows, steps = np.diff(first), np.diff(times) * unit
+    if len(steps) < 3 or (rows <= 0).any() or not 0.9 < float(np.median(steps * rate / rows)) < 1.1:
+        return 0.0, 0  # out of order, or in an unknown unit
+    left = steps - rows / rate
+    longest = int(np.argmax(left))
+    if left[longest] <= 0.5 * float(np.median(steps)):
+        return 0.0, 0
+    return float(left[longest]), int(first[longest + 1])
 
 
 def _asked_time(table: Table, time: str) -> tuple[str, str]:

@@ -329,3 +329,10 @@ def test_a_persistent_motion_has_the_mean_of_few_samples() -> None:
         assert share(lambda k, pole=pole: lfilter([1.0], [1.0, -pole], noise(10_000, k))) == 0.0
     e = np.column_stack([fractional(0.9, 10_000, 3), fractional(0.9, 10_000, 4)])
     assert IndependentSamples.of(np.hypot(*e.T), components=e).most < 10_000.0 ** (1.0 - 0.6)
+
+
+def test_a_record_that_repeats_itself_has_the_windows_of_one_period() -> None:
+    """The relative error at every instant has one independent sample a window at most: 250 in 5 s, not 2750 in 55."""
+    repeated = np.tile(np.abs(noise(5000)), 11)
+    assert IndependentSamples.of(repeated, cap=2750.0).most == pytest.approx(250.0)
+    assert IndependentSamples.of(np.abs(noise(55_000)), cap=2750.0).most == pytest.approx(2750.0)

@@ -14,6 +14,7 @@ import pytest
 from los_testbed.cli.app import main
 from scipy import io
 
+from lftkit.errors import InputError
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.series import series
 from pointing_analysis.read.tables.los_table import read_table
@@ -377,3 +378,29 @@ def test_a_package_that_cannot_be_loaded_is_not_one_to_install(tmp_path: Path, m
     monkeypatch.setattr(builtins, "__import__", fail)
     with pytest.raises(ImportError, match="failed to map segment"):
         read_table(tmp_path / "x.h5")
+
+
+@pytest.mark.parametrize("ppm", [10.0, 50.0, 800.0])
+def test_a_clock_that_drifts_loses_no_sample(ppm: float) -> None:
+    """Its samples were counted along one line: up to a third of them missing, or on the place of another one."""
+    t = np.arange(60_000) / 1000.0
+    grid = time_grid(np.round(t * (1.0 + 0.5e-6 * ppm * t / t[-1]), 7))
+    assert grid is not None and grid.fits
+    assert (grid.place == np.arange(60_000)).all()
+    assert grid.period == pytest.approx(1e-3 * (1.0 + 0.5e-6 * ppm), rel=1e-7)
+    assert grid.drift == pytest.approx(1e-6 * ppm, abs=1.2e-5)  # the times have seven digits
+
+
+def test_a_gap_in_the_times_of_a_drifting_clock_is_counted() -> None:
+    t = np.arange(60_000) / 1000.0
+    times = np.delete(np.round(t * (1.0 + 1e-4 * t / t[-1]), 7), np.arange(20_000, 20_750))
+    grid = time_grid(times)
+    assert grid is not None and grid.fits and int(grid.place[-1]) + 1 - times.size == 750
+
+
+def test_a_rate_that_changes_more_than_a_clock_does_is_refused() -> None:
+    times = np.cumsum(np.where(np.arange(60_000) < 30_000, 1e-3, 1.01e-3))
+    with pytest.raises(
+        InputError, match=r"one sampling rate, got one that changes by 0\.9\d %, 995\.025 Hz on average"
+    ):
+        series(times, np.zeros((60_000, 2)), unit="mas")

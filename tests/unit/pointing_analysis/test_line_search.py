@@ -297,3 +297,15 @@ def test_lines_close_together_are_told_apart_and_weak_ones_beside_strong_ones_fo
     lines = find_lines(values, DT)
     assert [line.omega / (2.0 * np.pi) for line in lines] == pytest.approx([50.0, 50.6, 51.5, 53.0], abs=0.03)
     assert not any(line.is_sideband for line in lines)
+
+
+@pytest.mark.parametrize("decimals", [None, 9, 6])
+@pytest.mark.parametrize("hertz", [3.3, 30.0, 41.2357])
+def test_a_tone_without_noise_is_a_line(hertz: float, decimals: int | None) -> None:
+    """It had only what the taper leaves of it to stand out of, and was called noise."""
+    t = 1e-3 * np.arange(55_000)
+    tone = 9.0 * np.column_stack([np.sin(2.0 * np.pi * hertz * t), 0.2 * np.sin(2.0 * np.pi * hertz * t + 0.3)])
+    lines = find_lines(tone if decimals is None else np.round(tone, decimals), 1e-3)
+    line = max(lines, key=lambda one: one.power)  # rounding that repeats itself has lines of its own
+    assert line.omega == pytest.approx(2.0 * np.pi * hertz, rel=1e-7)
+    assert np.abs(line.phasor) == pytest.approx([9.0, 1.8], rel=1e-5)

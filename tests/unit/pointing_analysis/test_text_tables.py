@@ -271,6 +271,16 @@ def test_times_that_have_lost_their_digits_give_way_to_a_rate(tmp_path: Path) ->
         assert series["truth/los"].period == pytest.approx(0.005) and len(series["truth/los"]) == 300
 
 
+def test_a_gap_between_times_without_digits_is_no_part_of_the_rate(tmp_path: Path) -> None:
+    """Ten rows with each stamp, and five seconds without rows: read at a rate they were complete."""
+    stamps = np.floor(np.arange(3000) / 10) / 100 + np.where(np.arange(3000) < 1500, 0.0, 5.0)
+    rows = "\n".join(f"{t:.2f},{k % 7},{k % 5}" for k, t in enumerate(stamps))
+    path = written(tmp_path / "a.csv", f"time,x_mas,y_mas\n{rows}\n")
+    with pytest.raises(InputError, match=r"at 1000 Hz, got 5 s without rows after row 1500"):
+        open_los(path, rate=1000.0)
+    assert len(open_los(path, rate=1000.0, time="none")["truth/los"]) == 3000
+
+
 def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
     """Units may be left out of a row of units, but not all of them."""
     table = read_text(written(tmp_path / "a.csv", "time,x_mas,y_mas\n1,1,1\n2,3,4\n3,4,5\n"))

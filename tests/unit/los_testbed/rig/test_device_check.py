@@ -173,6 +173,20 @@ def test_samples_that_are_not_finite_are_not_called_few_or_none(model):
         checked(model, bench)
 
 
+def test_samples_in_another_unit_are_called_beyond_range(model):
+    """A camera in mas was "too few samples: 0", gauges in urad "matches no actuator"."""
+    bench = Bench()
+    read, scales = bench.read, {"camera_los": 648e6 / np.pi, "fsm_angle": 1e6}
+
+    def scaled(now_ns):
+        return [Sample(s.port, now_ns, s.values * scales.get(s.port, 1.0)) for s in read(now_ns)]
+
+    bench.read = scaled  # type: ignore[method-assign]
+    found = {line.partition(":")[0].partition("[")[0]: line for line in faults(checked(model, bench))}
+    for port in scales:
+        assert "beyond range: " in found[port] and found[port].endswith("which are not used (other unit?)")
+
+
 @pytest.fixture
 def bench(monkeypatch, model):
     """The command with a rig without real time and the model of it."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.support.counted_nouns import counted
 from los_testbed.rig.motions import (
     FREQUENCIES,
     QUIET_S,
@@ -274,11 +275,15 @@ def _sensor_rows(
     lines = sensor.lines()
     expected = _rms(_expected(sensor, commanded)[:, lines])
     matches = _by_values(sensor, delay, commanded) if sensor.known else []
-    rows = []
+    beyond, rows = found.beyond_range[sensor.port], []
     for j in range(columns.stop - columns.start):
         low, high = model.noise[columns][j], model.disturbed[columns][j]
         gain = behind = np.nan
-        if not matches:
+        if beyond > len(times):
+            fault = (
+                f"beyond range: {beyond} of {counted(beyond + len(times), 'sample')}, which are not used (other unit?)"
+            )
+        elif not matches:
             odd = found.not_finite[sensor.port]
             fault = f"too few samples: {len(times)}" + (f", {odd} not finite" if odd else "")
         elif expected[j] == 0.0:

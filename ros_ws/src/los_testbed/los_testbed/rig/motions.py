@@ -12,7 +12,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_testbed.parts.device_contract import Sample
-from los_testbed.rig.supervisor import NOT_FINITE, Supervisor
+from los_testbed.rig.supervisor import BEYOND_RANGE, NOT_FINITE, Supervisor
 from los_testbed.run.loop.tick_clock import TickClock
 from titop_plant.interface import COLUMNS, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
 
@@ -53,11 +53,13 @@ class MotionRecord:
     commands : times (n,), values (n, 8)
     samples : port to times of acquisition (m,), values (m, size), ages when they were read (m,) [s]
     not_finite : samples left out for a value that is not finite, by port
+    beyond_range : samples left out for a value that no such sensor has, by port
     """
 
     commands: tuple[FloatArray, FloatArray]
     samples: dict[str, tuple[FloatArray, FloatArray, FloatArray]]
     not_finite: dict[str, int]
+    beyond_range: dict[str, int]
 
     @property
     def longest_pause_ms(self) -> float:
@@ -114,6 +116,7 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
         (np.array([t for t, _ in written]), np.array([u for _, u in written])),
         {port: _of_port(found, port, start) for port in MEASURED},
         {port: supervisor.counts[f"{NOT_FINITE}{port}"] + _empty_frames(found, port) for port in MEASURED},
+        {port: supervisor.counts[f"{BEYOND_RANGE}{port}"] for port in MEASURED},
     )
 
 

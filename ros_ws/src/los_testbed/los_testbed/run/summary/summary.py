@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 ON_CAMERA = (
     "the device gives no true line of sight: the verdicts are on the camera's, with its noise, and do not cover "
-    "motion above its frame rate"
+    "motion above half of its frame rate"
 )
 
 
