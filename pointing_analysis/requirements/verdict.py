@@ -68,7 +68,8 @@ class Verdict:
     samples : samples of the index
     effective : independent samples they weigh as much as
     seconds : length of data that was used [s]
-    seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
+    seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would. Of an
+        ensemble that of all runs together, each as long as these are on average
     note : why it was not judged, how many samples are missing, or what may be larger than the record shows
     missing : samples of the index that are missing in the judged span; see `decide`
     start : length of the start-up of a run, which precedes the data [s]
@@ -109,6 +110,8 @@ class Verdict:
             return f"{'within' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
         after = f" after {self.start:.3g} s of start-up" if self.start else ""
         needs = f"needs {math.ceil(self.seconds_needed)} s{after}"
+        if self.requirement.interpretation == "ensemble":  # a longer run is one sample as well
+            needs = f"needs {math.ceil(self.effective * self.seconds_needed / self.seconds - ROUNDING)} runs"
         at = f"at {100 * self.requirement.confidence:g} % confidence"
         return f"{'within' if self.within_limit else beyond} limit; not yet demonstrated {at}: {needs}"
 

@@ -374,3 +374,16 @@ def test_what_cannot_be_formed_is_not_judged() -> None:
     assert none.status == "not judged" and "no complete window of rms RPE(20 ms)" in none.note
     knowledge = judge(parse("prob(|AKE| < 0.5 rad) >= 0.9 at 90 % confidence"), [run(wave())], 0.0)
     assert knowledge.status == "not judged"  # no estimate there
+
+
+def test_an_ensemble_needs_runs_not_seconds() -> None:
+    """Each run is one sample, however long: of two runs of 225 s it said that it needs 880 s."""
+    asked = parse("prob(|APE| < 60 mas) >= 0.9 at 90 % confidence, ensemble")
+    rng = np.random.default_rng(3)
+    t = np.arange(10_000) / 1000.0
+    for count, status in ((2, "not enough data"), (22, "compliant")):
+        runs = [series(t, rng.normal(0.0, 8.0, (10_000, 2)), unit="mas") for _ in range(count)]
+        verdict = judge(asked, runs, 0.0)
+        assert verdict.status == status
+        if count == 2:
+            assert verdict.statement.endswith("needs 22 runs")
