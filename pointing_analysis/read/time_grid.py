@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from pointing_analysis.arrays import FloatArray, IntArray
 
@@ -111,6 +110,8 @@ def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeG
 
 def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid | None:
     """Grid of ascending times [s] from the first one: by intervals where each tells its places, else along a line."""
+    from scipy.ndimage import uniform_filter1d  # slow to import, and no part of a run
+
     steps = np.diff(since)
     middle = float(np.median(steps))
     usual = (steps > 0.5 * middle) & (steps < 1.5 * middle)

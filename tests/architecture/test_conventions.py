@@ -15,7 +15,6 @@ from support.packages import FOLDERS as PACKAGES
 
 FOLDERS = {name: ROOT / folder for name, folder in zip(NAMES, PACKAGES)}
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in files_of(folder))
-FUNCTION = 60
 PARAMETERS = 8
 
 
@@ -39,12 +38,6 @@ def identifier(case: tuple[str, Path]) -> str:
 
 def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     return (node for node in definitions(path) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
-
-
-def lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines from the first statement behind the docstring to the last."""
-    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
-    return int(body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
 def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[str]:
@@ -106,16 +99,6 @@ def test_examples_have_a_section_of_their_own() -> None:
         if ">>>" in (text := ast.get_docstring(node) or "") and "Examples\n--------" not in text
     ]
     assert found == []
-
-
-def test_functions_are_short() -> None:
-    long = [
-        f"{identifier(case)}: {function.name} has {lines_of_code(function)} lines"
-        for case in MODULES
-        for function in functions(case[1])
-        if lines_of_code(function) >= FUNCTION
-    ]
-    assert long == []
 
 
 def test_refused_input_has_the_exception_of_the_library() -> None:
