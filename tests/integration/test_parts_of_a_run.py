@@ -137,6 +137,15 @@ def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, simulated: 
     check_sum(run, simulated, "worst_case", "my cooler", NOISE)
 
 
+def test_sources_that_cancel_have_no_shares(folder: Path) -> None:
+    """What is left of them is rounding, of which they were said to be -554063908432868 %."""
+    both = [f'[[disturbance]]\nname = "{name}"\nkind = "series"\n{SOURCES["series"]}\n' for name in "ab"]
+    (folder / "telescope.toml").write_text("\n".join([both[0], both[1] + "scale = -1.0\n"]))
+    rows = source_shares(RanLoop.of(recorded(parameters="telescope.toml", noise=False)))
+    assert [row.name for row in rows] == ["a", "b", TOGETHER]
+    assert [row.share for row in rows] == [0.0, 0.0, 0.0] and rows[0].rpe == pytest.approx(rows[1].rpe) and rows[0].rpe > 0.0
+
+
 def test_a_class_and_files_have_a_row_each(folder: Path, simulated: list[np.ndarray]) -> None:
     name = f"wind_{folder.name}:Wind"
     run = recorded(disturbance_source=name, disturbance_files="series.csv@wheel_1", scenario="imbalance")

@@ -34,6 +34,8 @@ TOGETHER, REST = "together", "not linear"
 """Names of the row of the record, and of the remainder."""
 SMALL = 1e-3
 """Largest relative remainder, rms in windows, without a row."""
+CANCELLED = 1e-9
+"""The same over the largest part: what is left of parts that cancel is rounding."""
 NONE = np.zeros((0, 2))
 LATE = 100
 """Ticks that may be missing at the end of a record."""
@@ -62,12 +64,13 @@ def source_shares(loop: RanLoop | None) -> tuple[SourceShare, ...]:
     whole = np.sum([los for _, los in found], axis=0)
     record = _record(run, config.ticks, first, len(whole))
     rows = [(part.name, part.kind, part.place, los) for part, los in found]
+    least = CANCELLED * max((_rms(los, window) for _, los in found), default=0.0)
     if record is not None:
         rest = record - whole
-        if np.sqrt(_covariance(rest, rest, window)) > SMALL * np.sqrt(_covariance(record, record, window)):
+        if _rms(rest, window) > max(SMALL * _rms(record, window), least):
             rows.append((REST, "", "", rest))
         whole = record
-    power = _covariance(whole, whole, window)
+    power = _covariance(whole, whole, window) if _rms(whole, window) > least else 0.0
     shares = [_covariance(los, whole, window) / power if power else 0.0 for *_, los in rows]
     rows.append((TOGETHER, "", f"{first * DT:g} to {ticks * DT:g} s" if first else f"{ticks * DT:g} s", whole))
     tones, probabilities = named_tones(run), probabilities_of(requirements_of(run) or ())
@@ -96,6 +99,11 @@ def _covariance(a: FloatArray, b: FloatArray, window: float) -> float:
     both, apart = (np.vstack([NONE, *(square for _, square in windows_of(x, starts, n))]) for x in (a + b, a - b))
     products = 0.25 * (both - apart).sum(axis=1)
     return float(np.mean(products[np.isfinite(products)])) if np.isfinite(products).any() else 0.0
+
+
+def _rms(a: FloatArray, window: float) -> float:
+    """Root mean square in the windows, norm of both axes."""
+    return float(np.sqrt(max(_covariance(a, a, window), 0.0)))
 
 
 def as_rows(shares: Sequence[SourceShare]) -> list[dict[str, str | float]]:
