@@ -143,7 +143,11 @@ def test_sources_that_cancel_have_no_shares(folder: Path) -> None:
     (folder / "telescope.toml").write_text("\n".join([both[0], both[1] + "scale = -1.0\n"]))
     rows = source_shares(RanLoop.of(recorded(parameters="telescope.toml", noise=False)))
     assert [row.name for row in rows] == ["a", "b", TOGETHER]
-    assert [row.share for row in rows] == [0.0, 0.0, 0.0] and rows[0].rpe == pytest.approx(rows[1].rpe) and rows[0].rpe > 0.0
+    assert (
+        [row.share for row in rows] == [0.0, 0.0, 0.0]
+        and rows[0].rpe == pytest.approx(rows[1].rpe)
+        and rows[0].rpe > 0.0
+    )
 
 
 def test_a_class_and_files_have_a_row_each(folder: Path, simulated: list[np.ndarray]) -> None:

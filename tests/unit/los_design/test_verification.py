@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from los_testbed.api import designs
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 from support.command_line import call_command
@@ -314,8 +315,8 @@ def test_the_command_exits_with_7_and_says_what_is_unstable(
     results, code: int, message: str, monkeypatch, capsys
 ) -> None:
     answers = iter(check(*r, 0.5 if r[0] == r[1] else np.inf) for r in results)
-    monkeypatch.setattr(verification, "check_implemented", lambda *_, **__: next(answers))
-    monkeypatch.setattr(verification, "broken_requirements", lambda _: [])
+    monkeypatch.setattr(designs, "check_implemented", lambda *_, **__: next(answers))
+    monkeypatch.setattr(designs, "broken_requirements", lambda _: [])
     found, out, err = call_command(capsys, "design", "verify", "--samples", "0", "--json")
     assert found == code and message in err and ("failed" in err) == bool(code)
     shown = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
