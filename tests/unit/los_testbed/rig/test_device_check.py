@@ -12,7 +12,7 @@ from los_testbed.parts.device_contract import DeviceError, Sample
 from los_testbed.rig import motions
 from los_testbed.rig.check import faults, judge
 from los_testbed.rig.motions import model_response, peaks_of, record
-from los_testbed.rig.supervisor import Supervisor
+from los_testbed.rig.supervisor import Supervisor, SupervisorSettings
 from los_testbed.rig.wiring import Wiring
 
 from pointing_analysis.command.exit_codes import ExitCode
@@ -89,7 +89,7 @@ def model():
 
 
 def checked(model, bench):
-    supervisor = Supervisor(bench, RunConfig(device="my:Rig", start="rest"))
+    supervisor = Supervisor(bench, RunConfig(device="my:Rig", start="rest"), SupervisorSettings(call=60.0))
     supervisor.open()
     rows = judge(record(supervisor, PEAKS, bench, lambda: bench.now), model)
     supervisor.end()

@@ -10,7 +10,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.rig.check import faults, judge
 from los_testbed.rig.motions import model_response, peaks_of, record
-from los_testbed.rig.supervisor import Supervisor
+from los_testbed.rig.supervisor import Supervisor, SupervisorSettings
 from los_testbed.run.loop.slow_sensor import SlowSensor
 
 from titop_plant.interface import CAMERA_PORT, TICK_NS
@@ -46,7 +46,8 @@ def test_the_driver_has_the_one_fault_that_the_page_names(rig):
     device, clock = rig
     parts = RunParts(RunConfig(start="rest"))
     peaks = peaks_of(parts.basis.authority)
-    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"))
+    settings = SupervisorSettings(call=60.0)  # this machine may be slow
+    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"), settings)
     supervisor.open()
     found = judge(record(supervisor, peaks, clock, lambda: clock.now), model_response(parts.plant(), peaks))
     assert faults(found) == ("pma_force: dead: moves nothing",) and f"`{faults(found)[0]}`" in PAGE
