@@ -97,8 +97,8 @@ def analyse(
     for written in filter(None, (outputs.path, outputs.export)):
         say(console, f"report  {written}")
     if json_:
-        found = [summary.as_dict() for summary in summaries]
-        print_json(found[0] if len(found) == 1 else {"runs": found})
+        objects = [summary.as_dict() for summary in summaries]
+        print_json(objects[0] if len(objects) == 1 else {"runs": objects})
     leave_if_contradicted(text for summary in summaries for text in summary.contradictions)
     if gate:
         leave_by_gate(gate_of(summaries))
