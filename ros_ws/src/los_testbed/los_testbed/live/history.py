@@ -118,12 +118,12 @@ class History:
         if len(error) < 1.5 * SEGMENT_S / DT:
             return {"reason": f"shown after {1.5 * SEGMENT_S:g} s"}
         try:
-            found = psd(error, DT, SEGMENT_S)
+            estimate = psd(error, DT, SEGMENT_S)
         except InputError as refusal:  # a sample is missing in every segment
             return {"reason": str(refusal)}
         kept = slice(1, None)
-        density = found.density.sum(axis=1)
-        return {"frequency": _short(found.frequency[kept]), "density": _short(density[kept])}
+        density = estimate.density.sum(axis=1)
+        return {"frequency": _short(estimate.frequency[kept]), "density": _short(density[kept])}
 
 
 def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
