@@ -333,10 +333,12 @@ def _lost(losses: Sequence[TopicLoss], arrived: Mapping[str, Arrivals]) -> BagCh
     if losses:
         return BagCheckRow("lost messages", "damaged", _first([str(loss) for loss in losses]))
     missing = sum(topic.lost or 0 for topic in arrived.values())
+    unknown = sum(topic.lost is None for topic in arrived.values())
+    beside = f"; not known of {counted(unknown, 'topic')} without stamps or a regular rate" if unknown else ""
     if missing:
         what = f"{counted(missing, 'message')} missing between the stamps: not recorded, or removed since"
-        return BagCheckRow("lost messages", "none", what)
-    return BagCheckRow("lost messages", "agrees", "none")
+        return BagCheckRow("lost messages", "none", what + beside)
+    return BagCheckRow("lost messages", "agrees", "none" + beside)
 
 
 def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
@@ -344,8 +346,12 @@ def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     lost = sum(topic.lost or 0 for topic in arrived.values())
     counts = {kind: sum(len(topic.of(kind)) for topic in arrived.values()) for kind in KINDS}
     parts = [counted(count, kind) for kind, count in counts.items() if count]
-    text = ", ".join([*parts, *([counted(lost, "message", " missing")] if lost else [])])
-    return BagCheckRow("times of the messages", "none" if parts else "agrees", text or "no gap, stall or clock step")
+    text = (
+        ", ".join([*parts, *([counted(lost, "message", " missing")] if lost else [])]) or "no gap, stall or clock step"
+    )
+    irregular = sum(topic.period is None for topic in arrived.values())
+    beside = f"; gaps not judged of {counted(irregular, 'topic')} without a regular rate" if irregular else ""
+    return BagCheckRow("times of the messages", "none" if parts else "agrees", text + beside)
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:
