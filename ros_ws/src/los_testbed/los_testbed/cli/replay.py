@@ -121,7 +121,7 @@ def _through(
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
     metrics = replay_run.metrics(run, replayed, transient)
-    _show(console, comparison, metrics, chosen.as_recorded, run)
+    _show(console, comparison, metrics, chosen.difference, run)
     content = replay_run.as_dict(run, chosen, comparison, metrics)
     if output is not None:
         replay_run.write_bag(output, run, replayed, chosen)
@@ -177,12 +177,12 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
 
 def _show(
-    console: Console, comparison: Comparison, metrics: Mapping[str, Mapping[str, float]], as_recorded: bool, run: Run
+    console: Console, comparison: Comparison, metrics: Mapping[str, Mapping[str, float]], difference: str, run: Run
 ) -> None:
     from pointing_analysis.requirements.requirement import time_text
     from pointing_analysis.requirements.summary import exposure_of_run, requirements_of
 
-    say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
+    say(console, f"{difference or 'controllers as recorded'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were excluded", soft_wrap=True)
     window, part = time_text(exposure_of_run(run)), probabilities_of(requirements_of(run) or ()).knowledge

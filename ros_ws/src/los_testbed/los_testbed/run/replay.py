@@ -79,8 +79,8 @@ class Controllers:
         Contents of ``k_fsm.json`` and ``k_pma.json``, or ``.so`` for those of a flight library.
     loop : str
         Stage.
-    as_recorded : bool
-        Whether all of this is as the bag has recorded it.
+    difference : str
+        What is not as the bag has recorded it; empty: nothing.
     estimator : LosEstimator
     controller : FsmPmaController
     layout : LoopLayout
@@ -95,13 +95,18 @@ class Controllers:
 
     files: Mapping[str, bytes]
     loop: str
-    as_recorded: bool
+    difference: str
     estimator: LosEstimator | LibraryLaw | UserBlock
     controller: FsmPmaController
     layout: LoopLayout
     start: LoopStart | None = None
     warnings: tuple[str, ...] = ()
     changes: tuple[LawChanges, LawChanges] = (UNCHANGED, UNCHANGED)
+
+    @property
+    def as_recorded(self) -> bool:
+        """Whether all of this is as the bag has recorded it."""
+        return not self.difference
 
 
 def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
@@ -189,17 +194,17 @@ def controllers(
     if resting := [name for name in resting if name == "k_fsm" or stage in FORCE_STAGES]:
         of_replay = " and ".join(resting)
         warnings += (f"the run starts in a steady state, {of_replay} of the replay at rest: figures have the start-up",)
-    as_recorded, layout = (
-        stage == recorded and len(files) == len(read) and all(same.values()),
-        layout_of(rows["k_fsm"], rows["k_pma"]),
-    )
+    layout = layout_of(rows["k_fsm"], rows["k_pma"])
+    difference = "" if stage == recorded else f"controllers as recorded, with loop {stage} instead of {recorded}"
+    if len(files) != len(read) or not all(same.values()):
+        difference = "other controllers"
     changes = UNCHANGED, UNCHANGED
     if stage == recorded:
         changes = (
             changes_of(run, "estimator", estimator, fade_ticks),
             changes_of(run, "controller", controller, fade_ticks),
         )
-    return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings, changes)
+    return Controllers(files, stage, difference, estimator, controller, layout, start, warnings, changes)
 
 
 def changes_of(run: Run, node: str, law: object, fade_ticks: int) -> LawChanges:
