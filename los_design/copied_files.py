@@ -64,17 +64,17 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
     """
     import tomli_w
 
-    text, found = read_text(path), dict[str, bytes]()
+    text, contents = read_text(path), dict[str, bytes]()
 
     def placed(file: Path) -> str:
         content = content_of(file)
         names = (f"{BESIDE}/{number}{file.name}" for number in chain([""], map("{}-".format, count(2))))
-        name = next(name for name in names if found.get(name, content) == content)
-        found[name] = content
+        name = next(name for name in names if contents.get(name, content) == content)
+        contents[name] = content
         return name
 
     moved = map_files(load_toml(text, path), placed, path.parent)
-    return (tomli_w.dumps(moved) if found else text), found
+    return (tomli_w.dumps(moved) if contents else text), contents
 
 
 def content_of(path: Path) -> bytes:

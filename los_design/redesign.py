@@ -140,15 +140,15 @@ def design_all(
     except OSError as error:
         raise InputError(f"output must be a folder that can be written to, got {folder}: {error.strerror}") from None
     effort = _effort(options)
-    with one_thread(), Workers(options.workers) as own:
-        workers = workers or own
+    with one_thread(), Workers(options.workers) as started:
+        workers = workers or started
         options = replace(options, workers=workers.count)
         k_fsm, k_pma = _pair(folder, telescope, options, resume, report, workers)
         report("worst points of the stages")
-        found = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
-        adversarial = adversarial_points(found, (k_fsm, k_pma))
+        worst_points = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
+        adversarial = adversarial_points(worst_points, (k_fsm, k_pma))
         basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": law_digest(k_fsm), "k_pma": law_digest(k_pma)}
-        worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
+        worst = [replace(p, requirement=name) for table in worst_points.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / WORST_POINTS, worst, basis, adversarial)
         system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
         at = verification_points(telescope, system, SAMPLES[effort], options.seed + 1, EVERY[effort])
@@ -200,10 +200,10 @@ def _found_in_design(stage: str, case: Mapping[str, Any]) -> WorstPoint:
 
 
 def adversarial_points(
-    found: Mapping[str, Mapping[str, Sequence[WorstPoint]]], pair: Sequence[SampledSystem]
+    worst_points: Mapping[str, Mapping[str, Sequence[WorstPoint]]], pair: Sequence[SampledSystem]
 ) -> list[dict[str, float]]:
     """Different parameters of the worst points of all bands with fine control, and those that a design was tuned at."""
-    fine = [found[stage] for stage in MIRROR_STAGES if stage in found]
+    fine = [worst_points[stage] for stage in MIRROR_STAGES if stage in worst_points]
     points = [dict(p.parameters) for tables in fine for table in tables.values() for p in table]
     points += [dict(values) for system in pair for values in system.provenance.get("active_models", []) if values]
     return list({tuple(values.items()): values for values in points}.values())

@@ -84,8 +84,8 @@ class DesignedTelescope:
             return cls(load_telescope(), None, load_designs("implemented"), load_worst_points())
         file = designs / TELESCOPE
         pair = [SampledSystem.from_file(designs / name) for name in CONTROLLERS.values()]
-        given = str(file) if file.exists() else None
-        return cls(load_telescope(given), given, (pair[0], pair[1]), load_worst_points(designs))
+        telescope_file = str(file) if file.exists() else None
+        return cls(load_telescope(telescope_file), telescope_file, (pair[0], pair[1]), load_worst_points(designs))
 
     @property
     def stages(self) -> tuple[str, ...]:

@@ -79,13 +79,13 @@ def effects_of_box(loop: ImplementedLoop, metric: LoopMetric, worst: WorstPoint)
     near = np.append(np.geomspace(low, high, FREQUENCIES), worst.omega)
     values = np.array([loop.gains(closed, metric, points) for closed in loop.at_each(near)])
     peaks = np.append(np.asarray(values.max(axis=0)), value)
-    found = []
+    effects = []
     for k, name in enumerate(loop.names):
-        own = peaks[[*range(k * VALUES, (k + 1) * VALUES), -1]]
+        over_range = peaks[[*range(k * VALUES, (k + 1) * VALUES), -1]]
         change = float(slope[k]) / value
-        ends = float(own.min()), float(own.max())
-        found.append(ParameterEffect(loop.stage, metric.name, name, value, change, *ends))
-    return sorted(found, key=lambda effect: effect.least - effect.largest)
+        ends = float(over_range.min()), float(over_range.max())
+        effects.append(ParameterEffect(loop.stage, metric.name, name, value, change, *ends))
+    return sorted(effects, key=lambda effect: effect.least - effect.largest)
 
 
 def effects_of_entries(
@@ -115,21 +115,21 @@ def effects_of_entries(
     changed = {
         name: [changed_entry(loops[0].telescope, name, 1.0 + s) for s in (-PER_CENT, PER_CENT)] for name in entries
     }
-    own = {loop.stage: loop for loop in loops}
-    before = [_peak(own[p.stage], metrics[p.stage][p.requirement], p) for p in worst]
-    found = []
+    by_stage = {loop.stage: loop for loop in loops}
+    before = [_peak(by_stage[p.stage], metrics[p.stage][p.requirement], p) for p in worst]
+    effects = []
     for name, both in changed.items():
         sides = []
         for telescope in both:
             ports = loops[0].ports
             open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
-            again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in own.items()}
+            again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in by_stage.items()}
             sides.append([_peak(again[p.stage], metrics[p.stage][p.requirement], p) for p in worst])
         for p, value, low, high in zip(worst, before, *sides):
             ends = min(value, low, high), max(value, low, high)
             slope = (high - low) / (2.0 * value)
-            found.append(ParameterEffect(p.stage, p.requirement, name, value, slope, *ends))
-    return found
+            effects.append(ParameterEffect(p.stage, p.requirement, name, value, slope, *ends))
+    return effects
 
 
 def changed_entry(telescope: Telescope, entry: str, factor: float) -> Telescope:

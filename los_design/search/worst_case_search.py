@@ -168,19 +168,19 @@ class Search:
         names, workers = list(names or self.metrics), workers or Workers()
         tables = self._screen(names, workers)
         chunks: list[tuple[str, list[Pair]]] = []
-        given = list(starts)
+        listed = list(starts)
         for name in names:
-            tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in given if p.requirement == name]
+            tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in listed if p.requirement == name]
             pairs = [*tried, *_best(tables[name], self.options.ascents, self.bands)]
             chunks += [(name, pairs[k : k + TOGETHER]) for k in range(0, len(pairs), TOGETHER)]
         climbed: dict[str, list[Found]] = {name: [] for name in names}
         for (name, _), reached in zip(chunks, workers.map(self._climbs, chunks)):
             climbed[name] += reached
         bands = [(name, *entry) for name in names for entry in self._best_of_bands(climbed[name])]
-        found: dict[str, list[WorstPoint]] = {name: [] for name in names}
+        worst: dict[str, list[WorstPoint]] = {name: [] for name in names}
         for (name, *_), point in zip(bands, workers.map(self._finished, bands)):
-            found[name].append(point)
-        return {name: sorted(points, key=lambda p: -p.gamma) for name, points in found.items()}
+            worst[name].append(point)
+        return {name: sorted(points, key=lambda p: -p.gamma) for name, points in worst.items()}
 
     def _screen(self, names: Sequence[str], workers: Workers) -> dict[str, list[Found]]:
         """For each metric the best points at each frequency of the grid, and points near the telescope's modes."""
@@ -249,12 +249,12 @@ class Search:
             for name in names:
                 metric = self.metrics[name]
                 if metric.band[0] <= closed.omega < metric.band[1]:
-                    own = largest_gains(responses[:, metric.rows, metric.columns])
-                    values[name][k] = own * self.loop.scale(metric, closed.omega)
+                    gains = largest_gains(responses[:, metric.rows, metric.columns])
+                    values[name][k] = gains * self.loop.scale(metric, closed.omega)
         tables: dict[str, list[Found]] = {}
-        for name, own in values.items():
-            inside = own[1:-1]
-            where = np.argwhere((inside > 0.0) & (inside >= own[:-2]) & (inside > own[2:]))
+        for name, gains in values.items():
+            inside = gains[1:-1]
+            where = np.argwhere((inside > 0.0) & (inside >= gains[:-2]) & (inside > gains[2:]))
             tables[name] = [(float(inside[k, j]), float(axis[k + 1]), points[j]) for k, j in where]
         return tables
 
@@ -267,14 +267,18 @@ class Search:
         """The best points of each band, whether it is one to search around (the first, and leading) or to confirm."""
         best: dict[int, list[Found]] = {}
         for entry in sorted(climbed, key=lambda entry: -entry[0]):
-            own = best.setdefault(int(np.searchsorted(self.bands, entry[1])), [])
-            if entry[0] > 0.0 and len(own) < self.options.several and all(apart(entry[1:], other[1:]) for other in own):
-                own.append(entry)
-        largest = max((own[0][0] for own in best.values() if own), default=0.0)
+            of_band = best.setdefault(int(np.searchsorted(self.bands, entry[1])), [])
+            if (
+                entry[0] > 0.0
+                and len(of_band) < self.options.several
+                and all(apart(entry[1:], other[1:]) for other in of_band)
+            ):
+                of_band.append(entry)
+        largest = max((of_band[0][0] for of_band in best.values() if of_band), default=0.0)
         return [
             (band, k == 0 and entry[0] >= LEADING * largest, entry[0] >= self.options.confirmed * largest, entry)
-            for band, own in best.items()
-            for k, entry in enumerate(own)
+            for band, of_band in best.items()
+            for k, entry in enumerate(of_band)
         ]
 
     def _finished(self, item: tuple[str, int, bool, bool, Found]) -> WorstPoint:
@@ -322,16 +326,16 @@ class Search:
 
         It stays in the band of its start; one that ends at an edge goes on in the band beyond as long as that is up.
         """
-        found = self._climb(metric, self._band(metric, omega), omega, point)
+        climbed = self._climb(metric, self._band(metric, omega), omega, point)
         for _ in self.bands:
-            beyond = self._beyond(metric, found[1], omega)
+            beyond = self._beyond(metric, climbed[1], omega)
             if beyond is None:
                 break
-            further = self._climb(metric, self._band(metric, beyond), beyond, found[2])
-            if further[0] <= found[0]:
+            further = self._climb(metric, self._band(metric, beyond), beyond, climbed[2])
+            if further[0] <= climbed[0]:
                 break
-            omega, found = beyond, further
-        return found
+            omega, climbed = beyond, further
+        return climbed
 
     def _beyond(self, metric: LoopMetric, reached: float, omega: float) -> float | None:
         """Frequency just beyond the edge that an ascent from `omega` has reached; None within its band."""

@@ -82,9 +82,9 @@ class WorstPoint:
         return cls(stage, requirement, gamma, limit, omega, dict(values["parameters"]), disturbance, direction)
 
 
-def worst_of(found: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]:
+def worst_of(by_requirement: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]:
     """The worst point of each metric; ``RPE`` is the worse of slow and fast tones."""
-    worst = {name: points[0] for name, points in found.items() if points}
+    worst = {name: points[0] for name, points in by_requirement.items() if points}
     tones = [worst[name] for name in ("slow", "fast") if name in worst]
     if tones:
         worst["RPE"] = max(tones, key=lambda p: p.gamma)
@@ -92,7 +92,7 @@ def worst_of(found: Mapping[str, Sequence[WorstPoint]]) -> dict[str, WorstPoint]
 
 
 def store_worst_points(
-    path: Path, found: Iterable[WorstPoint], basis: Mapping[str, str], adversarial: Sequence[Mapping[str, float]] = ()
+    path: Path, points: Iterable[WorstPoint], basis: Mapping[str, str], adversarial: Sequence[Mapping[str, float]] = ()
 ) -> None:
     """Write points as JSON by stage and metric; `basis` says for which parameters and controllers they hold.
 
@@ -102,7 +102,7 @@ def store_worst_points(
         Parameters at which a verification looks, too: worst points of all frequency bands.
     """
     stages: dict[str, dict[str, Any]] = {}
-    for point in found:
+    for point in points:
         stages.setdefault(point.stage, {})[point.requirement] = point.to_mapping()
     content = {**basis, "stages": stages, "adversarial": [dict(values) for values in adversarial]}
     write_text(path, json.dumps(content, indent=1) + "\n")

@@ -43,7 +43,7 @@ class DesignFolder:
         names: Sequence[str],
         make: Callable[[Job], Sequence[SampledSystem]],
         options: DesignOptions,
-        given: Mapping[str, SampledSystem] | None = None,
+        fixed: Mapping[str, SampledSystem] | None = None,
     ) -> list[SampledSystem]:
         """What `make` designs; read if the files are there and were made for the same.
 
@@ -57,12 +57,12 @@ class DesignFolder:
             Receives the job, whose record keeps the state between rounds, and gives the controllers.
         options : DesignOptions
             They must be the same, but for the wall limit, the processes and the progress bar.
-        given : mapping of str to SampledSystem, optional
+        fixed : mapping of str to SampledSystem, optional
             Controllers that the design depends on.
         """
         key: dict[str, Any] = {"telescope": self.telescope, **asdict(options)}
         key |= {"wall_limit": 0.0, "progress": False, "workers": 1}
-        key |= {name: law_digest(system) for name, system in (given or {}).items()}
+        key |= {name: law_digest(system) for name, system in (fixed or {}).items()}
         paths = [self.folder / f"{name}.json" for name in names]
         job = Job("design", key, self.folder / "build" / f"{names[-1]}.json")
         if all(path.exists() for path in paths) and job.state() == FINISHED:

@@ -46,11 +46,11 @@ def hidden_peaks(
     ports = tuple(plant.output_port(port.name) for port in measured)
     K = System(*controller.matrices, ports, controller.outputs, controller.name)
     asked = [r for r in paper_requirements(telescope, stage) if isinstance(r, HinfGain)]
-    found = certify([plant], K, asked)
+    certified = certify([plant], K, asked)
     return [
-        float(found.peak_frequencies[k, 0])
+        float(certified.peak_frequencies[k, 0])
         for k, r in enumerate(asked)
-        if found.values[k, 0] > reached[r.name] * (1.0 + HIDDEN) and np.isfinite(found.peak_frequencies[k, 0])
+        if certified.values[k, 0] > reached[r.name] * (1.0 + HIDDEN) and np.isfinite(certified.peak_frequencies[k, 0])
     ]
 
 

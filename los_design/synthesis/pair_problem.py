@@ -205,10 +205,10 @@ def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[Respons
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
     """Samples of all parameter points (N, 7) of the unit cube at all frequencies."""
-    found, ports = [], open_loop.ports
+    responses, ports = [], open_loop.ports
     for begin in range(0, len(omega), 50):
-        found += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
-    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), ports.measurements, ports.commands)
+        responses += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
+    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(responses), ports.measurements, ports.commands)
 
 
 def grid(edge: float) -> FloatArray:

@@ -89,9 +89,9 @@ def _best_random(
         if law is None:
             raise InputError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
         first = largest(problem, law)
-        found = descend(ResponseSource(problem, task.stable), law, DescentOptions(STEPS, TOLERANCE, 0.0)).x
-        found = found if all(task.stable(found, values) for values in at) else law
-        reached.append((largest(problem, found), found))
+        descended = descend(ResponseSource(problem, task.stable), law, DescentOptions(STEPS, TOLERANCE, 0.0)).x
+        descended = descended if all(task.stable(descended, values) for values in at) else law
+        reached.append((largest(problem, descended), descended))
         compared.append({"seed": options.seed + seed, "first": first, "reached": reached[-1][0]})
         report(f"random K_PMA, seed {options.seed + seed}: {first:.4g}, after a short descent {reached[-1][0]:.4f}")
     return min(reached, key=lambda entry: entry[0])[1]

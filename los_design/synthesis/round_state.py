@@ -73,7 +73,7 @@ class RoundState:
             "added": self.added,
             "exceeded": self.exceeded,
             "known": {
-                name: [[p.stage, p.requirement, p.to_mapping()] for p in found] for name, found in self.known.items()
+                name: [[p.stage, p.requirement, p.to_mapping()] for p in points] for name, points in self.known.items()
             },
             "descent": None if self.descent is None else _plain(self.descent),
             "searched": self.searched,
@@ -94,7 +94,8 @@ class RoundState:
             points = [np.array(p, dtype=float) for p in content["points"]]
             around = [(float(omega), np.array(p, dtype=float)) for omega, p in content["around"]]
             known = {
-                name: [WorstPoint.from_mapping(*entry) for entry in found] for name, found in content["known"].items()
+                name: [WorstPoint.from_mapping(*entry) for entry in entries]
+                for name, entries in content["known"].items()
             }
             x, added = np.array(content["x"], dtype=float), [int(n) for n in content["added"]]
             descent = _descent(content["descent"]) if content.get("descent") else None

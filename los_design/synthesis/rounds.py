@@ -124,12 +124,12 @@ def design_in_rounds(
 def _in_rounds(design: _Design) -> Outcome:
     """The rounds from a state."""
     task, state, effort = design.task, design.state, design.effort
-    found = in_rounds(design, effort.rounds, state.number - (state.descent is not None))
+    ended = in_rounds(design, effort.rounds, state.number - (state.descent is not None))
     worst, values = _worst(task, design.found)
-    searched = design.searched(found.tuned)
-    status = TuningStatus.CONVERGED if searched and not found.worse.goes_on else found.status
+    searched = design.searched(ended.tuned)
+    status = TuningStatus.CONVERGED if searched and not ended.worse.goes_on else ended.status
     active = [task.samples.open_loop.values(p) for p in state.points]
-    tuned = _tuned(task, design.problem, found.tuned.point)
+    tuned = _tuned(task, design.problem, ended.tuned.point)
     return Outcome(state.x, status, tuned, worst, values, active, state.commits)
 
 
@@ -161,10 +161,10 @@ class _Design:
                 self.begin + self.task.wall_limit,
                 confirm=not effort.searches,
             )
-            found = _stabilising(self.task, self.problem, state, options, partial(self._step, number), self.job)
-            if found.status is TuningStatus.ITERATIONS and np.array_equal(found.x, state.x):
-                found = replace(found, status=TuningStatus.STALLED)  # another one would do the same
-            state.descent = found
+            descended = _stabilising(self.task, self.problem, state, options, partial(self._step, number), self.job)
+            if descended.status is TuningStatus.ITERATIONS and np.array_equal(descended.x, state.x):
+                descended = replace(descended, status=TuningStatus.STALLED)  # another one would do the same
+            state.descent = descended
             state.x, state.number, state.inside, state.watched = state.descent.x, number + 1, None, []
             state.save(self.job)
         return state.descent
@@ -256,20 +256,20 @@ def _searched(
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
     """Worst points by name, and those that are worse than what is known, of the first search that finds such."""
     assert state.descent is not None
-    descent, found = state.descent, {}
+    descent, worst = state.descent, {}
     for k, options, final in searches:
         near = {
             g.name: bool(final or v > NEAR * descent.point.value) for g, v in zip(problem.gains, descent.point.values)
         }
         if state.exceeded and not final:
             near = {name: name in state.exceeded for name in near}
-        found = _search(task, state.x, options, state.known, state.number, near)
-        if new := _new(task, found, problem, descent.point):
-            return found, new
+        worst = _search(task, state.x, options, state.known, state.number, near)
+        if new := _new(task, worst, problem, descent.point):
+            return worst, new
         if not final:
             state.searched = k + 1
             state.save(job)
-    return found, []
+    return worst, []
 
 
 def _stabilising(
@@ -313,14 +313,14 @@ def _search(
     near: Mapping[str, bool],
 ) -> dict[str, list[WorstPoint]]:
     """Worst points by name of the requirements that are near their limits; each round has a seed of its own."""
-    found = {}
+    worst = {}
     for stage in task.stages:
         seed = options.seed + 1000 * number + task.seed
         search = task.search(x, stage, replace(options, seed=seed))
         starts = [p for points in known.values() for p in points if p.stage == STAGE_NAMES[stage]]
         names = [n for n in task.limits(stage) if n in search.metrics and near[named(n, stage)]]
-        found.update({named(name, stage): points for name, points in search.run(names, starts, task.workers).items()})
-    return found
+        worst.update({named(name, stage): points for name, points in search.run(names, starts, task.workers).items()})
+    return worst
 
 
 def _stage(point: WorstPoint) -> tuple[int, ...]:
@@ -333,8 +333,10 @@ def _value(task: Task, name: str, point: WorstPoint) -> float:
     return point.gamma * point.limit / share
 
 
-def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[str, WorstPoint], dict[str, float]]:
-    worst = {name: points[0] for name, points in found.items() if points}
+def _worst(
+    task: Task, by_requirement: Mapping[str, Sequence[WorstPoint]]
+) -> tuple[dict[str, WorstPoint], dict[str, float]]:
+    worst = {name: points[0] for name, points in by_requirement.items() if points}
     return worst, {name: _value(task, name, point) for name, point in worst.items()}
 
 
@@ -350,11 +352,13 @@ def reached(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
 
 
 def _new(
-    task: Task, found: Mapping[str, Sequence[WorstPoint]], problem: ResponseProblem, look: ResponseLook
+    task: Task, by_requirement: Mapping[str, Sequence[WorstPoint]], problem: ResponseProblem, look: ResponseLook
 ) -> list[WorstPoint]:
     """Worst points above what the descent reached, the largest first; none if none of them is above the least level."""
     levels, least = reached(problem, look), problem.least_level
-    values = [(_value(task, name, point), levels[name], point) for name, points in found.items() for point in points]
+    values = [
+        (_value(task, name, point), levels[name], point) for name, points in by_requirement.items() for point in points
+    ]
     if not any(value > max(least, level) * (1.0 + SLACK) for value, level, _ in values):
         return []
     unseen = UNSEEN if least else SLACK

@@ -68,17 +68,17 @@ def choose_start(
     ValueError
         No start stabilises the telescope.
     """
-    given = None if observer is None else gain_matrix_of(continuous(observer).at({}))
-    own, at = blocks(telescope, task.tuned), _corners(task, options.seed)
+    gain_matrix = None if observer is None else gain_matrix_of(continuous(observer).at({}))
+    tunable, at = blocks(telescope, task.tuned), _corners(task, options.seed)
 
     def entries(pair: Pair, part: float = 0.0) -> FloatArray:
-        return parameters_of(own, [_widened(M, block, part) for M, block in zip(pair, own)])
+        return parameters_of(tunable, [_widened(M, block, part) for M, block in zip(pair, tunable)])
 
     def stable(x: FloatArray) -> bool:
         return all(task.stable(x, values) for values in at)
 
     stored = [
-        given if given is not None else gain_matrix_of(stored_start("k-fsm")),
+        gain_matrix if gain_matrix is not None else gain_matrix_of(stored_start("k-fsm")),
         gain_matrix_of(stored_start("k-pma")),
     ]
     devices = bool(telescope.loop_ports.further)
@@ -86,21 +86,24 @@ def choose_start(
         return entries(stored)
     report("another telescope than that of the stored start: starts are compared")
     k_fsm, k_pma = (gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented"))
-    starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
-    if given is None:
+    starts: dict[str, Pair] = {
+        STORED_PAIR: [gain_matrix if gain_matrix is not None else k_fsm, k_pma],
+        STORED_START: stored,
+    }
+    if gain_matrix is None:
         starts[KALMAN] = [_kalman(telescope, options), k_pma]
     if ACTUATORS in task.tuned:
-        mirror = starts[STORED_PAIR if given is not None else KALMAN][0]
+        mirror = starts[STORED_PAIR if gain_matrix is not None else KALMAN][0]
         for seed in LAW_SEEDS:
             laws = ([mirror, gain_matrix_of(random_law(seed, gain))] for gain in LAW_GAINS)
             starts[f"a random K_PMA, seed {seed}"] = next((start for start in laws if stable(entries(start))), [])
     made = {name: entries(start) for name, start in starts.items() if start}
     if devices:
         made |= {f"{name}{WITH_DEVICES}": entries(start, DEVICE_PART) for name, start in starts.items() if start}
-    found = {name: x for name, x in made.items() if stable(x)}
-    if not found:
+    candidates = {name: x for name, x in made.items() if stable(x)}
+    if not candidates:
         raise InputError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
-    return _best(task, found, 0 if options.nominal else POINTS, report)
+    return _best(task, candidates, 0 if options.nominal else POINTS, report)
 
 
 def _widened(M: FloatArray, block: ControllerBlock, part: float) -> FloatArray:
@@ -134,17 +137,17 @@ def _kalman(telescope: Telescope, options: DesignOptions) -> FloatArray:
     return structure.gain_matrix(kalman_start(structure, telescope, lead=options.loop_delay))
 
 
-def _best(task: Task, found: Mapping[str, FloatArray], count: int, report: Report) -> FloatArray:
+def _best(task: Task, candidates: Mapping[str, FloatArray], count: int, report: Report) -> FloatArray:
     """The start with the lowest largest value after a short descent at few points."""
     points = first_points(task, count)
     problem = at_points(task, points).problem()
     at = [task.samples.open_loop.values(point) for point in points]
-    values = {name: largest(problem, x) for name, x in found.items()}
+    values = {name: largest(problem, x) for name, x in candidates.items()}
     reached: list[tuple[float, FloatArray]] = []
-    for name in sorted(found, key=lambda name: values[name])[:COMPARED]:
-        x = descended(task, problem, found[name])
+    for name in sorted(candidates, key=lambda name: values[name])[:COMPARED]:
+        x = descended(task, problem, candidates[name])
         if not all(task.stable(x, point) for point in at):
-            x = found[name]
+            x = candidates[name]
         value = largest(problem, x)
         report(f"start from {name}: {values[name]:.4f}, after a short descent {value:.4f}")
         reached.append((value, x))

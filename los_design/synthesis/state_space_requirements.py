@@ -56,12 +56,12 @@ def _ports(row: FigureOfMerit, ports: ModuleType, disturbances: tuple[str, ...])
     """Inputs and output of a row in the plant of a problem, and whether the inputs have the disturbance's weight."""
     if row.is_noise:
         noise: Mapping[str, str] = ports.NOISE_PORTS
-        found = tuple(dict.fromkeys(noise[name] for name in row.inputs))
-        for port in found:
-            together = [name for name, own in noise.items() if own == port]
+        inputs = tuple(dict.fromkeys(noise[name] for name in row.inputs))
+        for port in inputs:
+            together = [name for name, known in noise.items() if known == port]
             if not set(together) <= set(row.inputs):
                 raise InputError(f"{row.name}: the plant has one noise for {', '.join(together)}, got {row.inputs}")
-        return found, row.output, False
+        return inputs, row.output, False
     if row.is_sensitivity:
         added, applied = ports.SENSITIVITY_PORTS[row.inputs[0]]
         return (added,), applied, False

@@ -61,8 +61,8 @@ def _for_loop(
     """B, C, D, inputs, outputs of a controller, an observer behind all measured ports."""
     if [port.name for port in outputs] != [port.name for port in K_FSM_OUTPUTS]:
         return B, C, D, tuple(inputs), outputs
-    own = {port.name for port in K_FSM_INPUTS}
-    known = (*K_FSM_INPUTS, *(port for port in inputs if port.name not in own))
+    of_reference = {port.name for port in K_FSM_INPUTS}
+    known = (*K_FSM_INPUTS, *(port for port in inputs if port.name not in of_reference))
     return spread_columns(B, inputs, known), C, spread_columns(D, inputs, known), known, outputs
 
 

@@ -218,21 +218,21 @@ class _Synthesis:
         """Design in rounds, and sample."""
         begin = time.monotonic()
         compared: list[dict[str, Any]] = []
-        with Workers(self.options.workers) as own:
-            task = self._task(workers or own)
+        with Workers(self.options.workers) as started:
+            task = self._task(workers or started)
             effort = self._effort(task, report, begin + task.wall_limit)
             task = replace(task, wall_limit=task.wall_limit - (time.monotonic() - begin))
             start = partial(self._start, task, report, compared)
             outcome = design_in_rounds(task, start, effort, report, job)
         common = self._provenance(outcome, compared, time.monotonic() - begin)
-        found = []
+        sampled = []
         ports = task.samples.open_loop.ports
         for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
             A, B, C, D = matrices_of(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
             matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
             provenance = {**common, **_values(outcome, stage), "continuous": matrices}
-            found.append(_sampled(kind, (A, B, C, D), self.telescope, self.options, provenance, ports))
-        return found[0], found[1]
+            sampled.append(_sampled(kind, (A, B, C, D), self.telescope, self.options, provenance, ports))
+        return sampled[0], sampled[1]
 
     def _effort(self, task: Task, report: Report, deadline: float) -> Effort:
         """Effort of the design: one round where limits are unreachable, which are reported."""
@@ -264,8 +264,8 @@ class _Synthesis:
         }
         if compared:
             common["starts"] = compared
-        if given := self.observer if OBSERVER in self.tuned else self.law:
-            common["start"] = law_digest(given)
+        if start := self.observer if OBSERVER in self.tuned else self.law:
+            common["start"] = law_digest(start)
         return common
 
     def _task(self, workers: Workers) -> Task:
@@ -275,8 +275,8 @@ class _Synthesis:
     def _paper_task(self, workers: Workers) -> PaperTask:
         options = self.options
         samples = PaperSamples(continuous_open_loop(self.telescope), options.workers)
-        given = ORDERS[0] if self.observer is None else continuous(self.observer).order
-        orders = (options.order, ORDERS[1]) if self.tuned == (OBSERVER,) else (given, options.order)
+        order_of_observer = ORDERS[0] if self.observer is None else continuous(self.observer).order
+        orders = (options.order, ORDERS[1]) if self.tuned == (OBSERVER,) else (order_of_observer, options.order)
         fine = not options.nominal
         common = options.seed, options.wall_limit, workers
         return PaperTask(samples, STAGES_OF[self.tuned], self.tuned, *common, orders=orders, fine=fine)

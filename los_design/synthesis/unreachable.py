@@ -156,8 +156,10 @@ class StageBounds:
     @cached_property
     def responses(self) -> ComplexArray:
         """From disturbances and commands to the line of sight (weighted) at these frequencies, shape (N, 2, m + u)."""
-        omega, found = _nominal(self.open_loop)
-        return found * rpe_weight(omega, self.telescope.weights.rpe_window)[:, None, None] if self.relative else found
+        omega, nominal = _nominal(self.open_loop)
+        return (
+            nominal * rpe_weight(omega, self.telescope.weights.rpe_window)[:, None, None] if self.relative else nominal
+        )
 
     def reach(self) -> Unreachable | None:
         """Tones that the commands do not lower to their limit within their authorities."""
@@ -179,10 +181,14 @@ class StageBounds:
         bound = shared_bound(plant, self._decided)
         matter = bound.weights > NOTED
         names = [row.name for row, named in zip(self._rows(noise=True), matter[len(tones) :], strict=True) if named]
-        found = self._unreachable(bound.value, tones[matter[: len(tones)]], names)
-        if found is None and bound.reached.max() > 1.0 and self._out_of_time(bound):
+        unreachable = self._unreachable(bound.value, tones[matter[: len(tones)]], names)
+        if unreachable is None and bound.reached.max() > 1.0 and self._out_of_time(bound):
             raise TimeoutError("the time limit is over")
-        return found if found is None else replace(found, noise=self._allowed_noise(plant, bound, len(tones)))
+        return (
+            unreachable
+            if unreachable is None
+            else replace(unreachable, noise=self._allowed_noise(plant, bound, len(tones)))
+        )
 
     def _decided(self, bound: SharedBound) -> bool:
         """Whether no bound above 1 will be found."""
@@ -243,8 +249,8 @@ class StageBounds:
             With the frequencies of the tones [rad/s].
         """
         excess = np.where(self.omega < HIGHEST_TONE, self._excess, 0.0)
-        found = find_peaks(excess)[0]
-        peaks = sorted(found[np.argsort(-excess[found])][:TONES].tolist()) or [int(np.argmax(excess))]
+        maxima = find_peaks(excess)[0]
+        peaks = sorted(maxima[np.argsort(-excess[maxima])][:TONES].tolist()) or [int(np.argmax(excess))]
         A, B, disturbed, C, direct, M, seen = self._loop()
         bands = [self._band(k) for k in peaks]
         states = linalg.block_diag(*(band.A for band in bands))
@@ -341,13 +347,13 @@ def unreachable_limits(
     deadline : float
         Of :func:`time.monotonic` [s].
     """
-    found: list[Unreachable] = []
+    limits: list[Unreachable] = []
     for stage, relative in itertools.product(stages, (True, False)):
         bounds = StageBounds(open_loop, stage, relative, deadline)
         for bound in (bounds.reach, bounds.conflict):
             if time.monotonic() >= deadline:
                 report(f"{stage}, {bounds.error}: no bound for all controllers within the time limit")
-                return found
+                return limits
             try:
                 one = bound()
             except (ArithmeticError, InputError, TimeoutError, linalg.LinAlgError) as error:
@@ -355,8 +361,8 @@ def unreachable_limits(
                 continue
             if one is not None:
                 report(str(one))
-                found.append(one)
-    return found
+                limits.append(one)
+    return limits
 
 
 @lru_cache(maxsize=1)
@@ -365,8 +371,8 @@ def _nominal(open_loop: OpenLoop) -> tuple[FloatArray, ComplexArray]:
     point = open_loop.point({})
     modes = open_loop.modes(point, LOWEST, HIGHEST)
     omega: FloatArray = np.asarray(np.unique(np.concatenate([np.geomspace(LOWEST, HIGHEST, GRID), modes])), dtype=float)
-    found = [open_loop.closed_over(lft, point[None])[0, -TRUTH:] for lft in open_loop.at(omega)]
-    return omega, np.asarray(found)
+    responses = [open_loop.closed_over(lft, point[None])[0, -TRUTH:] for lft in open_loop.at(omega)]
+    return omega, np.asarray(responses)
 
 
 def _indices(part: slice) -> IntArray:

@@ -193,10 +193,10 @@ class ProofBundle:
         names = {name for name in self.names if name.startswith(PROOFS + "/")}
         names -= {member_of(stage, NOISE) for stage in MIRROR_STAGES}
         known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.telescope, stage)]
-        found = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
-        if len(found) != len(names) or not names:
+        figures = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
+        if len(figures) != len(names) or not names:
             raise ProofError(f"a bundle must hold proofs of figures of {', '.join(MIRROR_STAGES)}, got {sorted(names)}")
-        return found
+        return figures
 
     @property
     def noise(self) -> tuple[str, ...]:
@@ -321,22 +321,22 @@ def _refused(error: BaseException) -> ProofError:
 def _members(path: Path) -> dict[str, bytes]:
     """All members of a bundle."""
     try:
-        found = zip_members(path)
-        inner = [zipfile.ZipFile(file) for data in found.values() if zipfile.is_zipfile(file := io.BytesIO(data))]
+        members = zip_members(path)
+        inner = [zipfile.ZipFile(file) for data in members.values() if zipfile.is_zipfile(file := io.BytesIO(data))]
         require_small(sum(info.file_size for proof in inner for info in proof.infolist()), path.stat().st_size)
     except ProofError as error:
         raise ProofFileError(str(error)) from None
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
         raise ProofFileError("the file must be a bundle of proofs, got one that cannot be unpacked") from error
-    if MANIFEST not in found:
-        raise ProofFileError(f"a bundle must have {MANIFEST}, got {sorted(found)}"[:300])
-    return found
+    if MANIFEST not in members:
+        raise ProofFileError(f"a bundle must have {MANIFEST}, got {sorted(members)}"[:300])
+    return members
 
 
 def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
-    own = manifest.get("format") if isinstance(manifest, dict) else None
-    if own != FORMAT:
-        raise ProofFileError(f"format must be {FORMAT!r}, got {str(own)[:60]!r}")
+    stated = manifest.get("format") if isinstance(manifest, dict) else None
+    if stated != FORMAT:
+        raise ProofFileError(f"format must be {FORMAT!r}, got {str(stated)[:60]!r}")
     hashes = MANIFEST_ENTRIES(manifest, MANIFEST)["sha256"]
     if set(hashes) != set(members):
         raise ProofError(f"members must be those of the manifest, got other {sorted(set(hashes) ^ set(members))}")
@@ -367,16 +367,16 @@ def _with_modal_data(content: Mapping[str, Any], changed: Callable[[str, str], s
         file = table.get("modal_data", "")
         return {**table, "modal_data": changed(body, file)} if file else table
 
-    found = dict(content)
+    moved = dict(content)
     for name in (*OWN_BODIES, ARRAYS, APPENDAGES):
         tables = content.get(name)
         if isinstance(tables, (list, tuple)):
-            found[name] = [of(table, f"{name}-{number}") for number, table in enumerate(tables, 1)]
+            moved[name] = [of(table, f"{name}-{number}") for number, table in enumerate(tables, 1)]
         elif tables is not None:
-            found[name] = of(tables, name)
+            moved[name] = of(tables, name)
     if PLANT in content:
-        found[PLANT] = {FILE: changed(PLANT, content[PLANT][FILE])}
-    return found
+        moved[PLANT] = {FILE: changed(PLANT, content[PLANT][FILE])}
+    return moved
 
 
 def _check_limits(content: Mapping[str, Any]) -> None:
@@ -428,19 +428,19 @@ def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] =
         open_loop = OpenLoop(control_loop_plant(telescope), telescope)
         stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
         loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
-        found, stable = [], dict.fromkeys(loops, 0.0)
+        figures, stable = [], dict.fromkeys(loops, 0.0)
         for stage, figure in bundle.figures:
             proof = proof_of_loop(bundle.proof(stage, figure), loops[stage], figure)
             first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
             checked = _checked(proof, each, first)
             stable[stage] = max(stable[stage], checked.stable_below)
             limit = provable(telescope, stage)[figure].limit
-            found.append(
+            figures.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
             )
         frames = {}
         for stage, loop in loops.items():
-            share = frames_share({f.figure: f.level * f.limit for f in found if f.stage == stage})
+            share = frames_share({f.figure: f.level * f.limit for f in figures if f.stage == stage})
             steady = share is not None and math.isinf(stable[stage])
             if share is not None and steady and loop.sampled_at({})[1].spectral_radius() < 1.0:
                 frames[stage] = share
@@ -449,12 +449,12 @@ def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] =
         box = dict(zip((p.name for p in loop.system.parameters), box_of(loop)))  # every proof holds it
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
-    requirements = requirements_of(telescope, found, tuple(noise))
+    requirements = requirements_of(telescope, figures, tuple(noise))
     sums = {
-        s: error_sums(telescope, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
+        s: error_sums(telescope, s, {f.figure: f.level * f.limit for f in figures if f.stage == s}, noise.get(s))
         for s in loops
     }
-    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums, frames)
+    return CheckedBundle(bundle.subject, tuple(figures), stable, box, requirements, bundle.name, noise, sums, frames)
 
 
 def requirements_of(telescope: Telescope, figures: Iterable[ProvenFigure], noise: Iterable[str]) -> tuple[str, ...]:
@@ -466,10 +466,10 @@ def requirements_of(telescope: Telescope, figures: Iterable[ProvenFigure], noise
     limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST) or f.figure.startswith(PART)}
     limits |= {"ape_limit" for f in figures if f.figure == "APE"}
     limits |= {name for stage in noise for name in ("ape_limit", window_limit(stage))}
-    own = telescope.requirements
-    made = design_limits(own)[1]
+    of_telescope = telescope.requirements
+    made = design_limits(of_telescope)[1]
     places = sorted({place for name in limits for place in made[name]})
-    texts = [(own[place], telescope.requirement_texts[place]) for place in places]
+    texts = [(of_telescope[place], telescope.requirement_texts[place]) for place in places]
     return tuple(f"{text}; {OF_WINDOWS}" if r.index == "RPE" and not r.of_windows else text for r, text in texts)
 
 

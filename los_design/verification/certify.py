@@ -246,15 +246,15 @@ def prove_task(task: PartTask) -> PartResult:
     until = time.monotonic() + task.seconds
     known = next((strips for strips in task.others if _useful(task, strips)), ())
     claim = task.model, task.box, task.band, task.level
-    found = prove_level(*claim, until=until, known=known, options=BisectionOptions(deepest=task.deepest))
+    level = prove_level(*claim, until=until, known=known, options=BisectionOptions(deepest=task.deepest))
     return PartResult(
-        tuple(found.strips),
-        sorted({band for _, band in found.uncovered}),
-        found.lower,
-        [] if found.point is None else found.point.tolist(),
-        found.omega,
-        found.windows,
-        found.seconds,
+        tuple(level.strips),
+        sorted({band for _, band in level.uncovered}),
+        level.lower,
+        [] if level.point is None else level.point.tolist(),
+        level.omega,
+        level.windows,
+        level.seconds,
         time.monotonic() <= until,
     )
 
@@ -279,8 +279,8 @@ def _strips(file: Path) -> tuple[Strip, ...]:
 
 def _read_part(file: Path) -> PartResult:
     """What the file of a part says; a ProofError where it cannot be read."""
-    given, arrays = file_content(file)
-    header = header_of(given, PART_KIND, PART_ENTRIES)
+    content, arrays = file_content(file)
+    header = header_of(content, PART_KIND, PART_ENTRIES)
     strips = unpacked(arrays_of(arrays, {}, len(header["names"])), len(header["names"]))
     uncovered = list(header["uncovered"])
     rest = {name: header[name] for name in ("lower", "omega", "windows", "seconds", "finished")}
@@ -386,12 +386,12 @@ def _parts(
         with suppress(ValueError):
             distance = abs(math.log(float(other.name.rsplit("-", 1)[1]) / level))
             others.append((not other.name.startswith(start), distance, other))
-    found = []
+    parts = []
     for band in parts_of(metric.band):
         file = f"{band[0]:.9g}-{band[1]:.9g}.npz"
         same = tuple(other / file for *_, other in sorted(others) if other != kept and (other / file).exists())
-        found.append(ProofPart(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
-    return found
+        parts.append(ProofPart(model, box, band, level, until, kept / file, same[:MOST_OTHERS]))
+    return parts
 
 
 @lru_cache(maxsize=4)

@@ -70,7 +70,7 @@ def error_sums(
     slow = tones.get("slow", math.nan) / RAD_PER_MAS
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
     fast = fast_pieces(telescope, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
-    found: list[tuple[str, float, float, str, float]] = []
+    table: list[tuple[str, float, float, str, float]] = []
     if noise is not None:
         instants, windows = (max(part, LEAST_PART) for part in required_probabilities(telescope, stage))
         window = telescope.weights.rpe_window
@@ -79,8 +79,8 @@ def error_sums(
         values = (_level(absolute, wide, instants), _level(slow, fine, windows), alone, both)
         asked = required_probabilities(telescope, stage)
         limits = ((arcsec, "arcsec", asked[0]), *((mas, "mas", asked[1]),) * 3)
-        found = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
-    sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
+        table = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
+    sums = [ErrorSum(*row) for row in table if not math.isnan(row[1])]
     inputs = telescope.channels
     norm = math.sqrt(inputs)
     together = f"each of {inputs} channels at its own weight, norm {norm:.2f}"

@@ -147,8 +147,8 @@ def box_of(loop: ImplementedLoop) -> Box:
 
 def figures_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
-    found = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
-    return {name: metric for name, metric in found.items() if metric.disturbed}
+    metrics = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
+    return {name: metric for name, metric in metrics.items() if metric.disturbed}
 
 
 def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
@@ -165,8 +165,8 @@ def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     At the forces one more tick breaks the last bound (near 2600 rad/s), though the loop bears it: the norm does not
     see the phase.
     """
-    found = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
-    margins = {name: metric for name, metric in found.items() if not metric.disturbed}
+    metrics = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
+    margins = {name: metric for name, metric in metrics.items() if not metric.disturbed}
     for metric in list(margins.values()):
         port = metric.name.split(", ")[1]
         for kind in (HALVED, LATER) if metric.rows == telescope.loop_ports.rows_of(COMMANDED[0]) else (HALVED,):

@@ -106,8 +106,8 @@ def certify_noise(
             done[key] = result
             if result.uncovered:
                 levels[key] = max((1.0 + RAISED * 2.0**turn) * levels[key], ABOVE * result.lower)
-            report(sum(not found.uncovered for found in done.values()), len(levels))
-        if not any(found.uncovered for found in done.values()) or not all(r.finished for r in done.values()):
+            report(sum(not one.uncovered for one in done.values()), len(levels))
+        if not any(one.uncovered for one in done.values()) or not all(r.finished for r in done.values()):
             break
     return _bounds(
         loop, model, levels, done, FigureBounds(loop.stage, NOISE, lower, math.inf, values, 0.0, "", []), folder
@@ -203,8 +203,8 @@ def noise_parts(model: LoopModel, window: float, relative: float = 1.0) -> list[
         del parts[low, high]
         middle = (low + high) // 2
         parts |= {(low, middle): excess(low, middle), (middle, high): excess(middle, high)}
-    found = [(float(grid[low]), float(grid[high])) for low, high in sorted(parts)]
-    return [(0.0, found[0][1]), *found[1:-1], (found[-1][0], NYQUIST)]
+    intervals = [(float(grid[low]), float(grid[high])) for low, high in sorted(parts)]
+    return [(0.0, intervals[0][1]), *intervals[1:-1], (intervals[-1][0], NYQUIST)]
 
 
 def _nominal_squares(model: LoopModel, omega: float) -> FloatArray:

@@ -61,12 +61,12 @@ def worst_of(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) ->
     others = [bracket for bracket in order[1:] if bracket.value >= NEAR * best[0]]
     others, alone = _higher(search, metric, others, best[0]), list[Bracket]()
     for _ in range(LEVELS):
-        several = [own for own in _groups(others) if len(own) >= SEVERAL]
-        grouped = {k for own in several for k in own}
+        several = [group for group in _groups(others) if len(group) >= SEVERAL]
+        grouped = {k for group in several for k in group}
         alone += [bracket for k, bracket in enumerate(others) if k not in grouped]
-        narrow = [bracket for own in several for bracket in _narrowed(search, metric, [others[k] for k in own])]
-        found = max(narrow, key=lambda b: b.value, default=first)
-        best = max(best, (found.value, found.omega, found.point), key=lambda entry: entry[0])
+        narrow = [bracket for group in several for bracket in _narrowed(search, metric, [others[k] for k in group])]
+        largest = max(narrow, key=lambda b: b.value, default=first)
+        best = max(best, (largest.value, largest.omega, largest.point), key=lambda entry: entry[0])
         others = _higher(search, metric, narrow, best[0])
     left = sorted(others + alone, key=lambda b: -b.value)
     for start in range(0, len(left), TOGETHER):
@@ -125,14 +125,14 @@ def _higher(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], lar
     bounds, groups, loop = np.zeros(len(brackets)), _groups(brackets), search.loop
     for start in range(0, len(groups), TOGETHER):
         part = groups[start : start + TOGETHER]
-        both = np.array([brackets[own[0]].omega * np.exp([0.0, BESIDE]) for own in part])
+        both = np.array([brackets[group[0]].omega * np.exp([0.0, BESIDE]) for group in part])
         closed = loop.at_each(both.ravel())
-        for k, own in enumerate(part):
-            omega, ends = brackets[own[0]].omega, np.clip(brackets[own[0]].ends, *metric.band)
-            delta = loop.delta(np.array([brackets[place].point for place in own]))
+        for k, group in enumerate(part):
+            omega, ends = brackets[group[0]].omega, np.clip(brackets[group[0]].ends, *metric.band)
+            delta = loop.delta(np.array([brackets[place].point for place in group]))
             here, above = _singular_values(search, metric, closed[2 * k : 2 * k + 2], delta)
             below_end, above_end = np.abs(np.log(ends / omega))
-            bounds[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
+            bounds[group] = rise_bounds(here, above, np.full(len(group), below_end), np.full(len(group), above_end))
     return [bracket for bracket, bound in zip(brackets, bounds) if bound > (1.0 + SAME) * largest]
 
 
@@ -142,12 +142,12 @@ def _narrowed(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -
     if not low < high:
         return list(brackets)
     omega = np.unique([*np.geomspace(low, high, PARTS + 1), np.clip(brackets[0].omega, low, high)])
-    values, found = _values(search, metric, omega, np.array([b.point for b in brackets])).max(axis=2), []
-    for bracket, own in zip(brackets, values.T):
-        k = int(own.argmax())
+    values, narrowed = _values(search, metric, omega, np.array([b.point for b in brackets])).max(axis=2), []
+    for bracket, gains in zip(brackets, values.T):
+        k = int(gains.argmax())
         ends = float(omega[max(k - 1, 0)]), float(omega[min(k + 1, len(omega) - 1)])
-        found.append(Bracket(float(own[k]), float(omega[k]), ends, bracket.point))
-    return found
+        narrowed.append(Bracket(float(gains[k]), float(omega[k]), ends, bracket.point))
+    return narrowed
 
 
 class _Refinement:
@@ -195,29 +195,32 @@ def _refined(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], la
     All of them take a step at a time, so that their loops are closed together. Where a second singular value is near
     the first one, which may rise where that one does not, a peak is sought by values alone.
     """
-    own, found = [_Refinement(bracket, metric.band) for bracket in brackets], list[Peak | None]([None] * len(brackets))
-    active, sought = list(range(len(own))), list[int]()
+    refinements, peaks = (
+        [_Refinement(bracket, metric.band) for bracket in brackets],
+        list[Peak | None]([None] * len(brackets)),
+    )
+    active, sought = list(range(len(refinements))), list[int]()
     for _ in range(MOST):
         if not active:
             break
-        closed = search.loop.at_each(np.array([own[k].omega for k in active]))
-        points = np.array([own[k].bracket.point for k in active])
+        closed = search.loop.at_each(np.array([refinements[k].omega for k in active]))
+        points = np.array([refinements[k].bracket.point for k in active])
         values, _, slopes = search.loop.gains_with_slopes(closed, metric, points)
         going = list[int]()
         for k, value, slope in zip(active, values, slopes.tolist()):
             first, *others = value.tolist()
-            beside = max([largest, *(one.best[0] for one in own[:k] + own[k + 1 :])])
+            beside = max([largest, *(one.best[0] for one in refinements[:k] + refinements[k + 1 :])])
             if not first > 0.0 or (others and others[0] >= NEAR * max(beside, first)):
                 sought.append(k)
                 continue
-            said = own[k].take(first, slope, beside)
+            said = refinements[k].take(first, slope, beside)
             going += [k] * (said == "next")
-            found[k] = None if said == "lower" else own[k].best
+            peaks[k] = None if said == "lower" else refinements[k].best
         active = going
     for k in sought:
-        largest = max([largest, *(peak[0] for peak in found if peak is not None)])
-        found[k] = _sought(search, metric, brackets[k], largest)
-    return found
+        largest = max([largest, *(peak[0] for peak in peaks if peak is not None)])
+        peaks[k] = _sought(search, metric, brackets[k], largest)
+    return peaks
 
 
 def _sought(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> Peak | None:
@@ -231,5 +234,5 @@ def _sought(search: Search, metric: LoopMetric, bracket: Bracket, largest: float
         return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point)[0])
 
     ends = np.log(np.clip(bracket.ends, *metric.band))
-    found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
-    return max((-float(found.fun), float(np.exp(found.x))), (bracket.value, bracket.omega))
+    minimum = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
+    return max((-float(minimum.fun), float(np.exp(minimum.x))), (bracket.value, bracket.omega))

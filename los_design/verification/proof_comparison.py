@@ -70,8 +70,8 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
     metric = provable(loop.telescope, loop.stage).get(figure)
     if metric is None:
         return ProofComparison((f"stage {loop.stage} has no figure {figure}",))
-    found, model = _claim_mismatches(proof, loop, metric), telescope_model(loop, metric)
-    return _compared(proof.model, model, metric.band, found)
+    mismatches, model = _claim_mismatches(proof, loop, metric), telescope_model(loop, metric)
+    return _compared(proof.model, model, metric.band, mismatches)
 
 
 def compare_noise(proof: NoiseProof, loop: ImplementedLoop) -> ProofComparison:
@@ -83,14 +83,14 @@ def compare_noise(proof: NoiseProof, loop: ImplementedLoop) -> ProofComparison:
     return _compared(proof.model, anew.model, (0.0, NYQUIST), [])
 
 
-def _compared(one: Loop, model: Loop, band: Interval, found: list[str]) -> ProofComparison:
+def _compared(one: Loop, model: Loop, band: Interval, mismatches: list[str]) -> ProofComparison:
     """Compare the model of a file with that of a loop; `found` is what else is another one."""
-    found = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + found
+    mismatches = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + mismatches
     for name, where in POLES.items():
         if not _same_poles(getattr(one, name), getattr(model, name)):
-            found.append(f"poles of the {where}")
-    if found or _shapes(one) != _shapes(model):
-        return ProofComparison(tuple(found) or ("sizes of telescope or controllers",))
+            mismatches.append(f"poles of the {where}")
+    if mismatches or _shapes(one) != _shapes(model):
+        return ProofComparison(tuple(mismatches) or ("sizes of telescope or controllers",))
     omega = _frequencies(model, band)
     differences = np.array([_difference(one, model, at) for at in omega])
     worst = int(np.argmax(differences))
@@ -124,14 +124,14 @@ def proof_of_loop(proof: LoopProof, loop: ImplementedLoop, figure: str) -> LoopP
 
 def _claim_mismatches(proof: LoopProof, loop: ImplementedLoop, metric: LoopMetric) -> list[str]:
     """What the claim of a proof leaves out of a figure of a loop: parameters, parts of the box, of the band."""
-    found = []
+    mismatches = []
     if proof.names != tuple(p.name for p in loop.system.parameters):
-        found.append("names of the parameters")
+        mismatches.append("names of the parameters")
     elif not all(map(_covers, proof.box, box_of(loop))):
-        found.append("box of the parameters")
+        mismatches.append("box of the parameters")
     if not _covers(proof.band, metric.band):
-        found.append("band of frequencies")
-    return found
+        mismatches.append("band of frequencies")
+    return mismatches
 
 
 def _equal(one: Any, other: Any) -> bool:
@@ -163,8 +163,8 @@ def _frequencies(model: Loop, band: Interval) -> FloatArray:
     """Resonances of telescope and controllers in a band, and frequencies between them."""
     low, high = max(band[0], LOWEST), band[1]
     resonances = np.abs(model.poles.imag), np.abs(np.angle(model.K_poles)) / model.dt
-    found: FloatArray = np.unique(np.concatenate([*resonances, np.geomspace(low, high, BETWEEN)]))
-    return found[(found >= low) & (found <= high)]
+    omega: FloatArray = np.unique(np.concatenate([*resonances, np.geomspace(low, high, BETWEEN)]))
+    return omega[(omega >= low) & (omega <= high)]
 
 
 def _difference(one: Loop, other: Loop, omega: float) -> float:

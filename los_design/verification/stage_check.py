@@ -115,12 +115,12 @@ def check_stages(
         return [joined(stage) for stage in zip(*each(workers, partial(_swept, reaches, omega, cube, stable), blocks))]
 
     swept = whole([np.ones(len(points), dtype=bool)] * len(loops), told.each)
-    for found in swept:
-        found.doubt[0] = changes  # one point is checked by eigenvalues, whatever its responses say
-    items = [_Closely(points[chunk], cube[chunk], [found.doubt[chunk] for found in swept]) for chunk in chunks]
+    for one in swept:
+        one.doubt[0] = changes  # one point is checked by eigenvalues, whatever its responses say
+    items = [_Closely(points[chunk], cube[chunk], [one.doubt[chunk] for one in swept]) for chunk in chunks]
     closely = told.each(workers, partial(_looked_closely, reaches), items)
     stable = [np.concatenate([part[k].stable for part in closely]) for k in range(len(loops))]
-    if not all(own.all() for own in stable):  # seldom: once more, without the values of unstable points
+    if not all(at_points.all() for at_points in stable):  # seldom: once more, without the values of unstable points
         swept = whole(stable, Workers.map)
     brackets = [
         (k, name, _brackets(metric, omega, swept[k], cube) + narrow)
@@ -134,7 +134,7 @@ def check_stages(
     return [
         StageCheck(
             loop.stage,
-            {name: found for (stage, name, _), found in zip(brackets, worst) if stage == k},
+            {name: one for (stage, name, _), one in zip(brackets, worst) if stage == k},
             stable[k],
             [names for part in closely for names in part[k].lost],
             {name: values[len(DRIFTS) :] for name, values in swept[k].envelope.items()},
@@ -192,20 +192,22 @@ class _Seen:
 
 def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[_Seen]:
     """Each stage by the eigenvalues of the exact periodic loop, and at the frequencies of its slow modes."""
-    found = [_Seen([], {name: [] for name in reach.metrics}, []) for reach in reaches]
+    results = [_Seen([], {name: [] for name in reach.metrics}, []) for reach in reaches]
     for i, values in enumerate(item.points):
         plant = reaches[0].loop.system.at(values)
         commands = reaches[0].loop.ports.commands
         step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
-        for reach, seen, doubts in zip(reaches, found, item.doubts):
+        for reach, seen, doubts in zip(reaches, results, item.doubts):
             sampled, doubt = reach.loop.sampled_around(plant, step), doubts[i].copy()
             multipliers = sampled.multipliers()
             seen.stable.append(radius_of(multipliers, sampled.frame_ticks) < 1.0)
             if seen.stable[-1]:
                 _at_modes(reach, sampled.slow_modes(multipliers, FINE_FROM, NARROW), item.cube[i], doubt, seen)
             changed = zip(doubt, changed_loops(sampled, reach.loop.stage)) if doubt.any() else ()
-            seen.lost.append([name for own, (name, make) in changed if own and not make().spectral_radius() < 1.0])
-    return found
+            seen.lost.append(
+                [name for applies, (name, make) in changed if applies and not make().spectral_radius() < 1.0]
+            )
+    return results
 
 
 def _at_modes(reach: Reach, modes: FloatArray, point: FloatArray, doubt: BoolArray, seen: _Seen) -> None:
@@ -223,9 +225,9 @@ def _at_modes(reach: Reach, modes: FloatArray, point: FloatArray, doubt: BoolArr
                 seen.narrow[name].append(Bracket(gain * factor, w, (w * (1.0 - AROUND), w * (1.0 + AROUND)), point))
 
 
-def _brackets(metric: LoopMetric, omega: FloatArray, found: Sweep, cube: FloatArray) -> list[Bracket]:
+def _brackets(metric: LoopMetric, omega: FloatArray, swept: Sweep, cube: FloatArray) -> list[Bracket]:
     """The largest value of each point on the grid, with the neighbouring frequencies."""
-    value, place = found.value[metric.name], np.maximum(found.place[metric.name], len(DRIFTS))
+    value, place = swept.value[metric.name], np.maximum(swept.place[metric.name], len(DRIFTS))
     brackets = []
     for v, k, point in zip(value, place, cube):
         low, high = np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band)

@@ -134,10 +134,10 @@ def statement_of(
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
         rows = [row for row in shipped["figures"] if row["stage"] == stage]
-        found = tuple(str(row["text"]) for row in rows if not str(row["figure"]).startswith(PART))
+        texts = tuple(str(row["text"]) for row in rows if not str(row["figure"]).startswith(PART))
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
         sums = _sums(shipped, stage, levels, telescope)
-        return Statement(shipped["name"], found, True, relative_error(levels), tuple(sums)) if found else None
+        return Statement(shipped["name"], texts, True, relative_error(levels), tuple(sums)) if texts else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from los_design.verification.bundle import figures_proven, levels_proven, open_bundle
@@ -155,13 +155,13 @@ def _sums(
 ) -> list[ErrorSum]:
     """Sums of tones and noise of the shipped pair, with the probabilities that a telescope asks for."""
     names = ("name", "value", "limit", "unit", "probability")
-    found = [ErrorSum(*(row[name] for name in names)) for row in shipped["sums"].get(stage, ())]
-    found = [row for row in found if row.name in WITH_NOISE]
-    if telescope is None or not found:
-        return found
+    sums = [ErrorSum(*(row[name] for name in names)) for row in shipped["sums"].get(stage, ())]
+    sums = [row for row in sums if row.name in WITH_NOISE]
+    if telescope is None or not sums:
+        return sums
     instants, windows = required_probabilities(telescope, stage)
-    if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in found):
-        return found
+    if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in sums):
+        return sums
     from lftkit.proofs.trusted.noise import NoiseBound
     from los_design.verification.combined_bounds import error_sums
 

@@ -67,13 +67,13 @@ class Reach:
 
     def here(self, omega: float) -> list[tuple[slice, slice, dict[str, float]]]:
         """Blocks of the response with the metrics whose band has a frequency, and their factors there."""
-        found = []
+        blocks = []
         for rows, columns, names in self.blocks:
-            own = [self.metrics[name] for name in names]
-            factors = {m.name: self.loop.scale(m, omega) for m in own if m.band[0] <= omega <= m.band[1]}
+            metrics = [self.metrics[name] for name in names]
+            factors = {m.name: self.loop.scale(m, omega) for m in metrics if m.band[0] <= omega <= m.band[1]}
             if factors:
-                found.append((rows, columns, factors))
-        return found
+                blocks.append((rows, columns, factors))
+        return blocks
 
 
 @dataclass(frozen=True)
@@ -116,24 +116,24 @@ def sweep(
     stable : sequence of ndarray of bool, shape (points,)
         For each stage.
     """
-    found = [_nothing(reach, len(cube), len(omega)) for reach in reaches]
+    sweeps = [_nothing(reach, len(cube), len(omega)) for reach in reaches]
     open_loop, at = reaches[0].loop.open, omega[places]
     delta, lft = open_loop.delta(cube), open_loop.at(at)
-    for reach, own, there in zip(reaches, found, stable):
+    for reach, of_reach, there in zip(reaches, sweeps, stable):
         for k, w, closed in zip(places, at.tolist(), reach.loop.around(lft, at)):
             T = reach.responses(closed, delta)
-            own.doubt[:] |= reach.doubt(T, w)
+            of_reach.doubt[:] |= reach.doubt(T, w)
             for rows, columns, factors in reach.here(w):
-                known = np.min([own.value[name] / factor for name, factor in factors.items()], axis=0)
+                known = np.min([of_reach.value[name] / factor for name, factor in factors.items()], axis=0)
                 gains = _gains_above(T[:, rows, columns], known, there)
                 for name, factor in factors.items():
                     # Enter the values of a metric at a place of the grid
                     values, place = gains * factor, int(k)
-                    higher = values > own.value[name]
-                    own.value[name][higher] = values[higher]
-                    own.place[name][higher] = place
-                    own.envelope[name][place] = float(values.max())
-    return found
+                    higher = values > of_reach.value[name]
+                    of_reach.value[name][higher] = values[higher]
+                    of_reach.place[name][higher] = place
+                    of_reach.envelope[name][place] = float(values.max())
+    return sweeps
 
 
 def joined(parts: Sequence[Sweep]) -> Sweep:

@@ -126,8 +126,8 @@ class ImplementedCheck:
     @property
     def gammas(self) -> dict[str, list[float]]:
         """Gammas by the short name of the stage, in the paper's order."""
-        found = {"fsm": self.fsm, "pma": self.pma if MIRROR_STAGES[1] in self.checks else []}
-        return {name: values for name, values in found.items() if values}
+        by_stage = {"fsm": self.fsm, "pma": self.pma if MIRROR_STAGES[1] in self.checks else []}
+        return {name: values for name, values in by_stage.items() if values}
 
     @property
     def fsm(self) -> list[float]:
@@ -163,8 +163,8 @@ class ImplementedCheck:
         check = self.checks[stage]
         limit, fast = figure("fast").limit(self.telescope, stage) / MAS, check.envelope["fast"]
         least = ENVELOPE * self.gamma(stage, "fast")
-        found = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
-        return [(self.tone(stage, "slow"), 0.0), (self.tone(stage, "fast"), check.worst["fast"].omega), *found]
+        tones = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
+        return [(self.tone(stage, "slow"), 0.0), (self.tone(stage, "fast"), check.worst["fast"].omega), *tones]
 
     def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
         turn = omega * self.telescope.weights.rpe_window
@@ -201,9 +201,9 @@ class ImplementedCheck:
             np.maximum(check.envelope["slow"], check.envelope["fast"]) * factor
             for check, factor in ((self.alone, ratio), (self.both, 1.0))
         )
-        found = np.where((two > 0.1) & (one > 0.0), two / np.maximum(one, 1e-12), 0.0)
-        k = int(found.argmax())
-        return (20.0 * math.log10(found[k]) if found[k] > 0.0 else -math.inf), float(omega[k])
+        growth = np.where((two > 0.1) & (one > 0.0), two / np.maximum(one, 1e-12), 0.0)
+        k = int(growth.argmax())
+        return (20.0 * math.log10(growth[k]) if growth[k] > 0.0 else -math.inf), float(omega[k])
 
     def margins(self) -> dict[str, GuaranteedMargins]:
         """What the peaks of the sensitivities guarantee."""
@@ -319,19 +319,19 @@ def _delays(
 ) -> dict[str, float]:
     """Guaranteed delay margins [s] at up to :data:`DELAY_POINTS` of the points."""
     some = points[:: max(1, len(points) // DELAY_POINTS)]
-    found = dict.fromkeys(CLOSINGS, math.inf)
+    delays = dict.fromkeys(CLOSINGS, math.inf)
     omega: FloatArray = np.asarray(np.geomspace(0.1, 2500.0, DELAY_FREQUENCIES), dtype=float)
     for stage in stages:
         loop = ImplementedLoop(open_loop, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
         forces = open_loop.ports.forces
-        own = {
+        closings = {
             name: forces if channels == FORCES else channels
             for name, (closed, _, channels) in CLOSINGS.items()
             if closed == stage
         }
-        found |= dict(zip(own, delay_margins(loop, list(own.values()), cube, omega)))
-    return {name: value for name, value in found.items() if CLOSINGS[name][0] in stages}
+        delays |= dict(zip(closings, delay_margins(loop, list(closings.values()), cube, omega)))
+    return {name: value for name, value in delays.items() if CLOSINGS[name][0] in stages}
 
 
 def failures(checks: Mapping[str, ImplementedCheck]) -> list[str]:
@@ -342,13 +342,13 @@ def failures(checks: Mapping[str, ImplementedCheck]) -> list[str]:
     checks : mapping
         Name to result of :func:`check_implemented`.
     """
-    found: list[str] = []
+    texts: list[str] = []
     for name, check in checks.items():
         if check.stable < check.count:
-            found.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")
+            texts.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")
         elif not check.all_stable:
-            found.append(f"{name}: unstable at the nominal point")
-    return found
+            texts.append(f"{name}: unstable at the nominal point")
+    return texts
 
 
 def broken_requirements(check: ImplementedCheck) -> list[str]:
@@ -368,8 +368,8 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
     for stage in check.stages:
         absolute = figure("APE").limit(check.telescope, stage) / ARCSEC
         if not check.total_ape(stage) <= absolute:
-            found = digits_beside(check.total_ape(stage), absolute)
-            lines.append(f"{stage}: tone and noise {found} arcsec, must be at most {absolute:g} arcsec")
+            value = digits_beside(check.total_ape(stage), absolute)
+            lines.append(f"{stage}: tone and noise {value} arcsec, must be at most {absolute:g} arcsec")
     return lines + check.lost_margins()
 
 

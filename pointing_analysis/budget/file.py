@@ -156,28 +156,28 @@ def testbed_table(table: Entry) -> Entry | None:
     """First source of type ``testbed`` in a tree of tables."""
     if table.get("type") == "testbed":
         return table
-    found = (testbed_table(entry) for entry in table.values() if isinstance(entry, dict))
-    return next((entry for entry in found if entry is not None), None)
+    inner = (testbed_table(entry) for entry in table.values() if isinstance(entry, dict))
+    return next((entry for entry in inner if entry is not None), None)
 
 
 def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
     if not isinstance(entry, dict) or "text" not in entry or set(entry) - {"text", "name"}:
         raise InputError(f"{file}: requirement must have the keys text and name, got {entry!r}")
     try:
-        found = parse(str(entry["text"]), str(entry.get("name", "")))
+        requirement = parse(str(entry["text"]), str(entry.get("name", "")))
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-    if found.index not in INDICES:
-        raise InputError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
-    if found.of_windows:
-        instants = replace(found, of_windows=False).quantity
+    if requirement.index not in INDICES:
+        raise InputError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {requirement.index}")
+    if requirement.of_windows:
+        instants = replace(requirement, of_windows=False).quantity
         raise InputError(
             f"{file}: requirement must be on {instants} in a budget, which is for every instant, without rms of "
-            f"windows, got {found.quantity!r}"
+            f"windows, got {requirement.quantity!r}"
         )
     if axes != 2:
         raise InputError(f"{file}: axes must be two with requirements, got {axes}")
-    return found
+    return requirement
 
 
 def _total(file: Path, entry: Any) -> TotalRule:
@@ -235,11 +235,11 @@ class _Reader:
 
     def vector(self, path: tuple[str, ...], name: str, value: Any) -> FloatArray:
         """A value for each axis; a single number applies to all."""
-        given = np.asarray(value, dtype=float)
-        found: FloatArray = np.broadcast_to(given, (self.axes,)).copy() if given.ndim == 0 else given
-        if found.shape != (self.axes,) or not np.isfinite(found).all():
+        array = np.asarray(value, dtype=float)
+        each: FloatArray = np.broadcast_to(array, (self.axes,)).copy() if array.ndim == 0 else array
+        if each.shape != (self.axes,) or not np.isfinite(each).all():
             raise self.wrong(path, f"{name} must be {self.axes} finite numbers", value)
-        return found
+        return each
 
     def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: FloatArray) -> FloatArray:
         """Magnitude of all transfers at some frequencies [Hz]."""
@@ -259,10 +259,10 @@ class _Reader:
                     unstable = float(poles.real.max())
                     raise self.wrong(path, "transfer must be stable", f"a pole of real part {unstable:.4g} rad/s")
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    _, found = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
-                if not np.isfinite(found).all():
+                    _, rational = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
+                if not np.isfinite(rational).all():
                     raise self.wrong(path, "transfer must be finite at the frequencies of the source", entry)
-                total = total * found
+                total = total * rational
             elif isinstance(entry, dict) and set(entry) == {"file"}:
                 lines = read_text(self.file.parent / str(entry["file"])).splitlines()
                 table = np.loadtxt(lines, delimiter=",", ndmin=2)

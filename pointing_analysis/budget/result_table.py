@@ -46,7 +46,9 @@ def result_rows(
                 "index_mean": s.mean,
                 "index_sigma": s.sigma,
             }
-            axes = {f"{key}_{axis}": f"{x:.9g}" for key, found in values.items() for axis, x in zip(budget.axes, found)}
+            axes = {
+                f"{key}_{axis}": f"{x:.9g}" for key, by_axis in values.items() for axis, x in zip(budget.axes, by_axis)
+            }
             step_1 = {"source": source.name, "type": source.kind, "random": source.random}
             rows.append({**common, **step_1, **axes, "level": f"{s.level:.9g}", "share": f"{s.share:.9g}"})
         totals = {"total, distribution": v.level, "total, root sum of squares": v.rss}

@@ -112,20 +112,20 @@ def _whole(cell: str, where: str, key: str) -> int:
 
 
 def _number(cell: str, where: str, key: str) -> float:
-    found = _numbers(cell, where, key)
-    if isinstance(found, list):
+    parsed = _numbers(cell, where, key)
+    if isinstance(parsed, list):
         raise InputError(f"{where}: {key} must be one number, got {cell!r}")
-    return found
+    return parsed
 
 
 def _numbers(cell: str, where: str, key: str) -> float | list[float]:
     try:
-        found = [float(part) for part in cell.split(";")]
+        parsed = [float(part) for part in cell.split(";")]
     except ValueError:
         raise InputError(
             f"{where}: {key} must be a number, or one per axis, separated by semicolons, got {cell!r}"
         ) from None
-    return found[0] if len(found) == 1 else found
+    return parsed[0] if len(parsed) == 1 else parsed
 
 
 def source_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:

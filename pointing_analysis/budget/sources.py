@@ -284,22 +284,22 @@ def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> ErrorSource
 
     def complete(window: float) -> metrics.Windows:
         try:
-            found = metrics.windows(error, dt, window)
+            windows = metrics.windows(error, dt, window)
         except ValueError as wrong:
             raise InputError(f"{' / '.join(path)}: {wrong}") from None
-        if not len(found.start):
+        if not len(windows.start):
             raise InputError(f"{' / '.join(path)}: recording must have whole windows of {window:g} s, got none")
-        return found
+        return windows
 
     def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
         if window is None:
             return np.asarray(present[rng.integers(0, len(present), u.size)])
-        found = complete(window)
-        chosen = rng.integers(0, len(found.start), u.size)
-        begin = found.begin[chosen]
-        last = np.ceil(begin + found.samples - ROUNDING) - 1.0
-        at = np.minimum(np.floor(begin + u * found.samples), last).astype(np.int64)
-        return np.asarray(error[at] - found.mean[chosen])
+        windows = complete(window)
+        chosen = rng.integers(0, len(windows.start), u.size)
+        begin = windows.begin[chosen]
+        last = np.ceil(begin + windows.samples - ROUNDING) - 1.0
+        at = np.minimum(np.floor(begin + u * windows.samples), last).astype(np.int64)
+        return np.asarray(error[at] - windows.mean[chosen])
 
     def sigma(window: float | None) -> FloatArray:
         return np.asarray(present.std(axis=0) if window is None else complete(window).rpe_rms)
@@ -307,9 +307,9 @@ def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> ErrorSource
     def largest(window: float | None) -> FloatArray:
         if window is None:
             return np.asarray(np.abs(present).max(axis=0))
-        found = complete(window)
-        index, weight = window_rows(found.begin, found.samples)
-        rest = error[np.minimum(index, len(error) - 1)] - found.mean[:, None, :]
+        windows = complete(window)
+        index, weight = window_rows(windows.begin, windows.samples)
+        rest = error[np.minimum(index, len(error) - 1)] - windows.mean[:, None, :]
         return np.asarray(np.abs(np.where(weight[..., None] > 0.0, rest, 0.0)).max(axis=(0, 1)))
 
     return ErrorSource(path, "measured", TIME, mean, draw, sigma, largest)

@@ -165,15 +165,15 @@ def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudge
     else:
         sizes = [np.sqrt(np.square(np.abs(error) + largest[axes]).sum(axis=1))]
     quantiles = (confidence.quantile(size, p, 0.975, effective=size.size) for size in sizes)
-    found = max(quantiles, key=lambda quantile: quantile.value)
+    worst_axis = max(quantiles, key=lambda quantile: quantile.value)
     sigma = np.sqrt(sum((s.sigma(window) ** 2 for s in drawn), np.zeros(len(budget.axes))))
     reach = (np.abs(offset) + largest)[axes]
     rss = float(reach[0] + factor * sigma[axes[0]]) if len(axes) == 1 else norm_quantile(reach, sigma, p)
-    total = found.value if budget.summation == "distribution" else rss
+    total = worst_axis.value if budget.summation == "distribution" else rss
     limit = requirement.limit / ANGLES[budget.unit]
     shares = _shares(budget, drawn, window, axes, p, factor, means)
-    uncertainty = max(found.upper - found.value, found.value - found.lower)
-    return PointingBudgetVerdict(requirement, limit, shares, rss, found.value, uncertainty, total, limit - total)
+    uncertainty = max(worst_axis.upper - worst_axis.value, worst_axis.value - worst_axis.lower)
+    return PointingBudgetVerdict(requirement, limit, shares, rss, worst_axis.value, uncertainty, total, limit - total)
 
 
 def _shares(

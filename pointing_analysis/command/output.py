@@ -41,16 +41,16 @@ def leave_by_gate(verdicts: Iterable[tuple[str, bool | None]]) -> None:
     verdicts : iterable of (str, bool or None)
         Each requirement, and whether it is met; None: it is not demonstrated. None at all demonstrate nothing.
     """
-    found = list(verdicts)
+    rows = list(verdicts)
     for wanted, words, code in (
         (False, "not met", ExitCode.NOT_MET),
         (None, "not demonstrated", ExitCode.NOT_DEMONSTRATED),
     ):
-        names = dict.fromkeys(printable(name) for name, status in found if status is wanted)
+        names = dict.fromkeys(printable(name) for name, status in rows if status is wanted)
         if names:
             sys.stderr.write(f"gate: {words}: {', '.join(names)}\n")
             raise typer.Exit(code)
-    if not found:
+    if not rows:
         sys.stderr.write("gate: not demonstrated: no requirement was judged\n")
         raise typer.Exit(ExitCode.NOT_DEMONSTRATED)
 

@@ -41,10 +41,14 @@ def _group() -> None:
     """Verdicts on recorded lines of sight: tables and bags of any program."""
 
 
+@app.command("report", help="As `analyse`, and write a report: report.html here, or --output.")
 @app.command()
 def analyse(
+    context: typer.Context,
     recordings: Bags,
-    output: Annotated[Path | None, typer.Option(help="Report to write, .html or .pdf; default: none.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Report to write, .html or .pdf; default of `analyse`: none.")
+    ] = None,
     form: Format = None,
     paper: PaperSize = None,
     export: Export = None,
@@ -74,7 +78,8 @@ def analyse(
 
     seconds("--transient", transient)
     require_different(recordings)
-    outputs = report_files(output, None, form, paper, export)
+    usual = Path("report") if context.info_name == "report" else None
+    outputs = report_files(output, usual, form, paper, export)
     asked = requirements_in(requirements)
 
     def opener(path: Path, limit: int) -> Recording:
@@ -92,8 +97,8 @@ def analyse(
     for written in filter(None, (outputs.path, outputs.export)):
         say(console, f"report  {written}")
     if json_:
-        found = [summary.as_dict() for summary in summaries]
-        print_json(found[0] if len(found) == 1 else {"runs": found})
+        objects = [summary.as_dict() for summary in summaries]
+        print_json(objects[0] if len(objects) == 1 else {"runs": objects})
     leave_if_contradicted(text for summary in summaries for text in summary.contradictions)
     if gate:
         leave_by_gate(gate_of(summaries))

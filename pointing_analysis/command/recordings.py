@@ -98,11 +98,11 @@ def check_bag(path: Path) -> None:
     from pointing_analysis.read.tables.formats import Format, format_of
 
     try:
-        found = format_of(path) if path.is_file() else Format.BAG
+        kind_of_path = format_of(path) if path.is_file() else Format.BAG
     except InputError:
         return
-    if found is not Format.BAG:
-        kind = "CSV or other text" if found is Format.CSV else found.value
+    if kind_of_path is not Format.BAG:
+        kind = "CSV or other text" if kind_of_path is Format.CSV else kind_of_path.value
         raise InputError(
             f"{path} must be a bag (folder or .mcap file), got {kind}; `analyse FILE --output PAGE` evaluates tables"
         )

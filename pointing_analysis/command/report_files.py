@@ -34,13 +34,13 @@ Export = Annotated[
 
 
 def report_files(
-    given: Path | None, usual: Path | None, form: str | None, paper: str | None, export: Path | None
+    output: Path | None, usual: Path | None, form: str | None, paper: str | None, export: Path | None
 ) -> ReportOutputs:
     """Files of a report by the options of a command, checked before any work.
 
     Parameters
     ----------
-    given : Path or None
+    output : Path or None
         ``--output``.
     usual : Path or None
         Where none is given; its ending is that of the format. None: no report without `given` or `form`.
@@ -56,18 +56,18 @@ def report_files(
     """
     _require("--format", form, FORMATS)
     _require("--paper", paper, tuple(PAPERS))
-    if given is not None and form is not None and is_pdf(given) != (form == "pdf"):
+    if output is not None and form is not None and is_pdf(output) != (form == "pdf"):
         raise InputError(
-            f"--output must {'' if form == 'pdf' else 'not '}end in .pdf with --format {form}, got {given}"
+            f"--output must {'' if form == 'pdf' else 'not '}end in .pdf with --format {form}, got {output}"
         )
-    path = given
+    path = output
     if path is None and (usual is not None or form is not None):
         path = (usual or Path("report")).with_suffix(f".{form or FORMATS[0]}")
     if paper is not None and not (path is not None and is_pdf(path)):
         raise InputError(f"--paper must be given with a PDF report, got --paper {paper} without --format pdf")
-    found = ReportOutputs(path, cast(Paper, paper or "a4"), export)
-    found.check("--output" if given is not None else "the report")
-    return found
+    outputs = ReportOutputs(path, cast(Paper, paper or "a4"), export)
+    outputs.check("--output" if output is not None else "the report")
+    return outputs
 
 
 def _require(option: str, value: str | None, known: Sequence[str]) -> None:

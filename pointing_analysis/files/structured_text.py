@@ -30,9 +30,9 @@ _EXPONENT = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)[eE][-+]?\d+\Z")
 
 def _with_numbers(loader: Any) -> Any:
     """A loader that takes ``5e-3`` and ``1e1`` for numbers, as YAML 1.2 and TOML do; to YAML 1.1 they are texts."""
-    own: Any = type(loader.__name__, (loader,), {})
-    own.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
-    return own
+    with_numbers: Any = type(loader.__name__, (loader,), {})
+    with_numbers.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
+    return with_numbers
 
 
 _LOADER = _with_numbers(yaml.SafeLoader)
@@ -52,8 +52,8 @@ def read_text(path: Path, limit: int = TEXT) -> str:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        found = kind_of_file(path) or "other bytes"
-        raise InputError(f"{path} must be text in UTF-8, got {found}") from None
+        content = kind_of_file(path) or "other bytes"
+        raise InputError(f"{path} must be text in UTF-8, got {content}") from None
 
 
 def is_number(value: Any) -> TypeGuard[float]:

@@ -84,11 +84,11 @@ def _specification(table: TextTable, letters: list[int], small: bool) -> str:
     weights = [min(n, MOST) if wrap else 0 for n, wrap in zip(letters, wrapped)]
     plain = sum(n for n, wrap in zip(letters, wrapped) if not wrap)
     space = max(0.3, 1.0 - gap * len(letters) - plain / line)
-    found = []
+    columns = []
     for column, weight in zip(table.columns, weights):
         width = rf">{{\raggedright\arraybackslash}}p{{{space * weight / max(sum(weights), 1):.2f}\linewidth}}"
-        found.append(width if weight else "r" if column.number else "l")
-    return "".join(found)
+        columns.append(width if weight else "r" if column.number else "l")
+    return "".join(columns)
 
 
 def _head(heading: Heading, table: TextTable, column: int) -> str:

@@ -134,12 +134,12 @@ def autocorrelation_time(values: ArrayLike) -> float:
     for first, products in _autocorrelation(x):
         tau = total + np.cumsum(products / power)
         total = float(tau[-1])
-        found = np.flatnonzero(first + np.arange(tau.size) >= SOKAL_WINDOW * np.maximum(tau, 0.5))
-        if found.size:
+        ends = np.flatnonzero(first + np.arange(tau.size) >= SOKAL_WINDOW * np.maximum(tau, 0.5))
+        if ends.size:
             # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back. With
             # the lag below n and the time at most a sixth of the lag the result is below n / 2.
-            lag = first + int(found[0])
-            return float(max(tau[found[0]], 0.5) * (1 + (2 * lag + 1) / n))
+            lag = first + int(ends[0])
+            return float(max(tau[ends[0]], 0.5) * (1 + (2 * lag + 1) / n))
     return n / 2  # a sample is infinite: over all lags the sum of finite ones is zero, far below the last lag
 
 
@@ -153,8 +153,8 @@ def _autocorrelation(x: FloatArray) -> Iterator[tuple[int, FloatArray]]:
     for first in range(0, n, block):
         total = np.zeros(min(block, n - first))
         for begin in range(0, n - first, block):
-            own, later = x[begin : begin + block], x[begin + first : begin + first + 2 * block]
-            product = fft.rfft(later, size) * np.conj(fft.rfft(own, size))
+            earlier, later = x[begin : begin + block], x[begin + first : begin + first + 2 * block]
+            product = fft.rfft(later, size) * np.conj(fft.rfft(earlier, size))
             total += fft.irfft(product, size)[: total.size]
             release()
         yield first, total

@@ -374,11 +374,11 @@ def period(values: FloatArray, size: float) -> int:
     if n < 2 * TYPICAL:
         return n
     near = [np.flatnonzero(np.abs(values[part] - values[0]) <= allowed) + part.start for part in parts(n)]
-    found: IntArray = np.concatenate(near)
-    found = found[(found > 0) & (found <= n // 2)]
+    lags: IntArray = np.concatenate(near)
+    lags = lags[(lags > 0) & (lags <= n // 2)]
     for k in range(1, TYPICAL):
-        found = found[np.abs(values[found + k] - values[k]) <= allowed]
-    for lag in found[:TYPICAL].tolist():
+        lags = lags[np.abs(values[lags + k] - values[k]) <= allowed]
+    for lag in lags[:TYPICAL].tolist():
         if all(np.abs(values[lag:][part] - values[:-lag][part]).max() <= 4.0 * allowed for part in parts(n - lag)):
             return int(lag)
     return n

@@ -155,13 +155,13 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
 
 def _quantum(steps: FloatArray, settings: LiveRowSettings) -> FloatArray:
     """Quantum (2,) of which all steps (n, 2) between rows are multiples; zero in an axis that is not rounded."""
-    found = np.zeros(steps.shape[1])
+    quanta = np.zeros(steps.shape[1])
     for k, column in enumerate(np.abs(steps).T):
         moving = column[column > 0.0]
         if moving.size:
             places = moving / moving.min()
-            found[k] = moving.min() if (np.abs(places - np.rint(places)) <= settings.multiple).all() else 0.0
-    return found
+            quanta[k] = moving.min() if (np.abs(places - np.rint(places)) <= settings.multiple).all() else 0.0
+    return quanta
 
 
 def _cubic_pieces(e: FloatArray, quantum: FloatArray, settings: LiveRowSettings) -> Hold | None:

@@ -207,7 +207,7 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
         variances.append(variance[kept])
         begins.append((first + np.flatnonzero(kept)) * float(n))
         first += len(mean)
-    mean, variance, begin = (read_only(found.array()) for found in (means, variances, begins))
+    mean, variance, begin = (read_only(grown.array()) for grown in (means, variances, begins))
     start = read_only(np.floor(begin + ROUNDING).astype(np.int64))
     return Windows(mean, variance, start, begin, n, m - len(start))
 
@@ -281,12 +281,12 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
         return _fractional_instant(e, n, position)
     n = round(n)
     if position == "all":
-        found, first = empty((len(e) // n * n, 2)), 0
+        errors, first = empty((len(e) // n * n, 2)), 0
         for blocks in _blocks(e, n):
             rest = (blocks - blocks.mean(axis=1, keepdims=True)).reshape(-1, 2)
-            found[first : first + len(rest)] = rest
+            errors[first : first + len(rest)] = rest
             first += len(rest)
-        return found
+        return errors
     at = n // 2 if position == "centred" else n - 1
     missing: BoolArray = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
@@ -307,15 +307,15 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
 def _fractional_instant(e: FloatArray, n: float, position: Position) -> FloatArray:
     """`rpe_instant` with windows that are no whole number of samples."""
     if position == "all":
-        found = empty((int(np.ceil(_count(e, n) * n - 0.5)), 2))
+        errors = empty((int(np.ceil(_count(e, n) * n - 0.5)), 2))
         at = first = 0
         for mean, _ in _disjoint(e, n):
             first += len(mean)
-            stop = min(int(np.ceil(first * n - 0.5)), len(found))  # samples whose middle is in these windows
-            own = ((np.arange(at, stop) + 0.5) / n).astype(np.int64) - (first - len(mean))
-            found[at:stop] = e[at:stop] - mean[own]
+            stop = min(int(np.ceil(first * n - 0.5)), len(errors))  # samples whose middle is in these windows
+            window = ((np.arange(at, stop) + 0.5) / n).astype(np.int64) - (first - len(mean))
+            errors[at:stop] = e[at:stop] - mean[window]
             at = stop
-        return found
+        return errors
     ahead = 0.5 * (n - 1) if position == "centred" else n - 1  # from the begin of a window to that of its sample
     k = np.arange(int(np.ceil(ahead)), len(e) if position == "end" else int(len(e) - ahead))
     starts = k.astype(np.float64) - ahead

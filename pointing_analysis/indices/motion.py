@@ -57,13 +57,13 @@ def motion_of(run: Recording) -> Motion | None:
 
 def read_motion(run: Recording) -> tuple[Motion | None, str]:
     """What :func:`motion_of` returns, and what is wrong with the entry."""
-    found, wrong = run.parameters.get("motion"), "the motion of the recording cannot be read"
-    if found is None:
+    content, wrong = run.parameters.get("motion"), "the motion of the recording cannot be read"
+    if content is None:
         return None, ""
     try:
-        knots = np.array(found["knots"], dtype=float).reshape(-1, 6)
-        harmonics = np.array(found["harmonics"], dtype=float).ravel()
-        rows = found.get("modes_over_time") or [[0.0, *found["modes"]]]
+        knots = np.array(content["knots"], dtype=float).reshape(-1, 6)
+        harmonics = np.array(content["harmonics"], dtype=float).ravel()
+        rows = content.get("modes_over_time") or [[0.0, *content["modes"]]]
         modes = tuple((float(row[0]), np.array(row[1:], dtype=float)) for row in rows)
     except (KeyError, TypeError, ValueError, IndexError):
         return None, wrong

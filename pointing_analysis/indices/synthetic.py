@@ -144,8 +144,8 @@ def _events(
         typed[name] = (schema, values)
         step = round(dt * 1e9) * periods.get(name, 1)
         nominal = start + step * np.arange(len(values), dtype=np.int64)
-        given = np.asarray(stamps.get(name, nominal), dtype=np.int64)
-        events += [(int(a), int(s), name, i) for i, (a, s) in enumerate(zip(nominal, given))]
+        shown = np.asarray(stamps.get(name, nominal), dtype=np.int64)
+        events += [(int(a), int(s), name, i) for i, (a, s) in enumerate(zip(nominal, shown))]
     return typed, sorted(events, key=lambda event: event[0])
 
 

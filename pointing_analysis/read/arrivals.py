@@ -125,7 +125,7 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
     regular = period > 0 and float(np.mean(np.abs(steps - period) <= 0.5 * period)) >= REGULAR
     jumps = _delays(logged, stamps, period if regular else 0.0) if stamped else _backwards(logged)
     since = np.asarray((logged - logged[0]) / NANO)
-    found = [Event(kind, float(since[i]), size / NANO) for i, (kind, size) in jumps.items()]
+    events = [Event(kind, float(since[i]), size / NANO) for i, (kind, size) in jumps.items()]
     if regular:
         steps = steps.copy()
         for i, (kind, _) in jumps.items():
@@ -136,16 +136,16 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
         least = GAP * period if stamped else max(2.0 * GAP * period, STALL * NANO)
         for i in np.flatnonzero(steps > least).tolist():
             lost = round(float(steps[i]) / period) - 1 if stamped else 0
-            found.append(Event("gap", float(since[i]), float(steps[i]) / NANO, lost))
-    found.sort(key=lambda event: event.at)
-    return Arrivals(logged.size, stamped, period / NANO if regular else None, tuple(found))
+            events.append(Event("gap", float(since[i]), float(steps[i]) / NANO, lost))
+    events.sort(key=lambda event: event.at)
+    return Arrivals(logged.size, stamped, period / NANO if regular else None, tuple(events))
 
 
 def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, tuple[Kind, float]]:
     """Stalls and clock steps by the message before them, sizes [ns]."""
     delay = logged - stamps
     least, longest = max(STEP * NANO, GAP * period), max(STALL * NANO, 2.0 * GAP * period)
-    found: dict[int, tuple[Kind, float]] = {}
+    delays: dict[int, tuple[Kind, float]] = {}
     start = caught_up = 0  # of the present level; end of a stall
     for i in np.flatnonzero(np.abs(np.diff(delay)) > least).tolist():
         if i < caught_up:
@@ -159,7 +159,7 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
         back = np.flatnonzero((after - level <= max(0.1 * rise, least)) & within)
         if rise > 0 and (back.size or after.size < BEFORE):
             if rise > longest:
-                found[i] = ("stall", rise)
+                delays[i] = ("stall", rise)
             end = i + 1 + int(back[0]) if back.size else logged.size
             caught_up = end - 1 if back.size and level - delay[end] > least else end  # where it falls below: a step
         elif period > 0:  # of a topic without one, several nodes may send, each with its own delay
@@ -167,8 +167,8 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
             jitter = float(np.quantile(after[:BEFORE], USUAL) - after[:BEFORE].min())
             if change > least or change < -least - jitter:  # the few messages before may all have come late
                 start = i + 1
-                found[i] = ("clock step", change)
-    return MappingProxyType(found)
+                delays[i] = ("clock step", change)
+    return MappingProxyType(delays)
 
 
 def _backwards(logged: IntArray) -> Mapping[int, tuple[Kind, float]]:

@@ -107,8 +107,8 @@ class _Topic:
         topic = self.name
         exact = [v for v in self.vectors if los == (f"{topic}.{v.name}" if v.name else topic)]
         exact = exact or [v for v in self.vectors if v.axis and los == f"{topic}.{v.path}"]
-        found = exact or (list(self.vectors) if los == topic else [])
-        return [v for v in found if not v.quantity] or found
+        named = exact or (list(self.vectors) if los == topic else [])
+        return [v for v in named if not v.quantity] or named
 
     def decode(self, block: Block, rows: IntArray, vector: ros_definitions.Vector) -> Samples:
         """Numbers (n, 2), of an attitude (n, 4), and header stamps (n,) of messages, and which could be read."""
@@ -124,8 +124,8 @@ class _Topic:
                     self.left_out[str(error)] += 1
                     index, payloads = index[1:], payloads[1:]
                     continue
-                found, fits = ros_definitions.numbers(payloads, places)
-                values[index[fits]], fitting[index[fits]] = found[fits], True
+                decoded, fits = ros_definitions.numbers(payloads, places)
+                values[index[fits]], fitting[index[fits]] = decoded[fits], True
                 if vector.stamped:
                     stamps[index[fits]] = ros_definitions.stamps(payloads[fits], places.order)
                 index, payloads = index[~fits], payloads[~fits]
@@ -148,10 +148,10 @@ def _unit(vector: ros_definitions.Vector) -> str:
     """Unit of the two numbers where the type has one (an attitude: rad), or their names, or that of the field."""
     if vector.axis:
         return "rad"
-    own = {split_unit(name)[1] for name in vector.components[:2]}
-    found = own.pop() if len(own) == 1 else ""
-    found = found or split_unit(vector.path.rpartition(".")[2])[1]
-    return found if found in ANGLES else ""
+    stated = {split_unit(name)[1] for name in vector.components[:2]}
+    unit = stated.pop() if len(stated) == 1 else ""
+    unit = unit or split_unit(vector.path.rpartition(".")[2])[1]
+    return unit if unit in ANGLES else ""
 
 
 def _met(channel: Channel, first: bytes) -> _Topic:
@@ -172,12 +172,12 @@ def _met(channel: Channel, first: bytes) -> _Topic:
 
 def _add_transforms(topics: dict[str, _Topic], channel: Channel, block: Block, rows: IntArray) -> None:
     """Attitudes of messages of tf2, those of each child frame as a topic of its own: ``/tf[camera]``."""
-    found: dict[str, list[tuple[int, int, int, tuple[float, ...]]]] = {}
+    of_child: dict[str, list[tuple[int, int, int, tuple[float, ...]]]] = {}
     for row in rows.tolist():
         for child, stamp, rotation in _read_transforms(topics, channel, block.payload(row)):
             times = int(block.heads["log"][row]), int(block.heads["publish"][row])
-            found.setdefault(child, []).append((*times, stamp, rotation))
-    for child, all_of_it in found.items():
+            of_child.setdefault(child, []).append((*times, stamp, rotation))
+    for child, all_of_it in of_child.items():
         name = f"{channel.topic}[{child}]"
         if name not in topics:
             vectors = (ros_definitions.Vector("rotation", ros_definitions.QUATERNION, True, "", axis) for axis in "xyz")
@@ -236,11 +236,11 @@ def candidates(path: Path) -> tuple[Candidate, ...]:
         Not a bag, or an unreadable one: the message has the reason for one topic.
     """
     topics, _ = _scan(path)
-    found = tuple(c for name in sorted(topics) for c in topics[name].candidates())
+    possible = tuple(c for name in sorted(topics) for c in topics[name].candidates())
     refused = next((name for name in sorted(topics) if topics[name].refusal), None)
-    if refused is not None and not found:
+    if refused is not None and not possible:
         raise BagError(f"{path}: {refused}: {topics[refused].refusal}")
-    return found
+    return possible
 
 
 def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
@@ -355,7 +355,7 @@ def read_external(
         "components": list(chosen.components[:2]),
         "time": "header" if by_header else "log",
     }
-    found = make_series(
+    los_series = make_series(
         stamps[fitting],
         used,
         unit=chosen.unit or unit,
@@ -364,6 +364,6 @@ def read_external(
         provenance=Provenance(path, "bag", chosen.name, chosen.schema, about, problems),
     )
     loss = next((loss for loss in reading.losses() if loss.topic == topic.channel.topic), None)
-    before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)
-    judged = replace(found.topic, lost_before=before, lost_after=after, open_end=reading.cut)
-    return replace(found, topic=judged, losses=reading.losses(), contradictions=reading.contradictions)
+    before, after = loss.ends(los_series.topic.integrity.missing) if loss is not None else (0, 0)
+    judged = replace(los_series.topic, lost_before=before, lost_after=after, open_end=reading.cut)
+    return replace(los_series, topic=judged, losses=reading.losses(), contradictions=reading.contradictions)

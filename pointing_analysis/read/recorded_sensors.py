@@ -75,10 +75,10 @@ def read_sensors(run: Recording) -> tuple[tuple[RecordedSensor, ...], str]:
     try:
         if not isinstance(entries, list):
             raise InputError(f"{METADATA} must be a list, got {type(entries).__name__}")
-        found = [RecordedSensor.from_mapping(entry) for entry in entries]
+        sensors = [RecordedSensor.from_mapping(entry) for entry in entries]
     except InputError as error:
         return (), f"the sensors of the recording cannot be read: {error}"
-    return tuple(sensor for sensor in found if sensor.topic in run), ""
+    return tuple(sensor for sensor in sensors if sensor.topic in run), ""
 
 
 __all__ = ["METADATA", "RecordedSensor", "read_sensors", "sensors_of"]

@@ -110,8 +110,8 @@ class Run:
             for _ in self._read.blocks():
                 pass
             self._noted.update(dict.fromkeys(self._read.problems()))
-        found, _ = merged(self._read.infos)
-        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in found.items()})
+        metadata, _ = merged(self._read.infos)
+        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in metadata.items()})
         every = {c.topic: c for info in self._read.infos for c in info.channels.values()}
         named = self.parameters.get(REMAPPED)
         names = named.items() if isinstance(named, dict) else ()
@@ -203,25 +203,27 @@ class Run:
                 raise BagError(f"{self.path}: {channel.topic}: {error}") from None
 
     def _choose_namespace(self, names: Iterable[str]) -> str:
-        found = defaultdict(set)
+        plants = defaultdict(set)
         for name in names:
             for short in KNOWN:
                 if name.endswith("/" + short):
-                    found[name[: -len(short) - 1]].add(short)
+                    plants[name[: -len(short) - 1]].add(short)
         if self._asked_namespace is not None:
             chosen = "/" + self._asked_namespace.strip("/") if self._asked_namespace.strip("/") else ""
-            if chosen not in found:
-                raise BagError(f"{self.path}: namespace must be one of {sorted(found)}, got {chosen!r}")
+            if chosen not in plants:
+                raise BagError(f"{self.path}: namespace must be one of {sorted(plants)}, got {chosen!r}")
             return chosen
-        if not found:
+        if not plants:
             some = ", ".join(sorted(names)[:5]) or "no topics"
             raise BagError(
                 f"{self.path}: the bag must hold a topic such as /telescope/truth/los, got {some}: "
                 "`analyse --los` takes other lines of sight (`bag topics` lists them)"
             )
-        if len(found) > 1:
-            raise BagError(f"{self.path}: the bag must hold one plant, got {sorted(found)}: choose one with namespace=")
-        return next(iter(found))
+        if len(plants) > 1:
+            raise BagError(
+                f"{self.path}: the bag must hold one plant, got {sorted(plants)}: choose one with namespace="
+            )
+        return next(iter(plants))
 
     # -- access -------------------------------------------------------------------------------------------------
 
@@ -285,39 +287,39 @@ class Run:
         """Ticks from the first to the last one that all topics of the plant have, with known losses; None of a part."""
         if self._window != WHOLE:
             return None
-        found = [topic for name in OF_EVERY_TICK if name in self and len(topic := self[name]) and topic.period > 0]
-        if not found:
+        regular = [topic for name in OF_EVERY_TICK if name in self and len(topic := self[name]) and topic.period > 0]
+        if not regular:
             return 0
-        first = max(topic.grid_start for topic in found)
-        last = min(int(topic.stamp[-1]) + round(self._lost_ends(topic)[1] * topic.period * NANO) for topic in found)
-        return round((last - first) / (found[0].period * NANO)) + 1
+        first = max(topic.grid_start for topic in regular)
+        last = min(int(topic.stamp[-1]) + round(self._lost_ends(topic)[1] * topic.period * NANO) for topic in regular)
+        return round((last - first) / (regular[0].period * NANO)) + 1
 
     def messages(self, name: str) -> tuple[bytes, ...]:
         """Messages of a topic as they were recorded, in the order of the files; also of a type that is no columns.
 
         Empty where the bag has no such topic.
         """
-        full, found = self._full(name), []
+        full, payloads = self._full(name), []
         reading = BagPass(self.path, self._files, self._max_chunk, self._window)
         for info, block in reading.blocks():
             seconds = reading.seconds(block)
             for channel, rows in block.by_channel(info.channels):
                 if channel.topic == full and channel.encoding == "cdr":
                     inside = rows[(seconds[rows] >= self._window[0]) & (seconds[rows] < self._window[1])]
-                    found += [block.payload(row) for row in inside.tolist()]
-        return tuple(found)
+                    payloads += [block.payload(row) for row in inside.tolist()]
+        return tuple(payloads)
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files in the bag (controllers, plant parameters), by name."""
-        found = {k: v.data for info in self._read.infos for k, v in info.attachments.items()}
-        return MappingProxyType({**found, **self._added})
+        files = {k: v.data for info in self._read.infos for k, v in info.attachments.items()}
+        return MappingProxyType({**files, **self._added})
 
     def changed(self, parameters: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Run:
         """The same bag with other parameters and further attachments; what is read already is shared."""
-        found = copy.copy(self)
-        found.parameters, found._added = MappingProxyType(dict(parameters)), {**self._added, **attachments}
-        return found
+        other = copy.copy(self)
+        other.parameters, other._added = MappingProxyType(dict(parameters)), {**self._added, **attachments}
+        return other
 
     @property
     def window(self) -> tuple[float, float]:

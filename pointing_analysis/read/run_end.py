@@ -67,8 +67,8 @@ class RunEnd:
 def statistics_of(parameters: Mapping[str, Any], node: str) -> Mapping[str, Any]:
     """Last statistics of a node in what the recorder wrote about a run; empty if there are none, or another type."""
     statistics = parameters.get("statistics")
-    found = statistics.get(node) if isinstance(statistics, Mapping) else None
-    return found if isinstance(found, Mapping) else {}
+    of_node = statistics.get(node) if isinstance(statistics, Mapping) else None
+    return of_node if isinstance(of_node, Mapping) else {}
 
 
 def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd:

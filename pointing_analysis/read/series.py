@@ -171,14 +171,14 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     """
     if stamps.size < 2:
         return stamps, np.ones(stamps.size, bool), ()
-    found = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
+    mean_rate = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
     typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
-    if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
+    if not 0.9 < mean_rate / rate < 1.1 and not 0.9 < typical / rate < 1.1:
         raise InputError(f"rate must match the samples, about {typical:.6g} Hz, got {rate:g} Hz")
-    own = time_grid((stamps - stamps.min()) / NANO)
-    if own is not None and abs(own.period * rate - 1.0) * np.ptp(own.place) > OUT_OF_STEP:
+    grid = time_grid((stamps - stamps.min()) / NANO)
+    if grid is not None and abs(grid.period * rate - 1.0) * np.ptp(grid.place) > OUT_OF_STEP:
         raise InputError(
-            f"rate must match the samples, {1 / own.period:.9g} Hz by their times, got {rate:.9g} Hz: "
+            f"rate must match the samples, {1 / grid.period:.9g} Hz by their times, got {rate:.9g} Hz: "
             "without one it is taken from the time stamps"
         )
     place = np.rint((stamps - stamps[0]) * (rate / NANO)).astype(np.int64)

@@ -179,7 +179,7 @@ def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
     return int((differs & ~np.isnan(values[again]).any(axis=1)).sum())
 
 
-def _inspect(stamp: IntArray, period: float, found: Mapping[str, int]) -> Integrity:
+def _inspect(stamp: IntArray, period: float, counts: Mapping[str, int]) -> Integrity:
     """Look at unique stamps; `found` are the counts of what was sorted out before."""
     other, missing, irregular, gap_count = _OtherRate(period), 0, 0, 0
     gaps: list[tuple[float, int]] = []
@@ -199,7 +199,7 @@ def _inspect(stamp: IntArray, period: float, found: Mapping[str, int]) -> Integr
         gap_count=gap_count,
         irregular=irregular,
         other_rate=other.share(),
-        **found,
+        **counts,
     )
 
 
@@ -237,16 +237,16 @@ def make_topic(
     real = by_parts(lambda part: part != 0, stamp, dtype=bool)
     if not real.all():
         stamp, values, published = _chosen(real, stamp, values, published)
-    found = {"messages": messages, "unstamped": messages - int(stamp.size), "out_of_order": _count_late(stamp)}
-    if found["out_of_order"]:
+    counts = {"messages": messages, "unstamped": messages - int(stamp.size), "out_of_order": _count_late(stamp)}
+    if counts["out_of_order"]:
         stamp, values, published = _chosen(np.argsort(stamp, kind="stable"), stamp, values, published)
     kept = np.concatenate([np.ones(min(stamp.size, 1), bool), *(steps > 0 for _, steps in _steps(stamp))])
     nan = sum(int(np.isnan(values[part]).any(axis=1).sum()) for part in parts(len(values)))
-    found |= {"duplicates": int((~kept).sum()), "conflicts": _repeated(stamp, values, kept), "nan": nan}
+    counts |= {"duplicates": int((~kept).sum()), "conflicts": _repeated(stamp, values, kept), "nan": nan}
     if not kept.all():
         stamp, values, published = _chosen(kept, stamp, values, published)
     step = _period_ns(stamp) if period is None or len(stamp) < 2 else whole_period(period)
-    integrity = _inspect(stamp, step, found)
+    integrity = _inspect(stamp, step, counts)
     return Topic(
         name,
         schema,

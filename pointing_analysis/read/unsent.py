@@ -33,8 +33,8 @@ def unsent(run: Recording, name: str) -> int:
     name : str
         Topic without the namespace.
     """
-    found = statistics_of(run.parameters, "recorder").items()
-    texts = [text for key, text in found if str(key).startswith(UNSENT) and str(key).endswith(f"/{name}")]
+    statistics = statistics_of(run.parameters, "recorder").items()
+    texts = [text for key, text in statistics if str(key).startswith(UNSENT) and str(key).endswith(f"/{name}")]
     return sum(count_of(text) or 0 for text in texts)
 
 

@@ -142,10 +142,10 @@ class Replayed:
 
     def topics(self) -> dict[str, tuple[Stamps, FloatArray]]:
         """Stamps and values by topic name, ready to be written into a bag."""
-        found = {"los_estimate": (self.stamp, self.estimate)}
+        signals = {"los_estimate": (self.stamp, self.estimate)}
         for name, columns in self.layout.commands.items():
-            found[name] = (self.command_stamp, self.command[:, columns])
-        return found
+            signals[name] = (self.command_stamp, self.command[:, columns])
+        return signals
 
 
 @dataclass(frozen=True)
@@ -270,20 +270,20 @@ def replay(
     layout : topics that are read and written
     changes : of observer and controller
     """
-    given, observed, measured = sensors(run, layout), layout.of(layout.observer), layout.of(layout.controller)
+    sensed, observed, measured = sensors(run, layout), layout.of(layout.observer), layout.of(layout.controller)
     recorded = run["los_estimate"].stamp if "los_estimate" in run else None
-    rows = _ticks(given.stamp, recorded)
-    stamp = _rows_of(given.stamp, rows)
+    rows = _ticks(sensed.stamp, recorded)
+    stamp = _rows_of(sensed.stamp, rows)
     total = 2 * len(stamp)
     estimator.reset()
     fill = str(run.parameters.get("lost_samples", HOLD))
     held = np.flatnonzero(np.isin(observed, layout.of(layout.held)))
     step = GapStepper(estimator.step, observed.size, held, fill, getattr(estimator, "steps", None))
     estimate = _stepped(
-        lambda part: given.measurement[rows[part][:, None], observed],
+        lambda part: sensed.measurement[rows[part][:, None], observed],
         step,
         stamp,
-        given.period,
+        sensed.period,
         2,
         lambda i: progress(i, total),
         changes[0],
@@ -299,17 +299,17 @@ def replay(
         in_rows=None if in_rows is None else lambda samples: in_rows(samples[:, :2], samples[:, 2:]),
     )
     command = _stepped(
-        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]][:, None], measured]]),
+        lambda part: np.hstack([estimate[acted[part]], sensed.measurement[rows[acted[part]][:, None], measured]]),
         step,
         command_stamp,
-        given.period,
+        sensed.period,
         layout.command_size,
         lambda i: progress(len(stamp) + i, total),
         changes[1],
     )
     progress(total, total)
     outputs = read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command)
-    return Replayed(*outputs, layout, given.stamp)
+    return Replayed(*outputs, layout, sensed.stamp)
 
 
 def _rows_of(stamp: Stamps, rows: IntArray) -> Stamps:
@@ -330,7 +330,7 @@ def _stepped(
     for part in parts(len(stamp)):
         # Ticks missing before each one of a part
         before = stamp[part.start - 1] if part.start else stamp[0] - period
-        given, out, gaps = (
+        inputs, out, gaps = (
             samples(part),
             np.zeros((part.stop - part.start, width)),
             np.diff(stamp[part], prepend=before) // period - 1,
@@ -341,7 +341,7 @@ def _stepped(
         for first, last in itertools.pairwise(edges):
             while waiting and waiting[0][0] <= ticks[first]:
                 waiting.pop(0)[1]()
-            stepper.rows(given[first:last], gaps[first:last], out[first:last])
+            stepper.rows(inputs[first:last], gaps[first:last], out[first:last])
             changes.fade(out[first:last])
             progress(part.start + first)
         outputs[part] = out
@@ -409,7 +409,7 @@ class Comparison:
 
 def compare(run: Run, replayed: Replayed) -> Comparison:
     """Compare a replay with the estimates and commands in the bag, by the bits of each number."""
-    found = []
+    differences = []
     for name, (stamp, values) in replayed.topics().items():
         if name not in run or not len(run[name]):
             continue
@@ -425,5 +425,5 @@ def compare(run: Run, replayed: Replayed) -> Comparison:
             apart = np.abs(a[where] - b[where])
             largest = max([largest, *np.where(np.isnan(apart), np.inf, apart).ravel().tolist()])
         lone = len(stamp) + len(topic) - 2 * compared
-        found.append(Difference(name, compared, wrong, lone, first, largest))
-    return Comparison(tuple(found), _complete_ticks(run, replayed.layout)[2])
+        differences.append(Difference(name, compared, wrong, lone, first, largest))
+    return Comparison(tuple(differences), _complete_ticks(run, replayed.layout)[2])

@@ -126,8 +126,8 @@ def requirement_rows(names: Sequence[str], summaries: Sequence[Summary]) -> list
     """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
     several = len(names) > 1
     joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
-    own = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
-    return [row for row in own if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
+    of_runs = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
+    return [row for row in of_runs if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
 
 
 def content_of(
@@ -277,13 +277,13 @@ def _predictions(names: Sequence[str], model: ModelResults, several: bool) -> Re
         "due to noise; “in noise”: neither amplitude is above the noise."
     )
     parts = []
-    for k, (name, found) in enumerate(zip(names, model.predictions)):
-        if found is not None and found.tones:
-            title = f"{name}: {digits(found.start, 6)} s to {digits(found.stop, 6)} s"
-            table = prediction_table(found, _file("predicted", k, several))
+    for k, (name, prediction) in enumerate(zip(names, model.predictions)):
+        if prediction is not None and prediction.tones:
+            title = f"{name}: {digits(prediction.start, 6)} s to {digits(prediction.stop, 6)} s"
+            table = prediction_table(prediction, _file("predicted", k, several))
             parts.append(ReportPart(title, table, (), k, not several))
-        elif found is not None:
-            parts.append(ReportPart(lines=(f"{name}: no prediction: {found.note}.",), run=k))
+        elif prediction is not None:
+            parts.append(ReportPart(lines=(f"{name}: no prediction: {prediction.note}.",), run=k))
     return ReportSection("predicted", "Predicted and measured tones", tuple(parts), note)
 
 
@@ -340,8 +340,8 @@ def _origin(runs: Sequence[Recording]) -> str:
     """Source of the line of sight."""
     if all(isinstance(run, Run) for run in runs):
         return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
-    found = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)
-    return f"Line of sight: {'; '.join(found)}."
+    names = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)
+    return f"Line of sight: {'; '.join(names)}."
 
 
 def _from(runs: Sequence[Recording]) -> str:

@@ -55,12 +55,12 @@ def distributions(views: Sequence[RunView], requirements: Sequence[Requirement])
     for requirement in requirements:
         if requirement.index in SHOWN:
             asked.setdefault(requirement.quantity, []).append(requirement)
-    return [_distribution(views, quantity, own) for quantity, own in asked.items()]
+    return [_distribution(views, quantity, of_quantity) for quantity, of_quantity in asked.items()]
 
 
-def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Requirement]) -> Picture | str:
+def _distribution(views: Sequence[RunView], quantity: str, requirements: Sequence[Requirement]) -> Picture | str:
     """Share of the samples of an index above each value, or why a run has none."""
-    requirement = own[0] if own else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
+    requirement = requirements[0] if requirements else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
     try:
         values = [present(index_samples(view.series, requirement).values) for view in views]
@@ -73,8 +73,8 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
-        smallest = [one.limit / scale for one in own]
-        asked_for = sorted({one.probability for one in own})
+        smallest = [one.limit / scale for one in requirements]
+        asked_for = sorted({one.probability for one in requirements})
         for i, (view, own_values) in enumerate(zip(views, values)):
             r = SortedValues(by_parts(lambda rows: rows / scale, own_values))
             # Even steps in the logarithm of the share: the tail keeps all of its points. Between two samples the share
@@ -87,9 +87,9 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
             value = [r.quantile(p) for p in asked_for]
             axis.plot(value, np.subtract(1.0, asked_for), "o", mfc="none", **stroke(i, len(views)))
             smallest += [value for value in [r.quantile(1.0 - LEFT)] if value > 0.0]
-        if own:
+        if requirements:
             axis.plot([], [], "o", mfc="none", color="#555555", label="value of the requirement")
-        allowed = {(one.limit, one.probability): one for one in own}
+        allowed = {(one.limit, one.probability): one for one in requirements}
         for limit, probability in sorted(allowed):
             text = f"limit {limit / scale:.6g} {unit} for {100 * probability:.6g} %"
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9)
@@ -103,6 +103,6 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
         axis.set_ylabel(f"share of {samples} above")
         legend_above(figure, axis)
 
-    alt = f"Share of the {samples} in which {quantity} exceeds each value{', with its limits' if own else ''}"
+    alt = f"Share of the {samples} in which {quantity} exceeds each value{', with its limits' if requirements else ''}"
     name = "".join(c if c.isalnum() else "-" for c in quantity.lower()).strip("-")
     return picture(name, f"Distribution of {quantity}", alt, 3.8, draw)

@@ -44,9 +44,9 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
     requirements : those on the rms RPE in windows, both axes, are marked at their window, with the mark of the curve of
         the part of the windows that they ask for
     """
-    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
-    asked = sorted({(r.times[0], r.limit, r.probability) for r in own})
-    wanted = sorted({r.probability for r in own} or {probabilities_of(requirements).windows}, reverse=True)
+    relative = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
+    asked = sorted({(r.times[0], r.limit, r.probability) for r in relative})
+    wanted = sorted({r.probability for r in relative} or {probabilities_of(requirements).windows}, reverse=True)
     curves = [(i, view, *_curve(view, wanted, [window for window, *_ in asked])) for i, view in enumerate(views)]
     curves = [curve for curve in curves if curve[2].size > 1]
     if not curves:

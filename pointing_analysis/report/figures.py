@@ -136,10 +136,10 @@ def _measured_once(axes: Axes) -> Callable[..., Bbox | None]:
 
     def box(*arguments: Any, **options: Any) -> Bbox | None:
         if not margins:
-            found = measure(*arguments, **options)
-            if found is None:
+            measured = measure(*arguments, **options)
+            if measured is None:
                 return None
-            margins.append(found.get_points() - axes.bbox.get_points())
+            margins.append(measured.get_points() - axes.bbox.get_points())
         return Bbox(axes.bbox.get_points() + margins[0])
 
     return box
@@ -319,9 +319,9 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
         for i, view in enumerate(views):
-            found = sorted(view.tones, key=lambda line: line.omega)
-            hertz = [line.omega / (2 * np.pi) for line in found]
-            rms = [line.rms / RAD_PER_MAS for line in found]
+            tones = sorted(view.tones, key=lambda line: line.omega)
+            hertz = [line.omega / (2 * np.pi) for line in tones]
+            rms = [line.rms / RAD_PER_MAS for line in tones]
             axis.loglog(
                 hertz,
                 rms,

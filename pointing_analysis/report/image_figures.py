@@ -107,21 +107,21 @@ def exposed_view(view: RunView) -> ImageView:
     paths, index = some_exposures(view.series.values, view.series.dt, view.window, MOST)
     if not len(paths):
         raise InputError(f"{view.label}: the run must have an exposure without a missing sample, got none")
-    found = figures(paths, optics, ("strehl", "ellipticity"))
+    values = figures(paths, optics, ("strehl", "ellipticity"))
     time = np.asarray(view.series.start + view.window * index)
-    return ImageView(view.label, optics, paths, time, found["strehl"], found["ellipticity"], view.image_part)
+    return ImageView(view.label, optics, paths, time, values["strehl"], values["ellipticity"], view.image_part)
 
 
 def image_views(views: Sequence[RunView]) -> tuple[tuple[ImageView, ...], tuple[str, ...]]:
     """Those of the runs whose optics are known, and a sentence on each that names optics and has none."""
-    found, missing = [], []
+    exposed, missing = [], []
     for view in views:
         if METADATA in view.run.parameters:
             try:
-                found.append(exposed_view(view))
+                exposed.append(exposed_view(view))
             except InputError as error:
                 missing.append(f"No images for {view.label}: {error}.")
-    return tuple(found), tuple(missing)
+    return tuple(exposed), tuple(missing)
 
 
 def _still(view: ImageView) -> FloatArray:

@@ -44,17 +44,17 @@ def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
     ValueError
         No run has optics and a complete exposure.
     """
-    found = image_views(views)[0] or (exposed_view(views[0]),)  # which says why the first has none
+    exposed = image_views(views)[0] or (exposed_view(views[0]),)  # which says why the first has none
     folder.mkdir(parents=True, exist_ok=True)
     settings: Any = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": "image"}
     paths = []
     with mpl.rc_context(settings):
         for name, (draw, each, height) in PICTURES.items():
-            width = max(each * len(found), 2.15 if each else 4.3)
+            width = max(each * len(exposed), 2.15 if each else 4.3)
             if name == "target":
-                width = 1.75 * (len(found) + 2)
+                width = 1.75 * (len(exposed) + 2)
             figure = LaidOutFigure(figsize=(width, height), layout="constrained")
-            draw(figure, found)
+            draw(figure, exposed)
             for suffix, metadata in METADATA.items():
                 path = folder / f"{name}{suffix}"
                 with atomic_file(path) as temporary:

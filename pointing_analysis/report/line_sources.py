@@ -33,17 +33,17 @@ def likely_source(view: RunView, line: SpectralLine) -> str:
         return f"sideband of {line.found.carrier / (2 * math.pi):.4g} Hz"
     speeds = view.run.parameters.get(WHEEL_SPEEDS, [])
     near = 2 * math.pi / max(view.series.duration, 1e-9)
-    found = _wheels(
+    wheels = _wheels(
         line.omega, [abs(float(x)) for x in speeds if is_number(x)] if isinstance(speeds, list) else [], near
     )
-    return _sources(view.run, line.omega, near) or found or (_scenario(view.run) if line.found is None else "")
+    return _sources(view.run, line.omega, near) or wheels or (_scenario(view.run) if line.found is None else "")
 
 
 def _wheels(omega: float, speeds: Sequence[float], near: float) -> str:
     for order in range(1, ORDERS + 1):
-        own = [str(k + 1) for k, speed in enumerate(speeds) if speed > near and abs(omega - order * speed) <= near]
-        if own:
-            name = f"wheel{'s' if len(own) > 1 else ''} {', '.join(own)}"
+        numbers = [str(k + 1) for k, speed in enumerate(speeds) if speed > near and abs(omega - order * speed) <= near]
+        if numbers:
+            name = f"wheel{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"
             return name if order == 1 else f"{order} × {name}"
     return ""
 
@@ -55,14 +55,14 @@ def _acting(run: Recording) -> list[dict[str, object]]:
 
 def _sources(run: Recording, omega: float, near: float) -> str:
     """Names of the sources with a tone at a frequency [rad/s], of more than `NAMED` the first ones and their number."""
-    found: list[str] = []
+    names: list[str] = []
     for entry in _acting(run):
         lines = entry.get(LINES)
         known = [float(x) for x in lines if is_number(x)] if isinstance(lines, list) else []
         if any(abs(line - omega) <= near for line in known):
-            found.append(str(entry.get("name")))
-    others = len(found) - NAMED
-    return ", ".join(found[:NAMED]) + (f" and {counted(others, 'other')}" if others > 0 else "")
+            names.append(str(entry.get("name")))
+    others = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {counted(others, 'other')}" if others > 0 else "")
 
 
 def _scenario(run: Recording) -> str:

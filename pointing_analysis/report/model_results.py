@@ -44,9 +44,9 @@ class ModelResults:
         ValueError
         """
         for name in ("predictions", "sources", "loops", "without_loop"):
-            found = len(getattr(self, name))
-            if found not in (0, count):
-                raise InputError(f"{name} must be one for each of the {count} runs, got {found}")
+            results = len(getattr(self, name))
+            if results not in (0, count):
+                raise InputError(f"{name} must be one for each of the {count} runs, got {results}")
 
 
 NO_MODEL = ModelResults()

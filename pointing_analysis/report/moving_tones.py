@@ -152,18 +152,18 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
 
 def error_over_time(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:
     """Rms of the worst window of each stretch of time, against the limits on the rms in such windows."""
-    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
-    limits = sorted({(r.limit, r.probability) for r in own if {r.times} == {(v.window,) for v in views}})
+    relative = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
+    limits = sorted({(r.limit, r.probability) for r in relative if {r.times} == {(v.window,) for v in views}})
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
         for i, view in enumerate(views):
-            found = metrics.windows(view.series.values, view.series.dt, view.window)
-            error = metrics.radial(np.sqrt(found.variance))
+            windows = metrics.windows(view.series.values, view.series.dt, view.window)
+            error = metrics.radial(np.sqrt(windows.variance))
             size = max(1, len(error) // PIECES)
             count = len(error) // size
             worst = np.fmax.reduce(error[: count * size].reshape(count, size), axis=1)
-            first = np.asarray(found.start)[: count * size : size]
+            first = np.asarray(windows.start)[: count * size : size]
             time = view.series.start + view.series.dt * first + 0.5 * size * view.window
             shown = np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS
             axis.semilogy(time, shown, label=view.label, **stroke(i, len(views)))

@@ -89,8 +89,8 @@ def _columns(pictures: Sequence[Picture]) -> list[list[dict[str, str]]]:
     return columns if pictures else []
 
 
-def _sections(found: Sequence[ReportSection]) -> list[dict[str, Any]]:
-    return [{"title": s.title, "note": s.note, "parts": [_part(part) for part in s.parts]} for s in found]
+def _sections(sections: Sequence[ReportSection]) -> list[dict[str, Any]]:
+    return [{"title": s.title, "note": s.note, "parts": [_part(part) for part in s.parts]} for s in sections]
 
 
 def _part(part: ReportPart) -> dict[str, Any]:
@@ -108,15 +108,15 @@ def _table(table: TextTable) -> dict[str, Any]:
 
 def _widths(table: TextTable) -> list[dict[str, Any]]:
     """Widths of the columns in letters: what their cells need, or a share of what is left; 0 for as they come."""
-    longest, found = [], []
+    longest, widths = [], []
     for k, column in enumerate(table.columns):
         cells = [row[k] for row in table.rows]
         longest.append(max(len(line) for cell in (column.title, *cells) for line in cell.split("\n")))
         word = max(map(len, column.title.split()), default=1)
         need = max(word, *(len(part) for cell in cells for part in cell.split(" ("))) if cells else word
         share = not column.number and need > SHORT
-        found.append({"share": share, "letters": max(word, min(need, LONG)) if share else need})
-    return found if sum(longest) + 3 * len(longest) > LETTERS else [{"share": False, "letters": 0}] * len(found)
+        widths.append({"share": share, "letters": max(word, min(need, LONG)) if share else need})
+    return widths if sum(longest) + 3 * len(longest) > LETTERS else [{"share": False, "letters": 0}] * len(widths)
 
 
 def _cell(text: str) -> dict[str, str]:

@@ -63,12 +63,12 @@ def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
 
 def tones_of(run: Recording) -> FloatArray:
     """Disturbance lines named in the bag [rad/s]: tones and speeds of the wheels; none where something moves."""
-    found: list[float] = []
+    frequencies: list[float] = []
     for key in () if motion_of(run) else ("tones_rad_s", WHEEL_SPEEDS):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
-        found += [abs(float(x)) for x in value if is_number(x)]  # a wheel's line has no sign
-    return np.asarray(np.unique(np.array(found, dtype=float)))
+        frequencies += [abs(float(x)) for x in value if is_number(x)]  # a wheel's line has no sign
+    return np.asarray(np.unique(np.array(frequencies, dtype=float)))
 
 
 def view(
@@ -201,7 +201,7 @@ PICTURES: tuple[Callable[[Drawn], Picture | str | Sequence[Picture | str] | None
 def pictures(shown: Drawn) -> tuple[list[Picture], list[str]]:
     """All pictures of the page, in reading order, and sentences on those that cannot be made."""
     made = [draw(shown) for draw in PICTURES]
-    several = [one for found in made for one in ([found] if isinstance(found, (Picture, str)) else found or ())]
+    several = [one for part in made for one in ([part] if isinstance(part, (Picture, str)) else part or ())]
     return [one for one in several if isinstance(one, Picture)], [one for one in several if isinstance(one, str)]
 
 

@@ -22,22 +22,22 @@ LINES_SHOWN = 12
 
 def metric_table(names: Sequence[str], summaries: Sequence[Summary]) -> TextTable:
     """Metrics that need no requirement: a row each, a column for each run."""
-    found = [_metrics(summary) for summary in summaries]
-    metrics = dict.fromkeys(name for one in found for name in one)
-    rows = [(name, *(one.get(name, ABSENT) for one in found)) for name in metrics]
+    each = [_metrics(summary) for summary in summaries]
+    metrics = dict.fromkeys(name for one in each for name in one)
+    rows = [(name, *(one.get(name, ABSENT) for one in each)) for name in metrics]
     runs = (Heading(name, number=True, name=True) for name in names)
     heads = (*texts("metric"), *(runs if len(names) > 1 else numbers("value")))
     return TextTable.of(heads, rows, "Metrics", name="metrics")
 
 
 def _metrics(summary: Summary) -> dict[str, str]:
-    found = {figure.name: figure.text for figure in summary.figures}
+    shown = {figure.name: figure.text for figure in summary.figures}
     if summary.knowledge:
-        found[f"AKE {percent(summary.probabilities.knowledge, 10)}"] = (
+        shown[f"AKE {percent(summary.probabilities.knowledge, 10)}"] = (
             f"{digits(summary.knowledge.ake_quantile_arcsec)} arcsec"
         )
-        found["RKE rms"] = f"{digits(summary.knowledge.rke_rms_mas)} mas"
-    return found
+        shown["RKE rms"] = f"{digits(summary.knowledge.rke_rms_mas)} mas"
+    return shown
 
 
 def line_table(view: RunView, name: str = "lines") -> TextTable:
@@ -85,7 +85,7 @@ def _amplitude(line: SpectralLine, axis: int) -> str:
     return f"{text} ± {digits(bound / RAD_PER_MAS, 2)}"
 
 
-def prediction_table(found: Prediction, name: str = "predicted") -> TextTable:
+def prediction_table(prediction: Prediction, name: str = "predicted") -> TextTable:
     """Predicted and measured amplitudes of the tones of a run, the strongest first."""
     rows = [
         (
@@ -95,7 +95,7 @@ def prediction_table(found: Prediction, name: str = "predicted") -> TextTable:
             digits(tone.measured / RAD_PER_MAS),
             _ratio(tone),
         )
-        for tone in sorted(found.tones, key=lambda tone: -tone.predicted)
+        for tone in sorted(prediction.tones, key=lambda tone: -tone.predicted)
     ]
     heads = numbers("Hz", "rad/s", "predicted [mas]", "measured [mas]", "ratio")
     return TextTable.of(heads, rows, "Predicted and measured tones", name=name)
@@ -111,15 +111,15 @@ def sensor_table(run: Recording, name: str = "sensors") -> TextTable:
     """Rate and noise of the sensors of a run."""
     rows = []
     for sensor in sensors_of(run):
-        found = run[sensor.topic].integrity
+        integrity = run[sensor.topic].integrity
         rows.append(
             (
                 sensor.topic,
                 ", ".join(sensor.unit.split(",")),
                 digits(sensor.rate),
                 ", ".join(digits(value) for value in dict.fromkeys(sensor.noise)),
-                str(len(run[sensor.topic]) - found.nan),
-                str(found.nan) if sensor.held else ABSENT,
+                str(len(run[sensor.topic]) - integrity.nan),
+                str(integrity.nan) if sensor.held else ABSENT,
             )
         )
     heads = (*texts("topic", "unit"), *numbers("rate [Hz]", "noise of a sample, rms", "samples", "dropped"))

@@ -69,10 +69,10 @@ def signals_of(run: Run, topics: Sequence[str] = ()) -> list[TopicSignal]:
     BagError
         No such topic, or one that does not fit into the memory.
     """
-    found = [run[name] for name in topics or run.topics]
-    found = [topic for topic in found if len(topic)]
-    first = min((int(topic.stamp[0]) for topic in found), default=0)
-    return [_signal(topic, first) for topic in found]
+    chosen = [run[name] for name in topics or run.topics]
+    chosen = [topic for topic in chosen if len(topic)]
+    first = min((int(topic.stamp[0]) for topic in chosen), default=0)
+    return [_signal(topic, first) for topic in chosen]
 
 
 def _signal(topic: Topic, first: int) -> TopicSignal:

@@ -32,8 +32,8 @@ Curve = tuple[RunView, FloatArray, FloatArray]
 def mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
     """Lines of all runs: those that are named dotted, those that were found dashed."""
     styles = ((False, ":", "#777777", "named lines"), (True, "--", "#b08a3c", "found lines"))
-    for found, dashes, colour, label in styles:
-        lines = [line for view in views for line in view.tones if (line.found is not None) == found]
+    for unnamed, dashes, colour, label in styles:
+        lines = [line for view in views for line in view.tones if (line.found is not None) == unnamed]
         for i, tone in enumerate(sorted({round(line.omega / (2 * np.pi), 6) for line in lines})):
             name = label if i == 0 else "_nolegend_"
             axis.axvline(tone, color=colour, lw=0.7, ls=dashes, zorder=0, label=name)
@@ -76,19 +76,19 @@ def _named(views: Sequence[RunView]) -> list[tuple[float, str]]:
 
 def _peaks(curves: Sequence[Curve]) -> list[tuple[float, float, str]]:
     """Frequency, height of the highest curve there, and name of each line that is in a spectrum."""
-    found = []
+    peaks = []
     for hertz, name in _named([view for view, *_ in curves]):
         height = _highest(curves, hertz - 0.5, hertz + 0.5)
         if height > 0.0:
-            found.append((hertz, height, name))
-    return found
+            peaks.append((hertz, height, name))
+    return peaks
 
 
 def _highest(curves: Sequence[Curve], low: float, high: float) -> float:
     """Largest value of all curves between two frequencies; zero where there is none."""
     parts = [slice(*np.searchsorted(frequency, [low, high])) for _, frequency, _ in curves]
-    found = (total[part] for part, (*_, total) in zip(parts, curves))
-    return max((float(values.max()) for values in found if values.size), default=0.0)
+    inside = (total[part] for part, (*_, total) in zip(parts, curves))
+    return max((float(values.max()) for values in inside if values.size), default=0.0)
 
 
 def _name(axis: Axes, curves: Sequence[Curve]) -> None:

@@ -49,8 +49,8 @@ class Conditions:
     @property
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Label and text of each line for screen and page."""
-        found = ("sources", "; ".join(self.acting)), ("member", self.member)
-        return tuple((label, text) for label, text in found if text)
+        rows = ("sources", "; ".join(self.acting)), ("member", self.member)
+        return tuple((label, text) for label, text in rows if text)
 
 
 UNKNOWN_CONDITIONS = Conditions()
@@ -76,8 +76,8 @@ def differences(runs: Sequence[Recording]) -> tuple[str, ...]:
 
     Figures of such runs do not compare their controllers. The disturbances are listed in :attr:`Conditions.lines`.
     """
-    found = [conditions_of(run) for run in runs]
-    return tuple(_difference(found[0], one, runs[0].path.name) for one in found)
+    conditions = [conditions_of(run) for run in runs]
+    return tuple(_difference(conditions[0], one, runs[0].path.name) for one in conditions)
 
 
 def _difference(first: Conditions, other: Conditions, name: str) -> str:

@@ -40,8 +40,8 @@ class Probabilities:
 
 def finest(requirements: Iterable[Requirement]) -> Requirement | None:
     """The strictest requirement on the RPE of both axes, of windows before one of instants; None without one."""
-    own = [r for r in requirements if r.index == "RPE" and not r.axis]
-    return min(own, key=lambda r: (not r.of_windows, r.limit), default=None)
+    relative = [r for r in requirements if r.index == "RPE" and not r.axis]
+    return min(relative, key=lambda r: (not r.of_windows, r.limit), default=None)
 
 
 def exposure_of(*requirements: Iterable[Requirement]) -> float:
@@ -59,8 +59,8 @@ def exposure_of(*requirements: Iterable[Requirement]) -> float:
     >>> exposure_of([long, short]), exposure_of([], [long]), exposure_of([])
     (0.005, 1.0, 0.02)
     """
-    found = next(filter(None, map(finest, requirements)), None)
-    return USUAL if found is None else found.times[0]
+    requirement = next(filter(None, map(finest, requirements)), None)
+    return USUAL if requirement is None else requirement.times[0]
 
 
 def probabilities_of(requirements: Iterable[Requirement]) -> Probabilities:

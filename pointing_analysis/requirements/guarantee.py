@@ -64,5 +64,5 @@ class ErrorBounds:
         if requirement.lower or requirement.axis:
             return None
         windows = requirement.index == "RPE" and requirement.of_windows and requirement.times == (self.window,)
-        found = self.absolute if requirement.index == "APE" else self.relative if windows else None
-        return found if found is not None and requirement.probability <= found.probability else None
+        bound = self.absolute if requirement.index == "APE" else self.relative if windows else None
+        return bound if bound is not None and requirement.probability <= bound.probability else None

@@ -362,18 +362,18 @@ def load(path: str | os.PathLike[str], stages: Sequence[str] = ()) -> tuple[Requ
     file = Path(path)
     read = load_yaml if file.suffix.lower() in (".yaml", ".yml") else load_toml
     content = read(read_text(file), file)
-    found = content.get("requirement") if isinstance(content, dict) else None
-    if not isinstance(found, list) or not found:
+    rows = content.get("requirement") if isinstance(content, dict) else None
+    if not isinstance(rows, list) or not rows:
         raise InputError(f"{file}: must hold a list 'requirement' whose entries have a 'text'")
-    return from_entries(found, str(file), stages)
+    return from_entries(rows, str(file), stages)
 
 
-def from_entries(found: Sequence[Any], where: str, stages: Sequence[str] = ()) -> tuple[Requirement, ...]:
+def from_entries(rows: Sequence[Any], where: str, stages: Sequence[str] = ()) -> tuple[Requirement, ...]:
     """Requirements from the entries of a list: ``text``, and where given ``name`` and ``loop``.
 
     Parameters
     ----------
-    found : entries, as `entries` makes them or a file has them
+    rows : entries, as `entries` makes them or a file has them
     where : name of the list, for the messages
     stages : names that ``loop`` may have; any where there are none
 
@@ -383,7 +383,7 @@ def from_entries(found: Sequence[Any], where: str, stages: Sequence[str] = ()) -
         An entry of another form.
     """
     made = []
-    for i, entry in enumerate(found):
+    for i, entry in enumerate(rows):
         if not isinstance(entry, dict) or "text" not in entry:
             raise InputError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
         unknown = set(entry) - {"text", "name", "loop"}

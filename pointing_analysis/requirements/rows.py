@@ -45,8 +45,8 @@ def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
     """One word for several verdicts: the worst of them, or that the run was `disturbed`."""
     if disturbed and verdicts:
         return DISTURBED
-    found = {shown_status(v) for v in verdicts}
-    return next((status for status in WORST_FIRST if status in found), "not judged")
+    statuses = {shown_status(v) for v in verdicts}
+    return next((status for status in WORST_FIRST if status in statuses), "not judged")
 
 
 @dataclass(frozen=True)
@@ -308,5 +308,5 @@ def _rank(row: RequirementRow) -> tuple[int, float]:
 
 def definition_table(rows: Sequence[RequirementRow]) -> TextTable:
     """Names of the requirements and their texts, each once."""
-    found = dict.fromkeys((row.name or row.quantity, row.text) for row in rows)
-    return TextTable.of(("requirement", "definition"), found, "Requirements as stated", name="definitions")
+    definitions = dict.fromkeys((row.name or row.quantity, row.text) for row in rows)
+    return TextTable.of(("requirement", "definition"), definitions, "Requirements as stated", name="definitions")

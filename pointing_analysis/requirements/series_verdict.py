@@ -54,11 +54,11 @@ def judge_series(
 
 
 def _requirements(
-    given: str | os.PathLike[str] | Sequence[Requirement | str] | None,
+    asked: str | os.PathLike[str] | Sequence[Requirement | str] | None,
 ) -> tuple[Requirement, ...] | None:
-    if given is None:
+    if asked is None:
         return None
-    if isinstance(given, os.PathLike) or (isinstance(given, str) and "prob" not in given):
-        return load(given)
-    entries = [given] if isinstance(given, str) else given
+    if isinstance(asked, os.PathLike) or (isinstance(asked, str) and "prob" not in asked):
+        return load(asked)
+    entries = [asked] if isinstance(asked, str) else asked
     return tuple(parse(entry) if isinstance(entry, str) else entry for entry in entries)

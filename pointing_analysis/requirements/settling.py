@@ -157,8 +157,8 @@ def decay(squares: FloatArray, seconds: float) -> float:
     left = float(blocks[-BLOCKS // 4 :].mean())
     if abs(size) <= SIGNIFICANT * error or abs(size) <= PART * left:
         return 0.0
-    found = max(0.0, tau * math.log(abs(size) / (PART * left)))
-    return found if size > 0.0 or found < 0.5 * seconds else math.inf
+    seconds_to_settle = max(0.0, tau * math.log(abs(size) / (PART * left)))
+    return seconds_to_settle if size > 0.0 or seconds_to_settle < 0.5 * seconds else math.inf
 
 
 def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float, float, float]:
@@ -186,11 +186,11 @@ def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArr
         weight = 1.0
         if requirement.of_windows or requirement.of_image or requirement.index in ("RPE", "RKE"):
             weight = float(rpe_discrete(np.array([omega]), metrics.samples_or_one(requirement.times[0], dt), dt)[0])
-        found = _amplitudes(e, dt, n, omega)
+        amplitudes = _amplitudes(e, dt, n, omega)
         beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds) for k in OFFSETS]
         noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
         # of sizes: the phase of a cooler wanders; their scatter in each half is an error, too
-        halves = np.sqrt(np.square(np.abs(found)).sum(axis=1)).reshape(2, -1)
+        halves = np.sqrt(np.square(np.abs(amplitudes)).sum(axis=1)).reshape(2, -1)
         change = abs(float(np.diff(halves.mean(axis=1))[0]))
         scatter = math.sqrt(float(halves.var(axis=1, ddof=1).sum()))
         error = max(noise * math.sqrt(2.0), scatter) / math.sqrt(SEGMENTS / 2)

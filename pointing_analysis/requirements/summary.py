@@ -237,7 +237,7 @@ class Summary:
         """Metrics that need no requirement; those that need a window only where there is one."""
         window, parts = time_text(self.window), self.probabilities
         ape, rpe, windows = (percent(part, 10) for part in (parts.ape, parts.rpe, parts.windows))
-        found = (
+        figures = (
             Figure("APE max", self.ape_max, "arcsec"),
             Figure(f"APE {ape}", self.ape_quantile, "arcsec", f"|APE|, {ape}"),
             Figure(f"RPE rms, {window} windows", self.rpe_rms, "mas"),
@@ -245,7 +245,7 @@ class Summary:
             Figure(f"RPE at every instant, {rpe}", self.rpe_quantile, "mas", f"|RPE({window})|, {rpe}"),
             *(() if self.image is None else (Figure(*row) for row in self.image.rows)),
         )
-        return tuple(figure for figure in found if not math.isnan(figure.value))
+        return tuple(figure for figure in figures if not math.isnan(figure.value))
 
     def lost_text(self, lost: int | None = None) -> str:
         """Number of lost samples in words: for a truncated recording only a part of them is known.
@@ -318,13 +318,13 @@ def exposure_of_run(run: Recording) -> float:
 
 def _recorded(run: Recording) -> tuple[tuple[Requirement, ...] | None, str]:
     """`requirements_of`, and what is wrong with them."""
-    found = run.parameters.get(METADATA)
-    if found is None:
+    entries = run.parameters.get(METADATA)
+    if entries is None:
         return None, ""
     try:
-        if not isinstance(found, list):
-            raise InputError(f"{METADATA} must be a list, got {type(found).__name__}")
-        return from_entries(found, METADATA), ""
+        if not isinstance(entries, list):
+            raise InputError(f"{METADATA} must be a list, got {type(entries).__name__}")
+        return from_entries(entries, METADATA), ""
     except InputError as error:
         return None, f"the requirements of the recording cannot be read: {error}"
 
@@ -396,11 +396,11 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if count:
             # Reasons and counts of a camera that takes images; empty for others
             first = "frames_"
-            found = {
+            counts = {
                 key: value for key, value in statistics_of(run.parameters, "plant").items() if key.startswith(first)
             }
             why = ", ".join(
-                f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(found.items())
+                f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(counts.items())
             )
             what = f"without angles: {why}" if why else "dropped (NaN)"
             problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} {what}")
@@ -538,19 +538,19 @@ def _of_budget(requirements: Sequence[Requirement], window: float, part: float) 
 
 def _of_series(run: Recording, series: ErrorSeries, window: float, transient: float | None) -> list[str]:
     """Sentences on a period that is too long, a short start-up, a replay, and a spectrum that ends early."""
-    found = []
+    notes = []
     if not metrics.holds(window, series.dt):
-        found.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
+        notes.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
-        found.append(
+        notes.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is excluded, not "
             f"{SETTLING:g} s (analyse --transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":
-        found.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")
+        notes.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")
     if "loop" not in run.parameters and (top := highest_frequency(series.values, series.dt)) is not None:
-        found.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
-    return found
+        notes.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
+    return notes
 
 
 def _star(run: Recording, series: ErrorSeries, window: float, part: float) -> tuple[StarExposures | None, str]:
@@ -587,13 +587,13 @@ def summarise_all(
 
     The arguments are those of :func:`summarise`.
     """
-    found = [summarise(run, transient=transient, requirements=requirements) for run in runs]
+    summaries = [summarise(run, transient=transient, requirements=requirements) for run in runs]
     if len(runs) < 2:
-        return found
-    own = [applicable(requirements_of(run) or () if requirements is None else requirements, run) for run in runs]
-    wanted = {str(r): r for chosen in own for r in chosen if r.across_runs}
+        return summaries
+    of_runs = [applicable(requirements_of(run) or () if requirements is None else requirements, run) for run in runs]
+    wanted = {str(r): r for chosen in of_runs for r in chosen if r.across_runs}
     joint = {
-        text: judge(r, [run for run, chosen in zip(runs, own) if text in map(str, chosen)], transient)
+        text: judge(r, [run for run, chosen in zip(runs, of_runs) if text in map(str, chosen)], transient)
         for text, r in wanted.items()
     }
-    return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in found]
+    return [replace(s, verdicts=tuple(joint.get(str(v.requirement), v) for v in s.verdicts)) for s in summaries]

@@ -249,7 +249,7 @@ def _reproducibility(
     The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
     """
     series = [performance_error(run, transient) for run in runs]
-    found = []
+    pairs_of_runs = []
     for i, first in enumerate(series):
         for second in series[i + 1 :]:
             window = requirement.times[0]
@@ -261,8 +261,8 @@ def _reproducibility(
             cut = first.open_end or second.open_end
             missing = math.inf if cut else float(max(pairs - len(values), 0))
             effective = partial(_of_pairs, values, min(len(means[0]), metrics.PAIRED), most)
-            found.append(IndexSamples(values, effective, first.duration + second.duration, missing))
-    return found
+            pairs_of_runs.append(IndexSamples(values, effective, first.duration + second.duration, missing))
+    return pairs_of_runs
 
 
 def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requirement) -> EffectiveSamples:

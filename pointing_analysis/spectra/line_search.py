@@ -223,8 +223,8 @@ class _Background:
         sizes = [(mean[:, :2] / level).sum(axis=1) for mean in means]
         both = (sides[0] + sides[1]) / np.maximum(counts.sum(axis=0), 1)[:, None]
         steep = np.maximum(sizes[0], sizes[1]) > STEEP * np.minimum(sizes[0], sizes[1])
-        found = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
-        return found, np.maximum(self.each * counts.sum(axis=0), 2.0)
+        density = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
+        return density, np.maximum(self.each * counts.sum(axis=0), 2.0)
 
     def _level(self, begin: int, end: int, width: float) -> FloatArray:
         """Level (k, 2) of the noise of each axis beside the frequencies from an index to another: a mean of logarithms.
@@ -249,15 +249,15 @@ class _Background:
         """Frequencies [rad/s] of new lines, the clearest first."""
         chance = np.concatenate([self._chances(begin) for begin in range(self.first, self.end, BLOCK)] or [np.empty(0)])
         at = np.flatnonzero(chance * self.asked < LOOSE * false_lines)
-        found: list[int] = []
+        indices: list[int] = []
         taken = sorted(map(float, known / self.step))
         for index in at[np.argsort(chance[at], kind="stable")][:MOST_ASKED] + self.first:
             place = bisect_left(taken, float(index))
             if all(abs(index - other) >= self.resolution for other in taken[max(place - 1, 0) : place + 1]):
                 taken.insert(place, float(index))
                 if float(self.chance(self.power[index], int(index), NARROW)[0]) < LOOSE * NARROW_CHANCE:
-                    found.append(int(index))
-        return np.array(found[:MOST_LINES], dtype=float) * self.step
+                    indices.append(int(index))
+        return np.array(indices[:MOST_LINES], dtype=float) * self.step
 
     def _chances(self, begin: int) -> FloatArray:
         """Probabilities by the wide neighbours for a block of frequencies."""

@@ -47,13 +47,13 @@ def unnamed_lines(
         return (), rest
     count = max(1, -(-len(rest) // LONGEST))
     edges = np.linspace(0, len(rest), count + 1).round().astype(int)
-    found: list[list[FoundLine]] = []
+    of_parts: list[list[FoundLine]] = []
     cleaned: FloatArray | None = None
     for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist()):
         part = np.array(rest[begin:end])
         apart = NAMED * 2.0 * math.pi / (dt * len(part)) if len(part) else 0.0
         lines = [line for line in find_lines(part, dt) if not np.any(np.abs(known - line.omega) < apart)]
-        found.append(lines)
+        of_parts.append(lines)
         if lines:
             if cleaned is None:
                 cleaned = empty(rest.shape)
@@ -63,7 +63,7 @@ def unnamed_lines(
             cleaned[begin:end] = part
         release()
     width = 2.0 * math.pi * count / (dt * max(len(rest), 1))
-    return _over_parts(found, width), rest if cleaned is None else cleaned
+    return _over_parts(of_parts, width), rest if cleaned is None else cleaned
 
 
 def _thinned(values: FloatArray, step: int) -> FloatArray:
@@ -81,17 +81,17 @@ def _sum_of(lines: Sequence[FoundLine], n: int, dt: float) -> FloatArray:
     return total
 
 
-def _over_parts(found: Sequence[Sequence[FoundLine]], width: float) -> tuple[FoundLine, ...]:
+def _over_parts(of_parts: Sequence[Sequence[FoundLine]], width: float) -> tuple[FoundLine, ...]:
     """Lines of all parts, those of one frequency together."""
-    if len(found) == 1:
-        return tuple(found[0])
+    if len(of_parts) == 1:
+        return tuple(of_parts[0])
     groups: list[list[FoundLine]] = []
-    for line in sorted((line for lines in found for line in lines), key=lambda line: line.omega):
+    for line in sorted((line for lines in of_parts for line in lines), key=lambda line: line.omega):
         if groups and line.omega - groups[-1][-1].omega < width:
             groups[-1].append(line)
         else:
             groups.append([line])
-    return tuple(_mean(group, len(found)) for group in groups)
+    return tuple(_mean(group, len(of_parts)) for group in groups)
 
 
 def _mean(group: Sequence[FoundLine], parts: int) -> FoundLine:

@@ -248,20 +248,20 @@ def background(error: ArrayLike, dt: float, omegas: ArrayLike, phasors: ArrayLik
         return np.full((tones.size, 2), np.nan)
     offsets = 2 * np.pi / (dt * n) * np.concatenate([-NEIGHBOURS, NEIGHBOURS])
     spectra, weight = _transforms(e, dt, tones[:, None] + offsets, present)
-    found = np.full((tones.size, 2), np.nan)
+    levels = np.full((tones.size, 2), np.nan)
     for i, omega in enumerate(tones):
         across = np.array([-along[i, 1], along[i, 0]])  # conjugate of the vector that is orthogonal to the tone's
         components = np.column_stack([spectra[i] @ along[i].conj(), spectra[i] @ across])
         lower, upper = np.split(np.square(2 * np.abs(components) / weight) / MEDIAN, 2)
         lower = lower[omega * n * dt / (2 * np.pi) - NEIGHBOURS > 0.5]
         if len(lower):
-            found[i] = np.power(np.median(lower, axis=0) * np.median(upper, axis=0), 0.25)
-    return found
+            levels[i] = np.power(np.median(lower, axis=0) * np.median(upper, axis=0), 0.25)
+    return levels
 
 
 def _transforms(e: FloatArray, dt: float, omegas: FloatArray, present: BoolArray) -> tuple[ComplexArray, float]:
     """Tapered transforms (k, m, 2) at frequencies (k, m), the mean removed, and the sum of the weights."""
-    found, means = np.zeros((*omegas.shape, 2), complex), np.zeros(omegas.shape, complex)
+    transforms, means = np.zeros((*omegas.shape, 2), complex), np.zeros(omegas.shape, complex)
     total, weight = np.zeros(2), 0.0
     for part in _fit_parts(len(e)):
         index = part.start + np.flatnonzero(present[part])
@@ -270,10 +270,10 @@ def _transforms(e: FloatArray, dt: float, omegas: FloatArray, present: BoolArray
         weight += float(w.sum())
         for i, row in enumerate(omegas):
             turning = np.exp(np.outer(row, -1j * dt * index)) * w
-            found[i] += turning @ rows
+            transforms[i] += turning @ rows
             means[i] += turning.sum(axis=1)
-    found -= means[..., None] * (total / weight)
-    return found, weight
+    transforms -= means[..., None] * (total / weight)
+    return transforms, weight
 
 
 def _directions(phasors: ComplexArray) -> ComplexArray:
@@ -360,13 +360,13 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tupl
 
 
 def above_noise(
-    found: Sequence[SpectralLine], error: ArrayLike, dt: float
+    fitted: Sequence[SpectralLine], error: ArrayLike, dt: float
 ) -> tuple[tuple[SpectralLine, ...], tuple[SpectralLine, ...]]:
     """Known lines that are above the noise beside them, by `CLEAR`, and those that are not.
 
     Parameters
     ----------
-    found : by `lines`; one with less than 2.5 periods in the run, whose noise is not known, counts as above
+    fitted : by `lines`; one with less than 2.5 periods in the run, whose noise is not known, counts as above
     error : (n, 2), rows with NaN are left out
     dt : [s]
 
@@ -378,11 +378,11 @@ def above_noise(
     >>> [line.omega for line in above], [line.omega for line in within]
     ([100.0], [200.0])
     """
-    omegas, phasors = [line.omega for line in found], [line.phasor for line in found]
-    noise = background(without_lines(error, dt, found), dt, omegas, phasors)
-    sizes = np.array([linalg.norm(line.phasor) for line in found])
+    omegas, phasors = [line.omega for line in fitted], [line.phasor for line in fitted]
+    noise = background(without_lines(error, dt, fitted), dt, omegas, phasors)
+    sizes = np.array([linalg.norm(line.phasor) for line in fitted])
     within = sizes < CLEAR * np.hypot(*noise.T)
-    return tuple(itertools.compress(found, np.logical_not(within))), tuple(itertools.compress(found, within))
+    return tuple(itertools.compress(fitted, np.logical_not(within))), tuple(itertools.compress(fitted, within))
 
 
 def found_lines(
@@ -437,14 +437,14 @@ def _fit(e: FloatArray, dt: float, omegas: ArrayLike) -> tuple[list[FloatArray],
     return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
 
 
-def without_lines(error: ArrayLike, dt: float, found: Sequence[SpectralLine]) -> FloatArray:
+def without_lines(error: ArrayLike, dt: float, fitted: Sequence[SpectralLine]) -> FloatArray:
     """The error without some of its lines: noise and what else there is.
 
     Parameters
     ----------
     error : (n, 2), rows with NaN stay NaN
     dt : [s]
-    found : by `lines`
+    fitted : by `lines`
 
     Examples
     --------
@@ -454,7 +454,7 @@ def without_lines(error: ArrayLike, dt: float, found: Sequence[SpectralLine]) ->
     True
     """
     e = np.asarray(error, dtype=float)
-    omegas, phasors = np.array([line.omega for line in found]), np.array([line.phasor for line in found])
+    omegas, phasors = np.array([line.omega for line in fitted]), np.array([line.phasor for line in fitted])
     rest = empty(e.shape)
     for part in _fit_parts(len(e)):
         angle = np.outer(dt * np.arange(part.start, part.stop), omegas)

@@ -116,24 +116,24 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     part : float
         Of the windows, that the total holds for.
     """
-    given = run.parameters.get(BUDGET)
-    allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
+    stated = run.parameters.get(BUDGET)
+    allowances = {k: float(v) for k, v in stated.items() if _number(v)} if isinstance(stated, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
     allowed = {part: allowances[part] for part in PARTS if part in allowances}
     named = spectra.lines(series.values, series.dt, named_tones(run), window)
-    found, rest = unnamed_lines(series.values, series.dt, named)
+    unnamed, rest = unnamed_lines(series.values, series.dt, named)
     samples = metrics.samples_or_one(window, series.dt)
-    factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
+    factor = weights.rpe_discrete(np.array([line.omega for line in unnamed]), samples, series.dt) if unnamed else ()
     powers = [(line.omega, line.rpe**2) for line in named]
-    powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
+    powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(unnamed, factor)]
     if spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
-        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=found, part=part)
+        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=unnamed, part=part)
     noise, noise_error = _rms(metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2)
     slow, fast = (
         math.sqrt(2.0 * sum(one for omega, one in powers if (omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
-    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found, _spectrum(rest, series.dt, window), part)
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error, unnamed, _spectrum(rest, series.dt, window), part)
 
 
 def _spectrum(rest: FloatArray, dt: float, window: float) -> tuple[FloatArray, FloatArray] | None:

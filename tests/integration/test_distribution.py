@@ -141,6 +141,8 @@ def test_the_analysis_alone_judges_a_table_and_a_bag(
         done = run(programs / "pointing-analysis", "analyse", "los.csv", *options, folder=tmp_path)
         assert done.returncode in codes and "APE" in done.stdout, done.stderr
     bag = str(ROOT / "bags/reference")
+    run(programs / "pointing-analysis", "report", "los.csv", "--los", "x,y", "--unit", "mas", folder=tmp_path)
+    assert (tmp_path / "report.html").stat().st_size > 10_000
     done = run(programs / "pointing-analysis", "analyse", bag, "--json", folder=tmp_path)
     assert done.returncode == 0 and json.loads(done.stdout.splitlines()[-1])["ticks"] == 4100, done.stderr
     wrong = run(programs / "pointing-analysis", "analyse", "no.csv", folder=tmp_path)

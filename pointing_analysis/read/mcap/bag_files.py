@@ -91,14 +91,14 @@ def bag_files(path: Path) -> BagFiles:
         got = "links to files only" if any(f.is_symlink() for f in of_name) else "none"
         raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got {got}")
     rows = info.get("topics_with_message_count", [])
-    found = {}
+    counts = {}
     for row in rows if isinstance(rows, list) else []:
         about = row.get("topic_metadata") if isinstance(row, dict) else None
         name = about.get("name") if isinstance(about, dict) else None
         count = _count(row.get("message_count")) if isinstance(row, dict) else None
         if isinstance(name, str) and count is not None:
-            found[name] = count
-    return BagFiles(tuple(files), found, tuple(problems), _count(info.get("message_count")))
+            counts[name] = count
+    return BagFiles(tuple(files), counts, tuple(problems), _count(info.get("message_count")))
 
 
 def files_digest(files: Sequence[Path]) -> str:

@@ -151,10 +151,10 @@ def _before_repair(infos: Sequence[FileInfo]) -> dict[str, int]:
 
 def _ends_before_repair(infos: Sequence[FileInfo], topic: str) -> tuple[int, int]:
     """Missing messages of the repaired bag before and after the others, as far as known."""
-    found = _of_repair(infos, ENDS).get(topic, (0, 0))
-    if not isinstance(found, (list, tuple)) or len(found) != 2 or not all(map(_is_count, found)):
+    ends = _of_repair(infos, ENDS).get(topic, (0, 0))
+    if not isinstance(ends, (list, tuple)) or len(ends) != 2 or not all(map(_is_count, ends)):
         return 0, 0
-    return found[0], found[1]
+    return ends[0], ends[1]
 
 
 def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
@@ -165,7 +165,7 @@ def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
 
 def _last_of(infos: Sequence[FileInfo], topic: str) -> int | None:
     """Log time [ns] of the last message of a topic by the manifests, or by those of the bag that was repaired."""
-    found = [
+    times = [
         info.expected[number].last
         for info in infos
         for number, channel in info.channels.items()
@@ -173,15 +173,15 @@ def _last_of(infos: Sequence[FileInfo], topic: str) -> int | None:
     ]
     stated: Any = _of_repair(infos, LAST).get(topic)
     if _is_time(stated):
-        found.append(int(stated))
-    return max(found, default=None)
+        times.append(int(stated))
+    return max(times, default=None)
 
 
 def repair_entries(
     infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int], origin: int
 ) -> dict[str, str]:
     """Record of a repair for readers of the new bag: losses, repeated numbers, contradictions."""
-    found: dict[str, object] = {
+    tables: dict[str, object] = {
         ORIGIN: origin,
         LAST: {
             loss.topic: last
@@ -194,14 +194,14 @@ def repair_entries(
         "expected": {loss.topic: loss.missing + loss.recovered for loss in losses},
     }
     if not _numbered(infos):
-        found[ENDS] = {loss.topic: [loss.before, loss.after] for loss in losses}
-    return {name: json.dumps(table) for name, table in found.items()}
+        tables[ENDS] = {loss.topic: [loss.before, loss.after] for loss in losses}
+    return {name: json.dumps(table) for name, table in tables.items()}
 
 
 def contradictions(infos: Sequence[FileInfo]) -> tuple[str, ...]:
     """Contradictions of digests in the files, or in the bags before their repair."""
-    found = value_of(merged(infos, REPAIR_NAME)[0].get(CONTRADICTIONS, "[]"))
-    before = [text for text in found if isinstance(text, str)] if isinstance(found, list) else []
+    noted = value_of(merged(infos, REPAIR_NAME)[0].get(CONTRADICTIONS, "[]"))
+    before = [text for text in noted if isinstance(text, str)] if isinstance(noted, list) else []
     return tuple(dict.fromkeys([*(text for info in infos for text in info.contradictions), *before]))
 
 
@@ -247,37 +247,37 @@ class LossLedger:
         origin = self.origin_of(infos)
         # A file whose channels are lost: metadata.yaml names the topics.
         topics = {c.topic: None for info in infos for c in info.channels.values()} | dict.fromkeys(counts)
-        found = []
+        of_topics = []
         for topic in topics:
             make = self._by_numbers if _numbered(infos) else self._by_counts
             loss = make(topic, infos, counts, origin)
             if loss is not None and loss.missing > 0:
-                found.append(loss)
-        return tuple(found)
+                of_topics.append(loss)
+        return tuple(of_topics)
 
     def repeated(self, infos: Sequence[FileInfo]) -> dict[str, int]:
         """Messages of each topic whose number was read before, in files that number them."""
-        found = {}
+        counts = {}
         for topic, numbers in self._topics.items() if _numbered(infos) else ():
             last = distinct = 0
             for begin, end, _, _ in sorted(numbers.pieces):
                 distinct += max(end - max(begin - 1, last), 0)
                 last = max(last, end)
             if numbers.count > distinct and not numbers.incomplete:
-                found[topic] = numbers.count - distinct
-        return found
+                counts[topic] = numbers.count - distinct
+        return counts
 
     def inner_losses(self, infos: Sequence[FileInfo]) -> tuple[TopicLoss, ...]:
         """Missing messages between those read, for a part of a bag."""
-        found = []
+        inner = []
         for loss in self.losses(infos, {}):
             spans = tuple(s for s in loss.spans if np.isfinite([s.start, s.stop]).all())[
                 : None if not loss.after else -1
             ]
             if spans:
                 missing = sum(span.messages for span in spans)
-                found.append(TopicLoss(loss.topic, self._topics[loss.topic].count, missing, 0, 0, spans))
-        return tuple(found)
+                inner.append(TopicLoss(loss.topic, self._topics[loss.topic].count, missing, 0, 0, spans))
+        return tuple(inner)
 
     def _by_numbers(
         self, topic: str, infos: Sequence[FileInfo], counts: Mapping[str, int], origin: int

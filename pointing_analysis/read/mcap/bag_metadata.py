@@ -54,18 +54,18 @@ def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[s
     """All entries of the records of one name, the later record counts; which are not believed, one sentence each."""
     records = [table for info in infos for table in info.metadata.get(name, [])]
     hashed = any(HASH in table for table in records) or any(info.expected for info in infos)
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     problems = []
     for number, table in enumerate(records, 1):
         if hashed and not has_right_hash(table):
             problems.append(f"metadata record {name} {number} of {len(records)} does not match its hash: ignored")
             continue
-        found.update({key: value for key, value in table.items() if key != HASH})
-    if problems and not found:
+        entries.update({key: value for key, value in table.items() if key != HASH})
+    if problems and not entries:
         problems.append(f"the run is unknown: no metadata record {name} matches its hash")
     if name == METADATA_NAME and not records and any(info.library.startswith(OWN_LIBRARY) for info in infos):
         problems.append(f"the run is unknown: the file was recorded with a metadata record {name} and has none")
-    return found, problems
+    return entries, problems
 
 
 def value_of(text: str) -> Any:

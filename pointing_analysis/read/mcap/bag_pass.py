@@ -128,13 +128,13 @@ class BagPass:
     def problems(self) -> list[str]:
         """Defects of the files and what they lack, one sentence each, each once."""
         losses = self.losses()
-        found = [*self._bag.problems, *(problem for info in self.infos for problem in info.problems)]
-        found += [str(loss) for loss in losses]
+        sentences = [*self._bag.problems, *(problem for info in self.infos for problem in info.problems)]
+        sentences += [str(loss) for loss in losses]
         if losses or any(info.damage or not info.finished for info in self.infos):
-            found.append(f"`los-testbed bag repair {self._path}` makes a new bag of all readable data")
-        found += merged(self.infos, METADATA_NAME)[1]
+            sentences.append(f"`los-testbed bag repair {self._path}` makes a new bag of all readable data")
+        sentences += merged(self.infos, METADATA_NAME)[1]
         repaired, _ = merged(self.infos, REPAIR_NAME)
         if repaired:
-            found.append(f"repaired from {repaired.get('source', 'another bag')}")
-        found += [text for key, text in repaired.items() if key.startswith("note_")]
-        return list(dict.fromkeys(found))
+            sentences.append(f"repaired from {repaired.get('source', 'another bag')}")
+        sentences += [text for key, text in repaired.items() if key.startswith("note_")]
+        return list(dict.fromkeys(sentences))

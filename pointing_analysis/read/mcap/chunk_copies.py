@@ -10,20 +10,20 @@ from pointing_analysis.read.mcap.manifest import Manifest
 from pointing_analysis.read.mcap.records import FileInfo
 
 
-def is_refuted(found: Unpacked, manifest: Manifest, indexed: list[bytes]) -> bool:
+def is_refuted(unpacked: Unpacked, manifest: Manifest, indexed: list[bytes]) -> bool:
     """Whether a content that no manifest names is a changed one of the manifest in front of it.
 
     It is not if the manifest is that of another chunk: none of the messages has a number that it names.
 
     Parameters
     ----------
-    found : the chunk
+    unpacked : the chunk
     manifest : in front of it
     indexed : index records of the chunk
     """
     if not manifest.verified:
         return False
-    block = block_of(FileInfo(), found.content, indexed)
+    block = block_of(FileInfo(), unpacked.content, indexed)
     if block is None:
         return False
     channel, sequence = block.heads["channel"], block.heads["sequence"].astype(np.int64)
@@ -39,31 +39,31 @@ class ChunkCopies:
     def __init__(self) -> None:
         self._given: dict[bytes, tuple[Manifest | None, BoolArray | None]] = {}
 
-    def new_part(self, found: Unpacked, manifest: Manifest | None) -> tuple[Unpacked, Manifest | None, bool]:
+    def new_part(self, unpacked: Unpacked, manifest: Manifest | None) -> tuple[Unpacked, Manifest | None, bool]:
         """Take note of a chunk, and leave out of it what an earlier copy gave.
 
         Parameters
         ----------
-        found : the chunk
+        unpacked : the chunk
         manifest : by which its whole records were found
 
         Returns
         -------
-        found : what is new in it
+        unpacked : what is new in it
         manifest : by which that is to be taken apart
         again : whether there was a copy before
         """
-        damaged = found.whole is not None and manifest is not None
-        digest = manifest.digest if damaged and manifest is not None else found.digest
+        damaged = unpacked.whole is not None and manifest is not None
+        digest = manifest.digest if damaged and manifest is not None else unpacked.digest
         if digest not in self._given:
             # a whole chunk leaves nothing for a copy: its manifest, a tenth of its size, is not kept
-            self._given[digest] = None if found.whole is None else manifest, found.whole
-            return found, manifest, False
-        known, given = self._given[digest]
-        if known is None or given is None:
+            self._given[digest] = None if unpacked.whole is None else manifest, unpacked.whole
+            return unpacked, manifest, False
+        known, read_before = self._given[digest]
+        if known is None or read_before is None:
             return Unpacked(b""), None, True
-        if not damaged and len(found.content) != known.size:
-            return found, manifest, False  # a forged manifest has the digest of this content
-        whole = ~given if found.whole is None else found.whole & ~given
-        self._given[digest] = known, given | whole
-        return Unpacked(found.content, whole, found.reason), known, True
+        if not damaged and len(unpacked.content) != known.size:
+            return unpacked, manifest, False  # a forged manifest has the digest of this content
+        whole = ~read_before if unpacked.whole is None else unpacked.whole & ~read_before
+        self._given[digest] = known, read_before | whole
+        return Unpacked(unpacked.content, whole, unpacked.reason), known, True

@@ -95,9 +95,9 @@ def take_apart(body: bytes, cut: bool) -> Packed | None:
     except (struct.error, UnicodeDecodeError):
         kind, agrees = "", False
     places = [(body.find(magic, _HEAD.size, _HEAD.size + 64), name) for magic, name in _MAGIC.items()]
-    found = [(at, name) for at, name in places if at >= 0]
-    if found:
-        at, name = min(found)
+    marks = [(at, name) for at, name in places if at >= 0]
+    if marks:
+        at, name = min(marks)
         return Packed(name, body[at:], size, checksum)
     if kind not in KINDS and agrees:
         data = body[at + 8 :]
@@ -212,12 +212,12 @@ def index_offsets(indexed: list[bytes]) -> IntArray:
 
 def index_times(indexed: list[bytes]) -> dict[int, IntArray]:
     """Log times [ns] of the messages of each channel, from the index records of a chunk."""
-    found = {}
+    times = {}
     for body in indexed:
         if len(body) % 16 == 6 and len(body) > 6:
             number = int.from_bytes(body[:2], "little")
-            found[number] = np.sort(np.frombuffer(body[6:], INDEX_ENTRY)["log"].astype(np.int64))
-    return found
+            times[number] = np.sort(np.frombuffer(body[6:], INDEX_ENTRY)["log"].astype(np.int64))
+    return times
 
 
 def index_agrees(block: Block, indexed: list[bytes]) -> bool:
@@ -241,29 +241,29 @@ def _heads(data: bytes, offsets: IntArray) -> NDArray[np.void]:
     return heads
 
 
-def whole_records(info: FileInfo, found: Unpacked, manifest: Manifest, where: str, offset: int) -> Block | None:
+def whole_records(info: FileInfo, chunk: Unpacked, manifest: Manifest, where: str, offset: int) -> Block | None:
     """Messages of a chunk at the offsets of its manifest; of a damaged one those among its complete records.
 
     Schemas and channels are read on the way. The index records of the chunk are not used: nothing binds them.
     """
-    content = np.frombuffer(found.content, np.uint8)
+    content = np.frombuffer(chunk.content, np.uint8)
     lengths = np.diff(manifest.offsets)
     usable = lengths >= RECORD.size
-    if found.whole is not None:
-        usable &= found.whole
+    if chunk.whole is not None:
+        usable &= chunk.whole
     begins, lengths = manifest.offsets[:-1][usable], lengths[usable]
     is_message = content[begins] == OP_MESSAGE  # the record is whole, the manifest need not be
     for begin in begins[~is_message].tolist():
-        op, length = RECORD.unpack_from(found.content, begin)
+        op, length = RECORD.unpack_from(chunk.content, begin)
         if op in SIDE_RECORDS:
-            read_side_record(info, op, found.content[begin + RECORD.size : begin + RECORD.size + length], where, offset)
+            read_side_record(info, op, chunk.content[begin + RECORD.size : begin + RECORD.size + length], where, offset)
     is_message &= lengths >= HEAD
     offsets = begins[is_message]
     if not offsets.size:
         return None
-    heads = _heads(found.content, offsets)
+    heads = _heads(chunk.content, offsets)
     right = heads["length"] == lengths[is_message] - RECORD.size
-    return Block(found.content, heads[right], offsets[right])
+    return Block(chunk.content, heads[right], offsets[right])
 
 
 def block_of(

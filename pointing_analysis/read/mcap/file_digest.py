@@ -25,9 +25,9 @@ def new_digest() -> hashlib.blake2b:
 
 def digest_before(stream: BinaryIO, end: int) -> bytes:
     """Digest of a file from its beginning to a place."""
-    found, left = new_digest(), end
+    digest, left = new_digest(), end
     stream.seek(0)
     while left and (part := stream.read(min(left, PIECE))):
-        found.update(part)
+        digest.update(part)
         left -= len(part)
-    return found.digest()
+    return digest.digest()

@@ -189,10 +189,10 @@ class Framing:
             measured = self._measure(other, at, stop) if other in PARTS else None
             if measured is not None and self._starts(at + RECORD.size + measured, stop):
                 return Frame(other, at, measured, defect="its length is damaged")
-        found = self._search(at + 1, stop)
-        if found is not None:
-            known = op in PARTS and found - at >= RECORD.size
-            return Frame(op if known else 0, at, found - at - RECORD.size, defect="its header is damaged")
+        following = self._search(at + 1, stop)
+        if following is not None:
+            known = op in PARTS and following - at >= RECORD.size
+            return Frame(op if known else 0, at, following - at - RECORD.size, defect="its header is damaged")
         rest = max(stop - at - RECORD.size, 0)
         if stop < self.stop:
             return Frame(op if op in PARTS else 0, at, rest, defect="its header is damaged")

@@ -121,10 +121,10 @@ def _one_bit_undone(body: bytes) -> tuple[bytes, bool]:
 
     No two single bits of less than 2^32 give the same difference of CRC-32.
     """
-    (own,) = struct.unpack_from("<I", body)
-    syndrome = zlib.crc32(body[4:]) ^ own
+    (checksum,) = struct.unpack_from("<I", body)
+    syndrome = zlib.crc32(body[4:]) ^ checksum
     if syndrome.bit_count() <= 1:  # all agrees, or the bit is in the checksum itself
-        return struct.pack("<I", own ^ syndrome) + body[4:], True
+        return struct.pack("<I", checksum ^ syndrome) + body[4:], True
     if len(body) > MAX_LENGTH:
         return body, False
     for at, pattern in _bursts(syndrome, len(body) - 4):
@@ -171,10 +171,10 @@ def _mended(content: bytearray, manifest: Manifest, wrong: Sequence[int]) -> byt
         begin, end = int(offsets[i]), int(offsets[i + 1])
         if end - begin > MAX_LENGTH:
             return None
-        found = _bursts(zlib.crc32(content[begin:end]) ^ int(manifest.checksums[i]), end - begin)
-        if not found:
+        bursts = _bursts(zlib.crc32(content[begin:end]) ^ int(manifest.checksums[i]), end - begin)
+        if not bursts:
             return None
-        choices.append([(begin + at, pattern) for at, pattern in found])
+        choices.append([(begin + at, pattern) for at, pattern in bursts])
     # Fewest damaged bytes first. With one wrong record the chunk's digest chooses among all.
     trials = choices[0] if len(choices) == 1 else [None]
     for trial in trials[: max(MAX_WORK // max(len(content), 1), 1)]:
@@ -201,11 +201,11 @@ def _bursts(syndrome: int, length: int) -> list[tuple[int, bytes]]:
     The CRC is linear: the difference of two records of equal length gives the difference of their checksums, and a zero
     byte at the end of the record can be taken off again.
     """
-    found = []
+    bursts = []
     for behind in range(length):
         index, entry = _BACK[syndrome >> 24]
         syndrome = (((syndrome ^ entry) << 8) & 0xFFFFFFFF) | index
         at = length - behind - 1
         if at <= length - BURST:
-            found.append((at, syndrome.to_bytes(BURST, "little")))
-    return sorted(found, key=lambda row: BURST - row[1].count(0))
+            bursts.append((at, syndrome.to_bytes(BURST, "little")))
+    return sorted(bursts, key=lambda row: BURST - row[1].count(0))

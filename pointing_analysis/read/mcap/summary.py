@@ -43,11 +43,11 @@ PIECE = 1 << 20
 
 def checksum_before(stream: BinaryIO, end: int) -> int:
     """CRC-32 of a file from its beginning to a place."""
-    found, left = 0, end
+    checksum, left = 0, end
     stream.seek(0)
     while left and (part := stream.read(min(left, PIECE))):
-        found, left = zlib.crc32(part, found), left - len(part)
-    return found
+        checksum, left = zlib.crc32(part, checksum), left - len(part)
+    return checksum
 
 
 @dataclass
@@ -89,39 +89,39 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
     data = stream.read(size - _TAIL - start)
     if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
         return None
-    found, at = SummarySection(at=start), 0
+    section, at = SummarySection(at=start), 0
     try:
         while at + RECORD.size <= len(data):  # also behind the place of the offsets: other readers do not stop there
             op, length = RECORD.unpack_from(data, at)
             body = data[at + RECORD.size : at + RECORD.size + length]
             if op == OP_DIGEST:
-                info.stated, found.digest = body, start + at
+                info.stated, section.digest = body, start + at
             elif op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):
                 read_side_record(info, op, body, where, start + at)
             else:
-                _place(found, op, body)
+                _place(section, op, body)
             at += RECORD.size + length
     except struct.error:
         return None
     stream.seek(start - RECORD.size - 4)
     if stream.read(RECORD.size) == RECORD.pack(OP_DATA_END, 4):
-        found.anchors[start - RECORD.size - 4] = (OP_DATA_END, 4)
-    inside = (length >= 0 and at + RECORD.size + length <= start for at, (_, length) in found.anchors.items())
-    return found if all(inside) else None
+        section.anchors[start - RECORD.size - 4] = (OP_DATA_END, 4)
+    inside = (length >= 0 and at + RECORD.size + length <= start for at, (_, length) in section.anchors.items())
+    return section if all(inside) else None
 
 
-def _place(found: SummarySection, op: int, body: bytes) -> None:
+def _place(section: SummarySection, op: int, body: bytes) -> None:
     if op == OP_CHUNK_INDEX:
         first, last, at, length, n = struct.unpack_from("<QQQQI", body)
-        found.anchors[at] = (OP_CHUNK, length - RECORD.size)
-        found.times[at] = (first, last)
-        found.chunks.append(at)
+        section.anchors[at] = (OP_CHUNK, length - RECORD.size)
+        section.times[at] = (first, last)
+        section.chunks.append(at)
         places = sorted(place for _, place in struct.iter_unpack("<HQ", body[36 : 36 + n]))
         (total,) = struct.unpack_from("<Q", body, 36 + n)
         ends = [*places[1:], at + length + total]
         for place, end in zip(places, ends):
-            found.anchors[place] = (OP_INDEX, end - place - RECORD.size)
+            section.anchors[place] = (OP_INDEX, end - place - RECORD.size)
     elif op in (OP_ATTACHMENT_INDEX, OP_METADATA_INDEX):
         at, length = struct.unpack_from("<QQ", body)
         kind = OP_ATTACHMENT if op == OP_ATTACHMENT_INDEX else OP_METADATA
-        found.anchors[at] = (kind, length - RECORD.size)
+        section.anchors[at] = (kind, length - RECORD.size)

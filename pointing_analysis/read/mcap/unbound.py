@@ -67,7 +67,7 @@ class Unbound:
         complete = info.digests == info.chunks == info.manifests  # every chunk was read, and is right
         if complete and self.summary is not None:
             for number, channel in self.named.items():
-                if (found := info.channels.get(number)) is channel or found != channel:  # the same: no chunk has it
+                if (same := info.channels.get(number)) is channel or same != channel:  # the same: no chunk has it
                     yield self.summary.at, f"the summary names channel {number}, which the chunks do not have"
                     break
             if self.summary.chunks and sorted(self.summary.chunks) != self._chunks:

@@ -195,44 +195,44 @@ class _Walk:
         if packed is None:
             self._lost(frame, "the header of a chunk is damaged; it is excluded")
             return None
-        found = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut, self._is_named)
-        self.left -= len(found.content)
-        if found.corrected and not cut:
+        chunk = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut, self._is_named)
+        self.left -= len(chunk.content)
+        if chunk.corrected and not cut:
             self.info.note(self.where, frame.at, "a chunk is damaged, and corrected by its checksums")
-        if self.left < self.info.max_chunk and "(--max-chunk)" in found.reason:
+        if self.left < self.info.max_chunk and "(--max-chunk)" in chunk.reason:
             self.left = 0
-            found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
-        checked = found.content and found.whole is None and not found.reason
+            chunk = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
+        checked = chunk.content and chunk.whole is None and not chunk.reason
         self.info.chunks += 1
         if checked:
-            own = self._manifest_of(found, manifest)
-            self.info.digests += own is not None and own is manifest
-            if own is None and manifest is not None and is_refuted(found, manifest, indexed):
+            named_by = self._manifest_of(chunk, manifest)
+            self.info.digests += named_by is not None and named_by is manifest
+            if named_by is None and manifest is not None and is_refuted(chunk, manifest, indexed):
                 what = "a chunk does not match the digest in its manifest: only matching parts are used"
                 self.info.contradict(self.where, frame.at, what)
-                found = Unpacked(*salvage(found.content, manifest))
-            elif own is None and self._named() and not self.damaged:
+                chunk = Unpacked(*salvage(chunk.content, manifest))
+            elif named_by is None and self._named() and not self.damaged:
                 what = "no manifest lists the content of this chunk: it is excluded"
                 self.info.contradict(self.where, frame.at, what)
                 return None
-            manifest = own or manifest
+            manifest = named_by or manifest
         again = False
-        if found.content:
-            found, manifest, again = self.copies.new_part(found, manifest)
+        if chunk.content:
+            chunk, manifest, again = self.copies.new_part(chunk, manifest)
         if again:
             self.info.note(self.where, frame.at, "a chunk is in the file twice: its messages count once")
-        elif found.reason and not cut:
-            self._lost(frame, found.reason)
-        if found.content and manifest is not None and (found.whole is not None or manifest.names(found.digest)):
-            block = whole_records(self.info, found, manifest, self.where, frame.at)
-            if indexed and block is not None and found.whole is None and not index_agrees(block, indexed):
+        elif chunk.reason and not cut:
+            self._lost(frame, chunk.reason)
+        if chunk.content and manifest is not None and (chunk.whole is not None or manifest.names(chunk.digest)):
+            block = whole_records(self.info, chunk, manifest, self.where, frame.at)
+            if indexed and block is not None and chunk.whole is None and not index_agrees(block, indexed):
                 self.info.note(self.where, frame.at, "the index of a chunk is not that of its messages")
             return block
-        if not found.content:
+        if not chunk.content:
             return None
-        block = block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+        block = block_of(self.info, chunk.content, indexed, self.where, frame.at, len(packed.data))
         self.info.unchecked += 0 if block is None or packed.checksum else len(block.heads)
-        proved = found.proved and (followed or bool(packed.checksum))
+        proved = chunk.proved and (followed or bool(packed.checksum))
         return block if proved or block is None else self._unproved(frame, block)
 
     def _unproved(self, frame: Frame, block: Block) -> Block | None:
@@ -246,11 +246,11 @@ class _Walk:
     def _manifest_at(self, frame: Frame) -> Manifest | None:
         return decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
 
-    def _manifest_of(self, found: Unpacked, nearest: Manifest | None) -> Manifest | None:
+    def _manifest_of(self, unpacked: Unpacked, nearest: Manifest | None) -> Manifest | None:
         """The manifest that names a content: the nearest one, or another one of the file; None without any."""
-        if nearest is not None and nearest.names(found.digest):
+        if nearest is not None and nearest.names(unpacked.digest):
             return nearest
-        place = self._named().get(found.digest)
+        place = self._named().get(unpacked.digest)
         return None if place is None else self._manifest_at(place)
 
     def _is_named(self, digest: bytes) -> bool:
@@ -260,8 +260,8 @@ class _Walk:
         """Digests in all whole manifests of the file; looked for where a content is not what the nearest one names."""
         if self.manifests is None:
             frames = [f for f in self.framing.frames(len(MAGIC)) if f.op == OP_MANIFEST and f.whole]
-            found = ((self._manifest_at(frame), frame) for frame in frames)
-            self.manifests = {m.digest: frame for m, frame in found if m is not None and m.verified}
+            manifests = ((self._manifest_at(frame), frame) for frame in frames)
+            self.manifests = {m.digest: frame for m, frame in manifests if m is not None and m.verified}
         return self.manifests
 
     def _outside_chunks(self) -> Iterator[Block]:

@@ -73,13 +73,13 @@ class _Reader:
         self._types, self._aliases = types, dict[str, tuple[str, int | None]]()
 
     def _take(self, expected: str = "") -> str:
-        found = self._next
-        if found is None:
+        token = self._next
+        if token is None:
             raise InputError("a truncated one")
-        if expected and found != expected:
-            raise InputError(f"{found[:40]!r} instead of {expected!r}")
+        if expected and token != expected:
+            raise InputError(f"{token[:40]!r} instead of {expected!r}")
         self._next = next(self._tokens, None)
-        return found
+        return token
 
     def members_of_modules(self, scope: tuple[str, ...]) -> None:
         """All that a module holds, or the file."""
@@ -93,9 +93,9 @@ class _Reader:
             elif kind == "struct":
                 self._structure(scope)
             elif kind == "typedef":
-                own, count = self._type()
+                base, count = self._type()
                 name, size = self._declared()
-                self._aliases[name] = own, _in_all(count, size)
+                self._aliases[name] = base, _in_all(count, size)
             elif kind == "const":
                 while self._next not in (None, ";"):
                     self._take()
@@ -108,9 +108,9 @@ class _Reader:
         self._take("{")
         while self._next != "}":
             kind, count = self._type()
-            own, size = self._declared()
+            member, size = self._declared()
             self._take(";")
-            fields.append(Field(kind, own, _in_all(count, size)))
+            fields.append(Field(kind, member, _in_all(count, size)))
         self._take("}")
         self._types[short_name("/".join((*scope, name)))] = tuple(fields)
 

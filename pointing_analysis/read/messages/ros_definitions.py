@@ -168,15 +168,15 @@ def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
         return ()
     fields = types[root]
     stamped = bool(fields) and fields[0].type == HEADER
-    found: list[_Group] = []
+    groups: list[_Group] = []
     # some hundred bytes of definitions can stand for any number of paths
     for number, group in enumerate(_groups(root, types, "", 0)):
         if number > MESSAGE_FIELDS:
             raise BagError(f"message type must have at most {MESSAGE_FIELDS} fields, got more in {root}")
         if group is not None:
-            found.append(group)
-    found.sort(key=lambda group: group[0].count("."))
-    return tuple(Vector(path, names, stamped, quantity, axis) for path, names, quantity, axis in found)
+            groups.append(group)
+    groups.sort(key=lambda group: group[0].count("."))
+    return tuple(Vector(path, names, stamped, quantity, axis) for path, names, quantity, axis in groups)
 
 
 _Group = tuple[str, tuple[str, ...], str, str]
@@ -304,10 +304,10 @@ def locate(schema: str, types: Definitions, path: str, payload: bytes, count: in
         reader.message(short_name(schema), "")
     except struct.error:
         raise BagError(f"{schema}: the payload of {len(payload)} bytes is truncated") from None
-    found = _places(reader, path)
-    if found is None:
+    places = _places(reader, path)
+    if places is None:
         raise BagError(f"{schema}: {path or 'the message'} must have {_WORDS[count]} numbers, got fewer")
-    return found
+    return places
 
 
 def located(schema: str, types: Definitions, payload: bytes) -> frozenset[str]:

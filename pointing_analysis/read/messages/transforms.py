@@ -38,7 +38,7 @@ def transforms(payload: bytes) -> list[Transform]:
             raise struct.error("text beyond the end of the message")
         return payload[at + 4 : max(end - 1, at + 4)].decode("utf-8", "replace"), end
 
-    found = []
+    decoded = []
     try:
         (count,) = whole.unpack_from(payload, 4)
         if count > len(payload) // _SMALLEST + 1:
@@ -49,8 +49,8 @@ def transforms(payload: bytes) -> list[Transform]:
             _, at = text(at + stamp.size)
             child, at = text(at)
             at = aligned(at, 8)
-            found.append((child, seconds * NS_PER_S + rest, numbers.unpack_from(payload, at)[3:]))
+            decoded.append((child, seconds * NS_PER_S + rest, numbers.unpack_from(payload, at)[3:]))
             at += numbers.size
     except struct.error:
         raise BagError(f"{TF_MESSAGE}: the payload of {len(payload)} bytes is truncated") from None
-    return found
+    return decoded

@@ -44,7 +44,7 @@ def read_parquet(path: Path) -> Table:
         raise InputError(f"{path}: table must be Parquet, got {str(error).splitlines()[0]}") from None
     if len(set(table.column_names)) < len(table.column_names):
         raise InputError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     units: dict[str, list[str]] = {}
     for name in table.column_names:
         column = table.column(name)
@@ -55,12 +55,12 @@ def read_parquet(path: Path) -> Table:
             column = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
         elif pyarrow.types.is_decimal(column.type):
             column = column.cast(pyarrow.float64())
-        found[name] = column.to_numpy()
+        columns[name] = column.to_numpy()
         about = table.schema.field(name).metadata or {}
         units[name] = [about[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in about]
         units[name] += ["ns"] if since else []
     texts = {name: (1, kind) for name, kind in others.items()}
-    return Table(path, "Parquet", found, units, names=tuple(schema.names), texts=texts)
+    return Table(path, "Parquet", columns, units, names=tuple(schema.names), texts=texts)
 
 
 def _check_shapes(archive: zipfile.ZipFile) -> None:
@@ -92,15 +92,15 @@ def read_numpy(path: Path) -> Table:
             with zipfile.ZipFile(path) as archive:
                 check_unpacked(path, sum(entry.file_size for entry in archive.infolist()))
                 _check_shapes(archive)
-            found = Gathered()
+            gathered = Gathered()
             with np.load(path, allow_pickle=False) as content:
                 for name in content.files:
                     array = content[name]
                     if array.dtype.kind == "U" and len(np.unique(array)) == 1:  # of each column the same
-                        found.add_setting(name, str(array.reshape(-1)[0]))
+                        gathered.add_setting(name, str(array.reshape(-1)[0]))
                     else:
-                        found.add(name, array)
-            return found.table(path, "NumPy")
+                        gathered.add(name, array)
+            return gathered.table(path, "NumPy")
         # mapped, not read: the shape that a file declares may be any
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except MemoryError:

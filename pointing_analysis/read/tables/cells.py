@@ -98,10 +98,10 @@ def check_decimal_mark(path: Path, numbers: Sequence[int], rows: Sequence[Sequen
     if comma is None:
         return
     for column in zip(*(row for row in rows if len(row) == len(rows[-1]))):
-        given = [cell for cell in column if cell.strip()]
-        groups = [cell for cell in given if GROUP.fullmatch(cell)]
-        whole = [cell for cell in given if re.fullmatch(r"\s*[-+]?\d{1,3}\s*", cell)]
-        if groups and whole and len(groups) + len(whole) >= len(given) - 1 and len(given) > 2:
+        filled = [cell for cell in column if cell.strip()]
+        groups = [cell for cell in filled if GROUP.fullmatch(cell)]
+        whole = [cell for cell in filled if re.fullmatch(r"\s*[-+]?\d{1,3}\s*", cell)]
+        if groups and whole and len(groups) + len(whole) >= len(filled) - 1 and len(filled) > 2:
             row_number = next(n for n, row in zip(numbers, rows) if groups[0] in row)
             raise InputError(
                 f"{path}: row {row_number} must be without marks of thousands, got {groups[0].strip()!r} "

@@ -64,10 +64,10 @@ def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
     """
     if cells and _TIME_OF_DAY.fullmatch(cells[0]):
         return _times_of_day(cells)
-    found = [next((m for kind in _DATE if (m := kind.fullmatch(cell))), None) for cell in cells]
-    if not cells or any(match is None for match in found):
+    matches = [next((m for kind in _DATE if (m := kind.fullmatch(cell))), None) for cell in cells]
+    if not cells or any(match is None for match in matches):
         raise InputError("cells must be dates with a time of day")
-    parts = [match.groupdict() for match in found if match is not None]
+    parts = [match.groupdict() for match in matches if match is not None]
     moments = np.array([_moment(part) for part in parts], "datetime64[ns]")
     return np.asarray(moments - np.array([_offset(part["zone"]) for part in parts], "timedelta64[m]"))
 
@@ -99,10 +99,10 @@ def _offset(text: str | None) -> int:
 
 def _times_of_day(cells: Sequence[str]) -> NDArray[np.datetime64]:
     """Times of day; each step back by more than half a day is one over midnight."""
-    found = [_TIME_OF_DAY.fullmatch(cell) for cell in cells]
-    if any(match is None for match in found):
+    matches = [_TIME_OF_DAY.fullmatch(cell) for cell in cells]
+    if any(match is None for match in matches):
         raise InputError("cells must be times of day")
-    texts = [match.groups() for match in found if match is not None]
+    texts = [match.groups() for match in matches if match is not None]
     if any(int(h) > 23 or int(m) > 59 or float(s.replace(",", ".")) >= 60 for h, m, s in texts):
         raise InputError("cells must be times of day")
     moments = np.array([f"1970-01-01T{int(h):02d}:{m}:{s.replace(',', '.')}" for h, m, s in texts], "datetime64[ns]")

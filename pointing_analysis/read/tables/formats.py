@@ -103,19 +103,19 @@ def format_of(path: Path) -> Format:
             marks = [head[: len(HDF5)], *(_at(file, offset) for offset in HDF5_OFFSETS[1:])]
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    if (found := _by_mark(path, head, marks)) is not None:
-        return found
+    if (by_content := _by_mark(path, head, marks)) is not None:
+        return by_content
     kind = kind_of_file(path)
     if kind is None:
-        found = OF_SUFFIX.get(path.suffix.lower()) or (Format.CSV if _is_text(head) else None)
-        if found is Format.CSV and _without_digits(path):
+        by_content = OF_SUFFIX.get(path.suffix.lower()) or (Format.CSV if _is_text(head) else None)
+        if by_content is Format.CSV and _without_digits(path):
             kind = "a text without numbers"
-    if found is None or kind is not None:
+    if by_content is None or kind is not None:
         kind = kind or f"a file that begins with {head[:8]!r}"
         how = next((how for name, how in CONVERSIONS.items() if kind.startswith(name)), "")
         advice = f"; to convert it: {how}" if how else ""
         raise InputError(f"{path}: file must be one of {FORMATS}; got {kind}{advice}")
-    return found
+    return by_content
 
 
 def _without_digits(path: Path) -> bool:

@@ -61,14 +61,14 @@ def read_table(path: Path) -> Table:
     InputError
         No such file, a bag or no format that is read, or a file that is damaged.
     """
-    found = format_of(path)
-    if found not in READERS:
+    kind = format_of(path)
+    if kind not in READERS:
         raise InputError(f"{path}: file must be a table, got a bag")
     try:
         check_file(path, TABLE)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
-    table = READERS[found](path)
+    table = READERS[kind](path)
     if not table.columns:
         table.refuse_text(next(iter(table.texts), ""))
         raise InputError(f"{path}: table must have numeric columns, got none")
@@ -162,17 +162,17 @@ def _series_of(table: Table, los: str | None, unit: str | None, rate: float | No
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
     provenance = Provenance(table.path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
-    found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
-    return found if stated_rate is None else _with_rate_note(found, stated_rate)
+    line_of_sight = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
+    return line_of_sight if stated_rate is None else _with_rate_note(line_of_sight, stated_rate)
 
 
-def _with_rate_note(found: Series, stated: float) -> Series:
+def _with_rate_note(read: Series, stated: float) -> Series:
     """A note if the time stamps have another rate than the file states."""
-    own = 1.0 / found.topic.period
-    if len(found.topic) < 2 or abs(own - stated) <= OTHER_RATE * own:
-        return found
-    note = f"the file states {stated:.6g} Hz for {found.label}, its time stamps {own:.6g} Hz: the stamps are used"
-    return replace(found, problems=(*found.problems, note))
+    by_times = 1.0 / read.topic.period
+    if len(read.topic) < 2 or abs(by_times - stated) <= OTHER_RATE * by_times:
+        return read
+    note = f"the file states {stated:.6g} Hz for {read.label}, its time stamps {by_times:.6g} Hz: the stamps are used"
+    return replace(read, problems=(*read.problems, note))
 
 
 def _others(table: Table, x: str, y: str) -> str:
@@ -185,19 +185,19 @@ def _others(table: Table, x: str, y: str) -> str:
     return f" ({other} has {len(table.columns[other])} rows, {x} {rows})" if other else ""
 
 
-def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: str | None) -> tuple[FloatArray, str]:
+def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], asked: str | None) -> tuple[FloatArray, str]:
     """Samples in one unit, and that unit: the given one, or that of the file."""
     stated = [table.unit(name) for name in names]
     for name, unit in zip(names, stated):
         if unit and unit not in ANGLES:
             raise InputError(f"{table.path}: unit of {name} must be an angle, {NAMES}, got {unit!r} in the file")
-    if given is not None:
-        given = unit_name(given)
+    if asked is not None:
+        asked = unit_name(asked)
         for name, unit in zip(names, stated):
-            if unit and unit != given:
-                raise InputError(f"{table.path}: unit must be {unit}, stated in the file for {name}, got {given!r}")
-        scale_of(given)
-        return xy, given
+            if unit and unit != asked:
+                raise InputError(f"{table.path}: unit must be {unit}, stated in the file for {name}, got {asked!r}")
+        scale_of(asked)
+        return xy, asked
     if not all(stated):
         name = names[0] if not stated[0] else names[1]
         missing = f"which the file does not state for {name}, got none"
@@ -267,18 +267,18 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
         columns = table.of_length(len(table.columns[x]))
         return _time_first(columns, x, y, asked or time_column(columns, [x, y]))
     lengths = dict.fromkeys(len(column) for column in table.columns.values())
-    found = [chosen for n in lengths if (chosen := _by_names(table.of_length(n), asked)) is not None]
-    if found and _known_pair(found[0][:2]) and _known_pair(list(table.columns)) is None:
-        found = []  # one of several of the same name: the others are of another length
-    if len(found) != 1 or not set(found[0]) & set(_known_pair(list(table.columns)) or ()):
+    possible = [chosen for n in lengths if (chosen := _by_names(table.of_length(n), asked)) is not None]
+    if possible and _known_pair(possible[0][:2]) and _known_pair(list(table.columns)) is None:
+        possible = []  # one of several of the same name: the others are of another length
+    if len(possible) != 1 or not set(possible[0]) & set(_known_pair(list(table.columns)) or ()):
         for name in _texts_of_angles(table):
             table.refuse_text(name)
-    if len(found) != 1:
+    if len(possible) != 1:
         others = f" ({'; '.join(table.left_out)})" if table.left_out else ""
         raise InputError(
             f"{table.path}: los must name two of the columns {table.listed()} (--los X,Y), got none{others}"
         )
-    return found[0]
+    return possible[0]
 
 
 def _of_topic(table: Table, name: str) -> str | None:

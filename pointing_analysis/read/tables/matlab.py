@@ -52,32 +52,32 @@ def read_mat(path: Path) -> Table:
     except Exception as error:  # of a damaged file scipy raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: file must be a MATLAB file, got: {text}") from None
-    found = Gathered()
+    gathered = Gathered()
     for name, value in content.items():
         if not name.startswith("__"):
-            _add(found, name, value, 0)
+            _add(gathered, name, value, 0)
     notes = [CLASSES] if "__function_workspace__" in content else []
-    return _made(found, path, "MATLAB", notes)
+    return _made(gathered, path, "MATLAB", notes)
 
 
-def _add(found: Gathered, name: str, value: Any, depth: int) -> None:
+def _add(table: Gathered, name: str, value: Any, depth: int) -> None:
     if depth > DEEPEST or not isinstance(value, np.ndarray) or value.size == 0:
         return
     if value.dtype.names:  # a structure; of an array of them the first
         for part in value.dtype.names:
-            _add(found, f"{name}.{part}", value[part].reshape(-1)[0], depth + 1)
+            _add(table, f"{name}.{part}", value[part].reshape(-1)[0], depth + 1)
     elif value.dtype.kind == "U":
-        found.add_setting(name, str(value.reshape(-1)[0]))
+        table.add_setting(name, str(value.reshape(-1)[0]))
     elif value.dtype.kind != "O":
-        found.add(name, value)
+        table.add(name, value)
     else:
-        _add_cells(found, name, {str(one.item()) for one in value.flat if np.size(one) == 1 and hasattr(one, "item")})
+        _add_cells(table, name, {str(one.item()) for one in value.flat if np.size(one) == 1 and hasattr(one, "item")})
 
 
-def _add_cells(found: Gathered, name: str, texts: set[str]) -> None:
+def _add_cells(gathered: Gathered, name: str, texts: set[str]) -> None:
     """Texts of a cell array, which is a setting where it has the same for each column."""
     if len(texts) == 1:
-        found.add_setting(name, texts.pop())
+        gathered.add_setting(name, texts.pop())
 
 
 def read_hdf5(path: Path) -> Table:
@@ -92,16 +92,16 @@ def read_hdf5(path: Path) -> Table:
         import h5py
     except ModuleNotFoundError:
         raise InputError(f"{path}: h5py must be installed: pip install 'los-testbed[hdf5]'") from None
-    found, notes = Gathered(), dict[str, None]()
+    gathered, notes = Gathered(), dict[str, None]()
     try:
         with h5py.File(path, "r") as file:
             matlab = path.suffix.lower() == ".mat"
             datasets, groups = _datasets(file, h5py, notes)
             check_unpacked(path, sum(d.size * d.dtype.itemsize for _, d in datasets))
             for name, group in groups:
-                _add_attributes(found, name, group.attrs)
+                _add_attributes(gathered, name, group.attrs)
             for name, dataset in datasets:
-                _add_dataset(found, name, dataset)
+                _add_dataset(gathered, name, dataset)
     except MemoryError:
         raise
     except InputError as error:
@@ -109,12 +109,12 @@ def read_hdf5(path: Path) -> Table:
     except Exception as error:  # of a damaged file h5py raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: file must be HDF5, got: {text}") from None
-    return _made(found, path, "MATLAB 7.3" if matlab else "HDF5", list(notes))
+    return _made(gathered, path, "MATLAB 7.3" if matlab else "HDF5", list(notes))
 
 
 def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> tuple[list[tuple[str, Any]], list[tuple[str, Any]]]:
     """Datasets by name, without links to other files, and the groups that they are in, the file as the first."""
-    found: list[tuple[str, Any]] = []
+    items: list[tuple[str, Any]] = []
     waiting: list[tuple[str, Any]] = [("", file)]
     seen: set[Any] = set()
     for prefix, group in waiting:  # grows while it is gone through
@@ -140,28 +140,28 @@ def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> tuple[list[tuple[
                 if item.external or item.is_virtual:
                     notes[f"{name}: its values are in another file, which is not read"] = None
                 elif depth <= DEEPEST:
-                    found.append((name.replace("/", "."), item))
+                    items.append((name.replace("/", "."), item))
     groups = [(prefix.rstrip("/").replace("/", "."), group) for prefix, group in waiting]
-    return sorted(found, key=lambda pair: pair[0].split(".")), groups
+    return sorted(items, key=lambda pair: pair[0].split(".")), groups
 
 
-def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
+def _add_dataset(gathered: Gathered, name: str, dataset: Any) -> None:
     kind = _text(dataset.attrs.get("MATLAB_class", ""))
     if kind == "char":
-        found.add_setting(name, _characters(dataset))
+        gathered.add_setting(name, _characters(dataset))
         return
     if kind == "cell":
         cells = [dataset.file[one] for one in dataset[()].flat if one] if dataset.size <= CELLS else []
         texts = [one for one in cells if _text(one.attrs.get("MATLAB_class", "")) == "char" and one.size <= CELLS]
-        _add_cells(found, name, {_characters(one) for one in texts})
+        _add_cells(gathered, name, {_characters(one) for one in texts})
         return
-    _add_attributes(found, name, dataset.attrs)
+    _add_attributes(gathered, name, dataset.attrs)
     if dataset.dtype.kind in "OSU":
         if dataset.size == 1:
-            found.add_setting(name, _text(np.asarray(dataset[()]).reshape(-1)[0]))
+            gathered.add_setting(name, _text(np.asarray(dataset[()]).reshape(-1)[0]))
         return
     if dataset.dtype.kind in "fiucMV" and "MATLAB_empty" not in dataset.attrs:
-        found.add(name, _values(dataset))
+        gathered.add(name, _values(dataset))
 
 
 def _characters(dataset: Any) -> str:
@@ -183,7 +183,7 @@ def _values(dataset: Any) -> NDArray[Any]:
     return np.where(missing, np.nan, values * scale + offset)
 
 
-def _add_attributes(found: Gathered, name: str, attributes: Any) -> None:
+def _add_attributes(gathered: Gathered, name: str, attributes: Any) -> None:
     """Unit and rate that attributes of a dataset or of the file say."""
     for key in attributes:
         try:
@@ -193,17 +193,17 @@ def _add_attributes(found: Gathered, name: str, attributes: Any) -> None:
         if value.size != 1:
             continue
         if key in UNIT_KEYS:
-            found.add_unit(name, _text(value.reshape(-1)[0]))
+            gathered.add_unit(name, _text(value.reshape(-1)[0]))
         elif value.dtype.kind in "fiu":
-            found.add_setting(f"{name}.{key}" if name else key, value)
+            gathered.add_setting(f"{name}.{key}" if name else key, value)
 
 
 def _text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _made(found: Gathered, path: Path, kind: str, notes: list[str]) -> Table:
-    table = found.table(path, kind, notes)
+def _made(gathered: Gathered, path: Path, kind: str, notes: list[str]) -> Table:
+    table = gathered.table(path, kind, notes)
     if not table.columns:
         advice = f" ({table.left_out[0]})" if table.left_out else ""
         raise InputError(f"{path}: file must hold arrays of numbers with 2 or more rows, got none{advice}")

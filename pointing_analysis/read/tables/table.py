@@ -146,10 +146,10 @@ def split_unit(name: str) -> tuple[str, str]:
     (('x', 'mas'), ('y', 'urad'), ('t', 'ms'), ('flow/s', ''))
     """
     kinds = (_IN_BRACKETS, _AT_THE_END, _BEHIND_A_MARK, _TIME_AT_THE_END)
-    found = next((m for kind in kinds if (m := kind.match(name.strip()))), None)
-    if found is None:
+    match = next((m for kind in kinds if (m := kind.match(name.strip()))), None)
+    if match is None:
         return name.strip(), ""
-    base, *units = found.groups()
+    base, *units = match.groups()
     return base, unit_name(next(unit for unit in units if unit))
 
 
@@ -200,8 +200,8 @@ class Table:
         """Full name of a column that is named with or without its unit; None where there is none, or several."""
         if name in self.columns:
             return name
-        found = [column for column in self.columns if split_unit(column)[0] == name]
-        return found[0] if len(found) == 1 else None
+        columns = [column for column in self.columns if split_unit(column)[0] == name]
+        return columns[0] if len(columns) == 1 else None
 
     def unit(self, name: str) -> str:
         """Unit of a column by attribute, comment or header; empty if not stated.
@@ -320,8 +320,8 @@ class Gathered:
         units = {owner: [*self.units.get(owner, ()), *filter(None, [named.get(owner)])] for owner in self.units | named}
         about = {name: next((units[o] for o in _owners(name) if o in units), ()) for name in self.columns}
         rates = {name: next((self.rates[o] for o in _owners(name) if o in self.rates), ()) for name in self.columns}
-        own = [f"complex numbers not used: {', '.join(self.complex_arrays)}"] if self.complex_arrays else []
-        return Table(path, kind, self.columns, about, rates, (*left_out, *own))
+        unused = [f"complex numbers not used: {', '.join(self.complex_arrays)}"] if self.complex_arrays else []
+        return Table(path, kind, self.columns, about, rates, (*left_out, *unused))
 
 
 def _owners(name: str) -> list[str]:

@@ -33,21 +33,21 @@ def read_text(path: Path) -> Table:
         Not text, no rows, rows of different length, columns of the same name, a cell of text among numbers, two decimal
         marks.
     """
-    found = rows_of(path)
-    empty = [not any(cell.strip() for cell in row) for _, row in found.cells]
-    kept = [row for row, bare in zip(found.cells, empty) if not bare]
-    cells = {name: [(n, row[i]) for n, row in kept] for i, name in enumerate(found.names)}
+    parsed = rows_of(path)
+    empty = [not any(cell.strip() for cell in row) for _, row in parsed.cells]
+    kept = [row for row, bare in zip(parsed.cells, empty) if not bare]
+    cells = {name: [(n, row[i]) for n, row in kept] for i, name in enumerate(parsed.names)}
     columns = {name: _column(path, name, rows) for name, rows in cells.items()}
-    notes = [*found.notes, *([f"{sum(empty)} empty rows skipped"] if any(empty) else [])]
+    notes = [*parsed.notes, *([f"{sum(empty)} empty rows skipped"] if any(empty) else [])]
     texts = {name: _first_text(cells[name]) for name, column in columns.items() if column is None}
     if texts:
         notes.append(f"text columns ignored: {', '.join(texts)}")
     units: dict[str, list[str]] = {}
-    for name, unit in zip(found.names, found.units):
-        for_all = found.units_of_all if split_unit(name)[1] in ("", *ANGLES) else ()
+    for name, unit in zip(parsed.names, parsed.units):
+        for_all = parsed.units_of_all if split_unit(name)[1] in ("", *ANGLES) else ()
         units[name] = [*for_all, *filter(None, [unit])]
     kept_columns = {name: column for name, column in columns.items() if column is not None}
-    return Table(path, "CSV", kept_columns, units, left_out=tuple(notes), names=tuple(found.names), texts=texts)
+    return Table(path, "CSV", kept_columns, units, left_out=tuple(notes), names=tuple(parsed.names), texts=texts)
 
 
 def _first_text(cells: Sequence[tuple[int, str]]) -> tuple[int, str]:
@@ -74,13 +74,13 @@ def _column(path: Path, name: str, cells: Sequence[tuple[int, str]]) -> Column |
     for read in (lambda: np.array([number(cell) for cell in texts]), lambda: dates(texts)):
         with contextlib.suppress(ValueError):
             return read()
-    given = [(row, cell) for row, cell in cells if cell.strip()]
-    others = [(row, cell) for row, cell in given if not are_values([cell])]
+    filled = [(row, cell) for row, cell in cells if cell.strip()]
+    others = [(row, cell) for row, cell in filled if not are_values([cell])]
     errors = [(row, cell) for row, cell in others if SPREADSHEET_ERROR.match(cell)]
     if not others:  # numbers beside dates: the fewer ones
-        kinds = [pair for pair in given if is_number(pair[1])], [pair for pair in given if not is_number(pair[1])]
+        kinds = [pair for pair in filled if is_number(pair[1])], [pair for pair in filled if not is_number(pair[1])]
         others = errors = min(kinds, key=len)
-    if len(others) < MOST_TEXT * len(given) or (errors and len(others) < len(given)):
+    if len(others) < MOST_TEXT * len(filled) or (errors and len(others) < len(filled)):
         row, cell = (errors or others)[0]
         raise InputError(f"{path}: row {row}, column {name} must be a number, got {cell.strip()[:SHOWN]!r}")
     return None

@@ -111,8 +111,8 @@ def rows_of(path: Path) -> Rows:
     marks = "".join((*COMMENT, *COMMENT_IN_FRONT))
     comments = [line.lstrip().lstrip(marks).strip() for number, line in every if number < lines[0][0]]
     names, rows = _names_and_rows(path, lines, comments, separator)
-    found = _even(path, Rows(names, rows, ["" for _ in names], notes=tuple(notes)))
-    return _with_units(found, comments)
+    even = _even(path, Rows(names, rows, ["" for _ in names], notes=tuple(notes)))
+    return _with_units(even, comments)
 
 
 def _is_comment(line: str) -> bool:
@@ -190,11 +190,11 @@ def _names_and_rows(
     return names, rows
 
 
-def _even(path: Path, found: Rows) -> Rows:
+def _even(path: Path, parsed: Rows) -> Rows:
     """Rows of one length and names that differ, without the header where it is repeated, and without empty ends."""
-    names, notes = found.names, found.notes
-    repeated = [number for number, row in found.cells if [cell.strip() for cell in row] == names]
-    rows = [pair for pair in found.cells if pair[0] not in set(repeated)] if repeated else found.cells
+    names, notes = parsed.names, parsed.notes
+    repeated = [number for number, row in parsed.cells if [cell.strip() for cell in row] == names]
+    rows = [pair for pair in parsed.cells if pair[0] not in set(repeated)] if repeated else parsed.cells
     if repeated:
         notes = (*notes, f"header repeated in row {', '.join(map(str, repeated[:5]))} skipped")
     width = max(len(names), *(len(row) for _, row in rows)) if rows else len(names)
@@ -211,7 +211,7 @@ def _even(path: Path, found: Rows) -> Rows:
     uneven = next(((number, len(row)) for number, row in rows if len(row) != len(names)), None)
     if uneven is not None:
         raise InputError(f"{path}: every row must have {len(names)} cells, got {uneven[1]} in row {uneven[0]}")
-    return replace(found, names=names, cells=rows, units=["" for _ in names], notes=notes)
+    return replace(parsed, names=names, cells=rows, units=["" for _ in names], notes=notes)
 
 
 def separator_of(line: str) -> str | None:
@@ -224,20 +224,20 @@ def separator_of(line: str) -> str | None:
     >>> separator_of("0 0,5 -1,25"), separator_of("0, 0.5, -1.25"), separator_of("0,5;1,25"), separator_of("t x y")
     (None, ',', ';', None)
     """
-    found = next((mark for mark in (";", "\t", "|", ",") if mark in line), None)
-    if found == "," and not are_values(line.split(",")) and are_values(with_points(line.split())):
+    mark_of_line = next((mark for mark in (";", "\t", "|", ",") if mark in line), None)
+    if mark_of_line == "," and not are_values(line.split(",")) and are_values(with_points(line.split())):
         return None
-    return found
+    return mark_of_line
 
 
-def _with_units(found: Rows, comments: Sequence[str]) -> Rows:
+def _with_units(parsed: Rows, comments: Sequence[str]) -> Rows:
     """Rows with the units of a row below the header and of comments; a row of units is no row of values."""
-    rows, stated = found.cells, list[str]()
+    rows, stated = parsed.cells, list[str]()
     if rows and (units := _row_of_units(rows)) is not None:
         rows, stated = rows[1:], units
     if not any(stated):
-        stated = _units_in_comments(comments, found.names)
-    return replace(found, cells=rows, units=stated or found.units, units_of_all=tuple(_units_in(comments)))
+        stated = _units_in_comments(comments, parsed.names)
+    return replace(parsed, cells=rows, units=stated or parsed.units, units_of_all=tuple(_units_in(comments)))
 
 
 def _row_of_units(rows: Sequence[Row]) -> list[str] | None:
@@ -246,14 +246,14 @@ def _row_of_units(rows: Sequence[Row]) -> list[str] | None:
     Words in each cell in front of a row of numbers are units, too, of any quantity: they are no values.
     """
     cells = [cell.strip().strip("[]()") for cell in rows[0][1]]
-    found = [unit_name(cell) for cell in cells]
+    units = [unit_name(cell) for cell in cells]
     words = all(cell and len(cell) <= SHOWN // 3 and not are_values([cell]) for cell in cells)
     words = words and not any(map(SPREADSHEET_ERROR.match, cells))
-    if words and len(rows) > 1 and all(rows[1][1]) and are_values(rows[1][1]) and found[0] in _UNITS:
-        return found
-    if all(unit in _NO_UNIT for unit in found) or not all(unit in _UNITS for unit in found):
+    if words and len(rows) > 1 and all(rows[1][1]) and are_values(rows[1][1]) and units[0] in _UNITS:
+        return units
+    if all(unit in _NO_UNIT for unit in units) or not all(unit in _UNITS for unit in units):
         return None
-    return ["" if unit in _NO_UNIT else unit for unit in found]
+    return ["" if unit in _NO_UNIT else unit for unit in units]
 
 
 def _units_in_comments(comments: Sequence[str], names: Sequence[str]) -> list[str]:
@@ -271,5 +271,5 @@ def _units_in_comments(comments: Sequence[str], names: Sequence[str]) -> list[st
 
 def _units_in(comments: Sequence[str]) -> list[str]:
     """Units of angle that comments name for all columns."""
-    found = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
-    return [unit for unit in found if unit in ANGLES]
+    units = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
+    return [unit for unit in units if unit in ANGLES]

@@ -131,6 +131,12 @@ def test_one_bit_is_found(call, recorded, tmp_path) -> None:
     assert found["los_estimate"]["different"] == 0  # this observer does not look at M1
 
 
+def test_another_stage_with_the_recorded_controllers_is_named(call, recorded, tmp_path) -> None:
+    code, out, _ = call(recorded, "--loop=fsm")
+    assert code == 0 and "controllers as recorded, with loop fsm instead of fsm+pma" in " ".join(out.split())
+    assert "other controllers" in call(recorded, "--k-fsm", other_observer(tmp_path / "quick.json"))[1]
+
+
 def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path) -> None:
     new = other_observer(tmp_path / "quick.json")
     code, out, _ = call(recorded, "--k-fsm", new, "--output", "replayed", "--json")

@@ -171,8 +171,8 @@ class CampaignResult:
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, *(digits(found.get(key), 4, none="") for key in ("q0.5", "q0.9", "q1")))
-            for name, found in self.summary["metrics"].items()
+            (name, *(digits(quantiles.get(key), 4, none="") for key in ("q0.5", "q0.9", "q1")))
+            for name, quantiles in self.summary["metrics"].items()
         ]
         title = f"{self.path.name}: {counted(self.summary['members'], 'member')}"
         return TextTable.of((*texts("metric"), *numbers("median", "90 %", "largest")), rows, title).html(caption=True)
@@ -218,18 +218,18 @@ def run(
     from pointing_analysis.command.exit_codes import ExitCode
 
     folder = "" if designs is None else str(designs)
-    given = layered({"mode": "inprocess"}, of_designs(folder), _plain(settings))
+    stated = layered({"mode": "inprocess"}, of_designs(folder), _plain(settings))
     if output is not None:
-        given["output"] = str(output)
-    config = completed({**given, **({"start": "rest"} if plant is not None else {})}, folder)
+        stated["output"] = str(output)
+    config = completed({**stated, **({"start": "rest"} if plant is not None else {})}, folder)
     if config.output is None:
         config = replace(config, output=str(new_bag(config)))
-    results = execute(RunParts(config), own=plant)
+    results = execute(RunParts(config), plant=plant)
     if results.bag is None or results.interrupted:
         raise RunError(f"interrupted{recorded(config.bag)}", ExitCode.INTERRUPTED)
-    found = analyse(results.bag, output=results.bag / "report.html" if report else None)
-    check_missed(missed_share(found.values), config, f"; the bag is whole: {results.bag}")
-    return replace(found, remarks=(*results.failures, *results.warnings, *found.remarks))
+    analysed = analyse(results.bag, output=results.bag / "report.html" if report else None)
+    check_missed(missed_share(analysed.values), config, f"; the bag is whole: {results.bag}")
+    return replace(analysed, remarks=(*results.failures, *results.warnings, *analysed.remarks))
 
 
 def analyse(
@@ -267,8 +267,8 @@ def analyse(
 
     recording = open_los(Path(path), **source)
     asked = load(Path(requirements), STAGES) if isinstance(requirements, str | os.PathLike) else requirements
-    found = summarise_runs([recording], None if output is None else Path(output), transient, asked)
-    return RunResult(Path(path), recording, found.summaries[0], found.remarks[0], found.runs[0])
+    judged = summarise_runs([recording], None if output is None else Path(output), transient, asked)
+    return RunResult(Path(path), recording, judged.summaries[0], judged.remarks[0], judged.runs[0])
 
 
 def campaign(
@@ -307,8 +307,8 @@ def campaign(
     from los_testbed.config.run_config import RunConfig
 
     designs = settings.pop("designs", None)
-    given = layered({"mode": "inprocess"}, of_designs("" if designs is None else str(designs)), _plain(settings))
-    base = with_scenario(RunConfig.from_mapping(with_stage(given)), usual="unit_norm")
+    stated = layered({"mode": "inprocess"}, of_designs("" if designs is None else str(designs)), _plain(settings))
+    base = with_scenario(RunConfig.from_mapping(with_stage(stated)), usual="unit_norm")
     folder = ResultFolder(Path(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"))
     options = CampaignOptions(samples, seed, sampling, depth, resume, workers)
     asked, warnings = evaluate_campaign(base, folder, options)

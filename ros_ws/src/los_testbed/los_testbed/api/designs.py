@@ -256,7 +256,8 @@ def prove_designs(
         )
     loops = loops_of(folder, stored.mirror_stages, same_telescope=True)
     chosen = figures_to_prove(stored, stored.mirror_stages)
-    return prove_figures(chosen, loops, folder, prover_of(workers), until, workers=workers, report=report)
+    with one_thread():
+        return prove_figures(chosen, loops, folder, prover_of(workers), until, workers=workers, report=report)
 
 
 def certify(
@@ -310,7 +311,7 @@ def certify(
     until = time.monotonic() + time_limit
     pair = None if designs is None else Path(designs)
     loops = loops_of(pair, MIRROR_STAGES, uncertain, same_telescope=True, warn=warn)
-    with _workers(workers) as pool:
+    with one_thread(), _workers(workers) as pool:
         return prove_figures(
             chosen,
             loops,

@@ -64,12 +64,12 @@ class Codec(Encoder):
         if data[:2] != _LITTLE_ENDIAN:
             raise CodecError("encoding", f"message must be little-endian CDR, got one that starts {data[:4].hex()}")
         try:
-            found = layout(self.type_name, data)
+            place = layout(self.type_name, data)
         except BagError as error:
             raise CodecError("size", str(error)) from None
-        if self.type_name == JOINT_STATE and found.count != self.size:
-            raise CodecError("size", f"message must hold {self.size} efforts, got {found.count}")
-        return found.values
+        if self.type_name == JOINT_STATE and place.count != self.size:
+            raise CodecError("size", f"message must hold {self.size} efforts, got {place.count}")
+        return place.values
 
 
 def stamp_of(data: bytes | bytearray) -> int:

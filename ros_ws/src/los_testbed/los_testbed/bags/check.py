@@ -140,8 +140,8 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     ValueError
         It is damaged, contradicts itself, or has no digest of all its bytes.
     """
-    found, infos, files = _check(path, max_chunk, None)
-    refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
+    check, infos, files = _check(path, max_chunk, None)
+    refused = next((f"{row.name}: {row.found}" for row in check.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
         raise InputError(f"a bag must be intact to be signed, got {path}, {refused}")
     if not all(info.agrees and info.chunks and _all_agree(info) for info in infos):
@@ -178,12 +178,12 @@ def _check(
         None if end is None else _end_of_run(end),
         _signature(bag, infos, key),
     )
-    found = tuple(row for row in rows if row is not None)
-    differences = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
+    present = tuple(row for row in rows if row is not None)
+    differences = [f"{row.name}: {row.found}" for row in (counts, present[-1]) if row.state == "contradicts"]
     problems = tuple(dict.fromkeys([*reading.problems(), *differences]))
     result = BagCheck(
         path,
-        found,
+        present,
         (*reading.contradictions, *differences),
         problems,
         dict(contents.topics),
@@ -212,15 +212,15 @@ def _first(texts: list[str]) -> str:
 
 def _before(reading: BagPass) -> list[str]:
     """Contradictions of the bag that this one was repaired from."""
-    own = {text for info in reading.infos for text in info.contradictions}
-    return [text for text in reading.contradictions if text not in own]
+    of_files = {text for info in reading.infos for text in info.contradictions}
+    return [text for text in reading.contradictions if text not in of_files]
 
 
 def _damage(reading: BagPass) -> list[str]:
     """Defects of the files that are no contradictions, and metadata records that disagree with their hash."""
-    own = {text for info in reading.infos for text in info.contradictions}
-    found = [text for info in reading.infos for text in info.problems if text not in own]
-    return [*found, *merged(reading.infos, METADATA_NAME)[1]]
+    contradictions = {text for info in reading.infos for text in info.contradictions}
+    problems = [text for info in reading.infos for text in info.problems if text not in contradictions]
+    return [*problems, *merged(reading.infos, METADATA_NAME)[1]]
 
 
 def _all_agree(info: FileInfo) -> bool:
@@ -267,40 +267,40 @@ class _Source:
     def wrong(self) -> list[str]:
         """Differences from the messages read, one sentence each."""
         known, read = self.topics, sum(self.read.values())
-        found = [
+        wrong_counts = [
             f"{topic}: {self.name} counts {counted(known.get(topic, 0), 'message')}, "
             f"{self.read.get(topic, 0)} can be read"
             for topic in (() if known is None else sorted({*known, *self.read}))
             if known is not None and known.get(topic, 0) != self.read.get(topic, 0)
         ]
         if self.total is None or self.total == read or (self.at_least and self.total < read):
-            return found
-        return [*found, f"{self.name} counts {counted(self.total, 'message')} in all, {read} can be read"]
+            return wrong_counts
+        return [*wrong_counts, f"{self.name} counts {counted(self.total, 'message')} in all, {read} can be read"]
 
 
 def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Mapping[str, Any]) -> list[_Source]:
     """metadata.yaml, the summary of each file, and the recorder of the run, as far as they count messages."""
-    found = []
+    sources = []
     if bag.counts or bag.message_count is not None:
-        found.append(_Source("metadata.yaml", bag.message_count, bag.counts or None, contents.topics))
+        sources.append(_Source("metadata.yaml", bag.message_count, bag.counts or None, contents.topics))
     for number, info in enumerate(infos):
         name = "the summary" if len(infos) == 1 else f"the summary of {bag.files[number].name}"
         read = contents.files[number] if number < len(contents.files) else {}
         if info.statistics is not None:
-            found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
+            sources.append(_Source(name, info.message_count, _by_topic(info) or None, read))
     stated = count_of(statistics_of(known, "recorder").get("messages"))
     if stated is not None:
         recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
-        found.append(_Source("the run's record", stated, None, recorded, at_least=True))
-    return found
+        sources.append(_Source("the run's record", stated, None, recorded, at_least=True))
+    return sources
 
 
 def _by_topic(info: FileInfo) -> Counter[str]:
     """Messages of each topic as the summary of a file counts them."""
-    found = Counter[str]()
+    counts = Counter[str]()
     for number, count in (info.statistics or {}).items():
-        found[info.channels[number].topic if number in info.channels else f"channel {number}"] += count
-    return found
+        counts[info.channels[number].topic if number in info.channels else f"channel {number}"] += count
+    return counts
 
 
 def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) -> BagCheckRow:
@@ -332,20 +332,26 @@ def _lost(losses: Sequence[TopicLoss], arrived: Mapping[str, Arrivals]) -> BagCh
     """Messages that were recorded and cannot be read. Where those went that only the stamps show is not known."""
     if losses:
         return BagCheckRow("lost messages", "damaged", _first([str(loss) for loss in losses]))
-    missing = sum(found.lost or 0 for found in arrived.values())
+    missing = sum(topic.lost or 0 for topic in arrived.values())
+    unknown = sum(topic.lost is None for topic in arrived.values())
+    beside = f"; not known of {counted(unknown, 'topic')} without stamps or a regular rate" if unknown else ""
     if missing:
         what = f"{counted(missing, 'message')} missing between the stamps: not recorded, or removed since"
-        return BagCheckRow("lost messages", "none", what)
-    return BagCheckRow("lost messages", "agrees", "none")
+        return BagCheckRow("lost messages", "none", what + beside)
+    return BagCheckRow("lost messages", "agrees", "none" + beside)
 
 
 def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     """Sums over the topics; what did not come is no damage of the bag."""
-    lost = sum(found.lost or 0 for found in arrived.values())
-    counts = {kind: sum(len(found.of(kind)) for found in arrived.values()) for kind in KINDS}
+    lost = sum(topic.lost or 0 for topic in arrived.values())
+    counts = {kind: sum(len(topic.of(kind)) for topic in arrived.values()) for kind in KINDS}
     parts = [counted(count, kind) for kind, count in counts.items() if count]
-    text = ", ".join([*parts, *([counted(lost, "message", " missing")] if lost else [])])
-    return BagCheckRow("times of the messages", "none" if parts else "agrees", text or "no gap, stall or clock step")
+    text = (
+        ", ".join([*parts, *([counted(lost, "message", " missing")] if lost else [])]) or "no gap, stall or clock step"
+    )
+    irregular = sum(topic.period is None for topic in arrived.values())
+    beside = f"; gaps not judged of {counted(irregular, 'topic')} without a regular rate" if irregular else ""
+    return BagCheckRow("times of the messages", "none" if parts else "agrees", text + beside)
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:

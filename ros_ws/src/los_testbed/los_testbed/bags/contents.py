@@ -61,12 +61,12 @@ class Contents:
 
     def arrivals(self) -> dict[str, Arrivals]:
         """Gaps, stalls and clock steps of each topic; messages without a stamp among others with one are left out."""
-        found = {}
+        by_topic = {}
         for topic, parts in sorted(self._times.items()):
             logged, stamps = (np.concatenate(arrays) for arrays in zip(*parts))
             stamped = stamps != 0
-            found[topic] = arrivals(logged[stamped], stamps[stamped]) if stamped.any() else arrivals(logged)
-        return found
+            by_topic[topic] = arrivals(logged[stamped], stamps[stamped]) if stamped.any() else arrivals(logged)
+        return by_topic
 
     @property
     def topics(self) -> Counter[str]:
@@ -99,7 +99,7 @@ def _stamps(block: Block, rows: IntArray) -> IntArray:
     whole = block.heads["length"][rows] >= BODY + STAMP_OFFSET + STAMP.size
     starts = block.offsets[rows[whole]] + HEAD + STAMP_OFFSET
     data = np.frombuffer(block.data, np.uint8)[starts[:, None] + np.arange(STAMP.size)]
-    found = np.ascontiguousarray(data).view(np.dtype([("s", "<i4"), ("ns", "<u4")])).reshape(-1)
+    fields = np.ascontiguousarray(data).view(np.dtype([("s", "<i4"), ("ns", "<u4")])).reshape(-1)
     stamps = np.zeros(rows.size, np.int64)
-    stamps[whole] = found["s"].astype(np.int64) * NS_PER_S + found["ns"]
+    stamps[whole] = fields["s"].astype(np.int64) * NS_PER_S + fields["ns"]
     return stamps

@@ -52,8 +52,8 @@ def describe_bag(path: Path, max_chunk: int = MAX_CHUNK) -> dict[str, Any]:
             spans.append((int(block.heads["log"].min()), int(block.heads["log"].max())))
             for channel, rows in block.by_channel(info.channels):
                 counts[channel.topic] += int(rows.size)
-    found, _ = merged(reading.infos)
-    run = {key: value_of(text) for key, text in found.items()}
+    record, _ = merged(reading.infos)
+    run = {key: value_of(text) for key, text in record.items()}
     start, end = min((s[0] for s in spans), default=None), max((s[1] for s in spans), default=None)
     schemas = {channel.topic: channel.schema for info in reading.infos for channel in info.channels.values()}
     attachments = {name: a for info in reading.infos for name, a in info.attachments.items()}

@@ -116,10 +116,10 @@ def read_diagnostics(data: bytes) -> tuple[str, list[Status]]:
     if data[:2] != ENCAPSULATION[:2]:
         raise CodecError("encoding", f"message must be little-endian CDR, got one that starts {data[:4].hex()}")
     reader = _Reader(data)
-    frame, found = reader.text(), []
+    frame, statuses = reader.text(), []
     for _ in range(reader.number()):
         level, name, message = reader.byte(), reader.text(), reader.text()
         reader.text()
         values = {reader.text(): reader.text() for _ in range(reader.number())}
-        found.append(Status(level, name, message, values))
-    return frame, found
+        statuses.append(Status(level, name, message, values))
+    return frame, statuses

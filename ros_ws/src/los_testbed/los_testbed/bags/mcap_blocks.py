@@ -297,11 +297,11 @@ class McapBlockWriter:
         offset_start = start + builder.count
         for entry in offsets:
             entry.write(builder)
-        own = builder.end()
-        self._put(own)
+        chunk_index = builder.end()
+        self._put(chunk_index)
         digest = self._digest.digest()
         self._put(last := RECORD.pack(OP_DIGEST, len(digest)) + digest)
-        summary = own + last
+        summary = chunk_index + last
         foot = int(Opcode.FOOTER).to_bytes(1, "little") + (20).to_bytes(8, "little")
         foot += start.to_bytes(8, "little") + offset_start.to_bytes(8, "little")
         self._write(

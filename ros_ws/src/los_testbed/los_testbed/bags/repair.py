@@ -55,11 +55,11 @@ class RepairResult:
 
     def sentences(self) -> list[str]:
         """Losses and damage, one sentence each."""
-        found = [*(str(loss) for loss in self.losses), *self.problems]
-        found += [f"{topic}: {n} messages have a repeated sequence number" for topic, n in self.repeated.items()]
+        texts = [*(str(loss) for loss in self.losses), *self.problems]
+        texts += [f"{topic}: {n} messages have a repeated sequence number" for topic, n in self.repeated.items()]
         if not self.finished:
-            found.append("the recording is truncated after its last message")
-        return found or ["nothing is lost"]
+            texts.append("the recording is truncated after its last message")
+        return texts or ["nothing is lost"]
 
 
 def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> RepairResult:
@@ -79,17 +79,17 @@ def repair_bag(source: Path, target: Path, max_chunk: int = MAX_CHUNK) -> Repair
         `source` is not a bag, is empty or has no readable message, or `target` exists.
     """
     check_new_bag(target)
-    found = bag_files(source)
-    if len(found.files) != 1:
-        raise BagError(f"{source} must be a bag folder with one .mcap file, got {len(found.files)}")
-    check_space(target, 1.5 * found.files[0].stat().st_size, "the repaired bag")
+    bag = bag_files(source)
+    if len(bag.files) != 1:
+        raise BagError(f"{source} must be a bag folder with one .mcap file, got {len(bag.files)}")
+    check_space(target, 1.5 * bag.files[0].stat().st_size, "the repaired bag")
     info = FileInfo(max_chunk=max_chunk, compares=True)
     ledger = LossLedger()
     with atomic_folder(target) as folder:
-        result = _copy(found.files[0], info, ledger, folder, target.name, found.counts)
+        result = _copy(bag.files[0], info, ledger, folder, target.name, bag.counts)
         result.damage, result.finished = tuple(info.damage), info.finished
         result.contradictions = contradictions([info])
-        result.problems = (*found.problems, *info.problems)
+        result.problems = (*bag.problems, *info.problems)
         if not result.messages and not info.channels and not info.metadata:
             raise BagError(f"{source} must have readable records, got none")
         if not result.messages and result.losses:
@@ -110,8 +110,8 @@ def _copy(
     result = RepairResult()
     # Namespace of the topics; None if no channel has it
     names = [channel.topic for channel in beside.channels.values()]
-    found = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
-    namespace = next(iter(found)) if len(found) == 1 else None
+    namespaces = {name[: -len(known) - 1] for name in names for known in KNOWN if name.endswith(f"/{known}")}
+    namespace = next(iter(namespaces)) if len(namespaces) == 1 else None
     with BagWriter(folder, tables, files, diagnostics=True, name=name, namespace=namespace) as bag:
         for block in walk(file, info):
             ledger.add(info, block)

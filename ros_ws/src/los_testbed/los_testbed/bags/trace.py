@@ -38,14 +38,14 @@ def sent_times(run: Run, namespace: str, start: float, stop: float) -> tuple[dic
     Ticks are given by their stamps [ns]; a missing message is NaN.
     """
     names = {f"{namespace}/{name}": k for k, name in enumerate(TOPICS)}
-    found: dict[int, list[float]] = {}
+    by_stamp: dict[int, list[float]] = {}
     for file in bag_files(run.path).files:
         with file.open("rb") as stream:
             for _, channel, message in make_reader(stream).iter_messages(topics=list(names)):
-                row = found.setdefault(stamp_of(message.data), [np.nan] * len(TOPICS))
+                row = by_stamp.setdefault(stamp_of(message.data), [np.nan] * len(TOPICS))
                 row[names[channel.topic]] = float(message.publish_time)
-    first = min(found, default=0)
-    return {k: found[k] for k in sorted(found) if start <= (k - first) * 1e-9 < stop}, first
+    first = min(by_stamp, default=0)
+    return {k: by_stamp[k] for k in sorted(by_stamp) if start <= (k - first) * 1e-9 < stop}, first
 
 
 def events(sent: dict[int, list[float]], first: int) -> Iterator[dict[str, Any]]:
@@ -87,7 +87,7 @@ def write_trace(run: Run, output: Path, start: float = 0.0, stop: float = np.inf
     sent, first = sent_times(run, namespace, start, stop)
     if not sent:
         raise InputError(f"{run.path}: the bag must hold {TRIGGER} between {start:g} and {stop:g} s, got none")
-    found = list(events(sent, first))
+    traced = list(events(sent, first))
     with atomic_file(output) as path:
-        path.write_text(json.dumps({"displayTimeUnit": "ns", "traceEvents": found}), "utf-8")
-    return len(sent), sum(event["name"] == MISSED for event in found)
+        path.write_text(json.dumps({"displayTimeUnit": "ns", "traceEvents": traced}), "utf-8")
+    return len(sent), sum(event["name"] == MISSED for event in traced)

@@ -33,8 +33,8 @@ def _searched(
 
     loop = RunParts(replace(base, scenario="design")).implemented_loop()
     with one_thread():
-        found = Search(loop, SearchOptions(ascents=ascents, seed=seed)).run(METRICS, workers=workers)
-    points = [point for band in found.values() for point in band]
+        worst = Search(loop, SearchOptions(ascents=ascents, seed=seed)).run(METRICS, workers=workers)
+    points = [point for band in worst.values() for point in band]
     return tuple((p.gamma, dict(p.parameters)) for p in sorted(points, key=lambda p: -p.gamma))
 
 
@@ -67,8 +67,8 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
     """
     uniform = members("uniform", samples, seed, base.parameters)
     ascents = min(MOST_ASCENTS, 10 * samples)
-    own = MemberParameters.of(base.parameters)
-    width = np.ptp(own.limits, axis=1)
+    parameters = MemberParameters.of(base.parameters)
+    width = np.ptp(parameters.limits, axis=1)
     chosen: list[FloatArray] = []
     # Value and parameters of the worst point of each band of each metric, worst first; those of the last call
     # kept
@@ -77,7 +77,7 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
         _last.clear()
         _last[key] = _searched(*key, workers)
     for _, values in _last[key]:
-        point = np.array([values[name] for name in own.ranges])
+        point = np.array([values[name] for name in parameters.ranges])
         if all(np.abs((point - other) / width).max() > APART for other in chosen):
             chosen.append(point)
     return np.vstack([*chosen, uniform])[:samples]

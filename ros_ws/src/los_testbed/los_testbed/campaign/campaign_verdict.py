@@ -138,15 +138,15 @@ def not_judged(
     refusals : mapping, optional
         Of :func:`refused`, at depth time.
     """
-    own = of_stage(requirements, loop)
+    of_loop = of_stage(requirements, loop)
     if depth == "model":
         part = f"{100.0 * window_probability(requirements):.10g} % of the windows"
         window = time_text(window_length(requirements))
         known = f"depth model has rms RPE({window}) only, of {part} with the worst tone and the noise"
         chosen = _of_model(requirements, loop)
-        return {r: known for r in own if r not in chosen}
-    reasons = {**{r: PRE for r in own if r.index == "PRE"}, **(refusals or {})}
-    return {r: reasons[r] for r in own if r in reasons}
+        return {r: known for r in of_loop if r not in chosen}
+    reasons = {**{r: PRE for r in of_loop if r.index == "PRE"}, **(refusals or {})}
+    return {r: reasons[r] for r in of_loop if r in reasons}
 
 
 def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Requirement, ...]:
@@ -187,9 +187,9 @@ def verdicts(
     """
     lost = np.array([s in LOST for s in status])
     keep = lost | np.array([s == "ok" for s in status])
-    found: list[CampaignVerdict] = []
+    rows: list[CampaignVerdict] = []
     if not keep.any():
-        return found
+        return rows
     for requirement in judged(requirements, loop):
         named = RequirementColumns.of(requirement, exposure)
         beyond = -np.inf if named.lower else np.inf
@@ -198,15 +198,15 @@ def verdicts(
             values = np.asarray(columns.get(name, np.full(len(lost), np.nan)), dtype=float)
             return np.asarray(np.where(lost | np.isnan(values), instead, values)[keep])
 
-        worst, own, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
+        worst, quantiles, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
         effective, unseen = np.maximum(column(named.effective, 1.0), 1.0), column(named.unseen, 1.0)
         own_status = [
             "not compliant" if gone else status_of(requirement, s + more, s, n, len(share))
             for gone, s, more, n in zip(lost[keep].tolist(), share.tolist(), unseen.tolist(), effective.tolist())
         ]
-        temporal = replace(_temporal(requirement, own, own_status, random), column=named.quantile)
+        temporal = replace(_temporal(requirement, quantiles, own_status, random), column=named.quantile)
         if not random:
-            found.append(temporal)
+            rows.append(temporal)
             continue
         together = pooled_number(effective, np.ones(len(share)))
         total = int(together + 1e-6)
@@ -215,9 +215,9 @@ def verdicts(
         sign = -1.0 if requirement.lower else 1.0
         of_all = sign * SortedValues(sign * worst).quantile(requirement.probability)
         ensemble = _decided("ensemble", requirement, _above(worst, requirement), len(worst), of_all)
-        mixed = _decided("mixed", requirement, above, total, float(np.mean(own)))
-        found += [replace(verdict, column=named.quantile) for verdict in (ensemble, temporal, mixed)]
-    return found
+        mixed = _decided("mixed", requirement, above, total, float(np.mean(quantiles)))
+        rows += [replace(verdict, column=named.quantile) for verdict in (ensemble, temporal, mixed)]
+    return rows
 
 
 def model_verdicts(
@@ -240,16 +240,16 @@ def model_verdicts(
     keep = lost | np.array([s == "ok" for s in status])
     if not keep.any():
         return []
-    own, exposure = np.where(lost, np.inf, total)[keep], exposure_of(requirements)
+    totals, exposure = np.where(lost, np.inf, total)[keep], exposure_of(requirements)
     return [
-        replace(_temporal(r, own, _known(own, r), random), column=RequirementColumns.of(r, exposure).quantile)
+        replace(_temporal(r, totals, _known(totals, r), random), column=RequirementColumns.of(r, exposure).quantile)
         for r in _of_model(requirements, loop)
     ]
 
 
-def _known(own: FloatArray, requirement: Requirement) -> list[str]:
+def _known(values: FloatArray, requirement: Requirement) -> list[str]:
     """Statuses of members whose quantiles are computed, not estimated."""
-    return ["not compliant" if _above(own[k : k + 1], requirement) else "compliant" for k in range(len(own))]
+    return ["not compliant" if _above(values[k : k + 1], requirement) else "compliant" for k in range(len(values))]
 
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
@@ -267,14 +267,14 @@ def _decided(interpretation: str, requirement: Requirement, above: int, samples:
     return _verdict(requirement, interpretation, status, value, above, samples, needed)
 
 
-def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], random: bool) -> CampaignVerdict:
+def _temporal(requirement: Requirement, values: FloatArray, status: Sequence[str], random: bool) -> CampaignVerdict:
     """Every member is within the limit for its share of the time; `status` is that of each member alone.
 
     Bounds are those of the share of telescopes that exceed it. A member that exceeds the limit passes for one within
     it with probability 1 - c at most: of those that exceed it a part c at least is not proven.
     """
-    above, samples, c = _above(own, requirement), len(own), requirement.confidence
-    worst = float(np.min(own) if requirement.lower else np.max(own))
+    above, samples, c = _above(values, requirement), len(values), requirement.confidence
+    worst = float(np.min(values) if requirement.lower else np.max(values))
     unproven, refuted = sum(s != "compliant" for s in status), sum(s == "not compliant" for s in status)
     undecided = unproven - refuted
     allowed = 1.0 - requirement.probability
@@ -283,8 +283,8 @@ def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], 
     proven = upper <= allowed if random else not unproven
     decided = "not compliant" if refuted else "compliant" if proven else "not enough data"
     needed = samples_needed(requirement.probability, c, refuted) if random else samples
-    found = _verdict(requirement, "temporal", decided, worst, above, samples, needed)
-    return replace(found, lower=lower, upper=upper, undecided=undecided)
+    verdict = _verdict(requirement, "temporal", decided, worst, above, samples, needed)
+    return replace(verdict, lower=lower, upper=upper, undecided=undecided)
 
 
 def _verdict(

@@ -103,9 +103,9 @@ def connected(scheduler: str, tls: TlsFiles | None) -> Iterator[Any]:
     """
     with cluster(scheduler, 0, tls) as client:
         here = versions()
-        for address, found in client.run(versions, on_error="return").items():
-            if found != here:
-                raise InputError(f"worker {address} must have {here} as here, got {found}")
+        for address, there in client.run(versions, on_error="return").items():
+            if there != here:
+                raise InputError(f"worker {address} must have {here} as here, got {there}")
         yield client
 
 
@@ -163,8 +163,8 @@ def _one_thread() -> None:
 
 @lru_cache(maxsize=2)
 def _unpickled(function: bytes) -> Callable[[Any], Any]:
-    found: Callable[[Any], Any] = pickle.loads(function)
-    return found
+    work: Callable[[Any], Any] = pickle.loads(function)
+    return work
 
 
 def _collect(

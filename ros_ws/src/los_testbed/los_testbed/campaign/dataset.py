@@ -317,10 +317,10 @@ class ResultFolder:
         import pyarrow
         import pyarrow.parquet
 
-        found = [pyarrow.parquet.read_table(part, columns=columns) for part in self.parts()]
-        if not found:
+        tables = [pyarrow.parquet.read_table(part, columns=columns) for part in self.parts()]
+        if not tables:
             raise InputError(f"{self.path} must hold rows of a campaign, got none")
-        return pyarrow.concat_tables(found)
+        return pyarrow.concat_tables(tables)
 
     def rows_hash(self) -> str:
         """Hash of the hashes of all rows, in the order of the members."""
@@ -365,8 +365,8 @@ def _complete(part: Path, members: Sequence[Mapping[str, Any]], metrics: frozens
     try:
         if not metrics <= set(pyarrow.parquet.read_schema(part).names):
             return False
-        found = pyarrow.parquet.read_table(part, columns=["index", "seed", "status"]).to_pydict()
+        written = pyarrow.parquet.read_table(part, columns=["index", "seed", "status"]).to_pydict()
     except (OSError, KeyError, pyarrow.ArrowInvalid):
         return False
-    same = all(found[key] == [member[key] for member in members] for key in ("index", "seed"))
-    return same and CRASHED not in found["status"]
+    same = all(written[key] == [member[key] for member in members] for key in ("index", "seed"))
+    return same and CRASHED not in written["status"]

@@ -116,8 +116,8 @@ def _check_address(scheduler: str, arguments: dict[str, Any]) -> None:
 
     async def identity_there() -> dict[str, Any]:
         async with rpc(scheduler, timeout=CONNECT, connection_args=arguments) as there:
-            found: dict[str, Any] = await there.identity()
-            return found
+            answered: dict[str, Any] = await there.identity()
+            return answered
 
     try:
         if scheduler.startswith(("tcp:", SCHEME)):  # Dask would try a port that nobody has, too, until the time is over
@@ -252,11 +252,11 @@ def check_workers(campaign: Campaign, client: Any) -> None:
         Workers with another version of the package, other parameters or controllers.
     """
     content = portable(campaign.base, campaign.identity)
-    for address, found in client.run(worker_identity, content, on_error="return").items():
-        if isinstance(found, BaseException):
-            reason = " ".join(str(found).split()) or type(found).__name__
+    for address, answer in client.run(worker_identity, content, on_error="return").items():
+        if isinstance(answer, BaseException):
+            reason = " ".join(str(answer).split()) or type(answer).__name__
             raise InputError(f"worker {address} must have this version of los-testbed installed, got: {reason}")
-        if difference := _difference(campaign.identity, found):
+        if difference := _difference(campaign.identity, answer):
             raise InputError(f"worker {address}: {difference}")
 
 
@@ -367,9 +367,9 @@ def _rows(
     client: Any, future: Any, content: str, members: list[dict[str, Any]], campaign: Campaign
 ) -> list[dict[str, Any]]:
     """Rows of a chunk that is done; member by member where it failed."""
-    found = _fetched(client, future)
-    if found is not None:
-        return found
+    fetched = _fetched(client, future)
+    if fetched is not None:
+        return fetched
     error = future.exception()
     if isinstance(error, WorkerMismatchError):
         raise error
@@ -393,9 +393,9 @@ def _one_by_one(client: Any, content: str, members: list[dict[str, Any]], campai
     crashes = 0
     for member in members:
         future = client.submit(evaluate_chunk, content, [member], campaign.depth, pure=False)
-        found = _fetched(client, future)
-        if found is not None:
-            rows += found
+        fetched = _fetched(client, future)
+        if fetched is not None:
+            rows += fetched
             crashes = 0
             continue
         error = future.exception()

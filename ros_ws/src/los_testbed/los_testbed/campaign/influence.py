@@ -94,9 +94,9 @@ def influences(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list
     if not np.isnan(shares).any():
         groups = [bins_of(column, _bins(y)) for column in columns]
         by_share = CHANCE.level(y, lambda values: max(_share(group, values) for group in groups))
-    found = [Influence(name, float(rank), share, by_rank, by_share)
+    rows = [Influence(name, float(rank), share, by_rank, by_share)
              for name, rank, share in zip(parameters, correlations, shares)]  # fmt: skip
-    return sorted(found, key=lambda i: -max(abs(i.rank_correlation), 0.0 if np.isnan(i.first_order) else i.first_order))
+    return sorted(rows, key=lambda i: -max(abs(i.rank_correlation), 0.0 if np.isnan(i.first_order) else i.first_order))
 
 
 def _standard(values: FloatArray) -> FloatArray:
@@ -196,8 +196,8 @@ def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> li
     if not pairs or part < ROUNDING:
         return [PairEffect((names[i], names[j]), 0.0, ROUNDING) for i, j in pairs]
     chance = CHANCE.level(rest, lambda values: float(shares(values).max()))
-    found = [PairEffect((names[i], names[j]), float(share), chance) for (i, j), share in zip(pairs, shares(rest))]
-    return sorted(found, key=lambda effect: -effect.share)
+    effects = [PairEffect((names[i], names[j]), float(share), chance) for (i, j), share in zip(pairs, shares(rest))]
+    return sorted(effects, key=lambda effect: -effect.share)
 
 
 def _means(group: IntArray, metric: FloatArray) -> FloatArray:

@@ -216,38 +216,38 @@ def meaning(column: str) -> str:
     """
     if source := _SOURCE.fullmatch(column):
         return f"source {source['name']} alone: {MEANINGS[source['metric']]}"
-    found = _COLUMN.fullmatch(column)
-    if column in MEANINGS or not found:
+    matched = _COLUMN.fullmatch(column)
+    if column in MEANINGS or not matched:
         return MEANINGS.get(column, column.replace("_", " "))
-    index, unit = found["index"], f" [{found['unit']}]" if found["unit"] else ""
-    samples = "windows" if found["rms"] else SAMPLES.get(index, "instants")
-    quantity = QUANTITIES[index] + _conditions(found)
-    if found["limit"]:
-        limit = f"{found['limit']} {found['unit'] or ''}".strip()
+    index, unit = matched["index"], f" [{matched['unit']}]" if matched["unit"] else ""
+    samples = "windows" if matched["rms"] else SAMPLES.get(index, "instants")
+    quantity = QUANTITIES[index] + _conditions(matched)
+    if matched["limit"]:
+        limit = f"{matched['limit']} {matched['unit'] or ''}".strip()
         share = f"share of the {samples}"
         weights = {
             "_effective": f"independent {samples} for the share",
             "_unseen": f"further {share} in larger clusters,",
         }
-        what = weights.get(found["weight"], share)
-        return f"{quantity}: {what} {found['side']} {limit}"
-    if found["part"]:
-        part = float(found["part"] if "e" in found["part"] else f"0.{found['part']}")
+        what = weights.get(matched["weight"], share)
+        return f"{quantity}: {what} {matched['side']} {limit}"
+    if matched["part"]:
+        part = float(matched["part"] if "e" in matched["part"] else f"0.{matched['part']}")
         if index in ("mtf", "strehl"):
             return f"{quantity}, {100 - 100 * part:.10g} % of the {samples} are above"
         return f"{quantity}, {100 * part:.10g} % of the {samples}{unit}"
-    return f"{quantity}, {'largest' if found['what'] == 'max' else 'smallest'} of the {samples}{unit}"
+    return f"{quantity}, {'largest' if matched['what'] == 'max' else 'smallest'} of the {samples}{unit}"
 
 
-def _conditions(found: re.Match[str]) -> str:
+def _conditions(matched: re.Match[str]) -> str:
     """Windows, spatial frequency and axis in words."""
-    times = [re.sub(r"(m?s)$", r" \1", time) for time in found["times"].split("_")[1:]]
-    text = ", rms of a window" if found["rms"] else ""
-    if found["index"] == "pde":
+    times = [re.sub(r"(m?s)$", r" \1", time) for time in matched["times"].split("_")[1:]]
+    text = ", rms of a window" if matched["rms"] else ""
+    if matched["index"] == "pde":
         text += f" of {times[0]}, {times[1]} apart"
     elif times:
-        text += f" {'of' if text or found['index'] in SAMPLES else 'in windows of'} {times[0]}"
-    if frequency := found["frequency"]:
+        text += f" {'of' if text or matched['index'] in SAMPLES else 'in windows of'} {times[0]}"
+    if frequency := matched["frequency"]:
         shown = re.sub(r"^([\d.e+-]+)", r"\1 ", frequency.replace("_per_", "/")).replace("nyquist", NYQUIST)
         text += f", at {shown}"
-    return text + (f", axis {found['axis']}" if found["axis"] else "")
+    return text + (f", axis {matched['axis']}" if matched["axis"] else "")

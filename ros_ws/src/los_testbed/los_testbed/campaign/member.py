@@ -210,8 +210,8 @@ class MemberEvaluator:
         metrics, status, reason = dict.fromkeys(self._columns(depth), math.nan), "ok", ""
         try:
             with one_thread(), np.errstate(all="ignore"):
-                found, unstable = evaluate()
-            metrics |= found
+                evaluated, unstable = evaluate()
+            metrics |= evaluated
             if unstable:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
@@ -246,16 +246,16 @@ class MemberEvaluator:
         record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
         SimulatedLoop.of(parts, readings=False).run(config.ticks, record.keep)
-        found = record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
-        return found, parts.start.unstable
+        metrics = record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
+        return metrics, parts.start.unstable
 
     def _of_sources(self, parts: RunParts) -> dict[str, float]:
         """Errors of each source of disturbance alone in a member."""
-        found: dict[str, float] = {}
+        columns: dict[str, float] = {}
         for index, name in enumerate(self.sources):
             alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT, self.exposure)
-            found |= dict(zip(source_columns(name), (alone.ape_quantile, alone.rpe_rms)))
-        return found
+            columns |= dict(zip(source_columns(name), (alone.ape_quantile, alone.rpe_rms)))
+        return columns
 
     @cached_property
     def _model(self) -> MemberMetrics:
@@ -269,8 +269,8 @@ class MemberEvaluator:
 
     def _modelled(self, row: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
         """Metrics of the sampled loop, from its matrices, and whether it is unstable."""
-        found = self._model.metrics(self._parameters.checked(row))
-        return found, not found["ape_gain"] < math.inf
+        metrics = self._model.metrics(self._parameters.checked(row))
+        return metrics, not metrics["ape_gain"] < math.inf
 
 
 @dataclass
@@ -302,7 +302,7 @@ class _Record:
         performance = Performance.of(samples.performance.values, DT, exposure)
         knowledge = Knowledge.of(samples.knowledge.values, DT, exposure)
         usual = [samples.metrics(r) for r in always(exposure)]
-        found = {
+        values = {
             "ape_max_arcsec": performance.ape_max,
             "ape_p997_arcsec": performance.ape_quantile,
             "rpe_rms_mas": performance.rpe_rms,
@@ -316,8 +316,8 @@ class _Record:
         for requirement in judged(requirements):
             # a loop that is not stable starts at rest: what is left without its start-up may be too short for an index
             with contextlib.suppress(ValueError):
-                found |= samples.metrics(requirement)
-        return found
+                values |= samples.metrics(requirement)
+        return values
 
 
 def _series(error: FloatArray, first: int) -> ErrorSeries:

@@ -65,13 +65,13 @@ def _quantiles(values: FloatArray, lower: bool) -> dict[str, float | None]:
     """Number of members with a value and `QUANTILES` of them, of a column of a lower limit from the other end."""
     finite = values[np.isfinite(values)]
     wanted = [1.0 - q for q in QUANTILES] if lower else QUANTILES
-    found = {f"q{q:.3g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in wanted}
-    return {"members": int(finite.size), **found}
+    quantiles = {f"q{q:.3g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in wanted}
+    return {"members": int(finite.size), **quantiles}
 
 
 def quantile_heads(summary: dict[str, Any]) -> tuple[str, ...]:
     """Headings of the quantiles of the metrics: of a lower limit those that so many members are above."""
-    any_lower = any("q0" in found for found in summary["metrics"].values())
+    any_lower = any("q0" in quantiles for quantiles in summary["metrics"].values())
     return "median", "90 %", "99 %", "largest (smallest for lower limits)" if any_lower else "largest"
 
 
@@ -139,7 +139,7 @@ def metric_table(summary: dict[str, Any]) -> TextTable:
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     title = f"{summary['members']} of {counted(summary['samples'], 'member')}, depth {summary['depth']}: {counts}"
     rows = [
-        (name, *(digits(value, 4) for key, value in found.items() if key != "members"))
-        for name, found in summary["metrics"].items()
+        (name, *(digits(value, 4) for key, value in quantiles.items() if key != "members"))
+        for name, quantiles in summary["metrics"].items()
     ]
     return TextTable.of((*texts("metric"), *numbers(*quantile_heads(summary))), rows, title)

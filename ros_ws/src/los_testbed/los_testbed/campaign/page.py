@@ -77,8 +77,8 @@ def _pictures(summary: dict[str, Any], points: Mapping[str, FloatArray], metric:
     if not finite.size:
         return []
     name = meaning(summary["ranked_by"])
-    given = sorted({v["limit"] for v in summary["verdicts"] if summary["ranked_by"] in (v["column"], TOTAL)})
-    limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
+    of_requirements = sorted({v["limit"] for v in summary["verdicts"] if summary["ranked_by"] in (v["column"], TOTAL)})
+    limits = [limit for limit in of_requirements if limit <= of_requirements[0] or limit < 1.5 * finite.max()]
     made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
     if any(entry["first_order"] is not None for entry in summary["influence"]):
         strongest = sorted(summary["influence"], key=lambda entry: -(entry["first_order"] or 0.0))[:SHOWN]

@@ -39,19 +39,19 @@ def portable(base: RunConfig, here: Mapping[str, str]) -> str:
 @lru_cache(maxsize=2)
 def base_of(content: str) -> RunConfig:
     """Configuration of a text of :func:`portable`, with its files on this machine."""
-    given = json.loads(content)
-    if not given["files"]:
-        return RunConfig.from_mapping(given["run"])
+    packed = json.loads(content)
+    if not packed["files"]:
+        return RunConfig.from_mapping(packed["run"])
     folder = Path(tempfile.mkdtemp(prefix="los_testbed_files_", dir=_worker_folder()))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for name, text in given["files"].items():
-        path = folder / f"{name}{Path(given['run'][name]).suffix}"
+    for name, text in packed["files"].items():
+        path = folder / f"{name}{Path(packed['run'][name]).suffix}"
         path.write_text(text, "utf-8")
-        given["run"][name] = str(path)
-    for name, encoded in given["beside"].items():
+        packed["run"][name] = str(path)
+    for name, encoded in packed["beside"].items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(base64.b64decode(encoded))
-    return RunConfig.from_mapping(given["run"])
+    return RunConfig.from_mapping(packed["run"])
 
 
 def _worker_folder() -> str | None:

@@ -39,13 +39,13 @@ def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
     >>> member_command(row, RunConfig(mode="inprocess", loop="fsm"), "model")
     'los-testbed campaign --depth model --loop fsm --member=0.5,0.5,0.5,0.5,0.5,0.5,0.5'
     """
-    own = MemberParameters.of(base.parameters)
+    parameters = MemberParameters.of(base.parameters)
     if depth == "model":
-        values = ",".join(repr(float(row[name])) for name in own.columns)
+        values = ",".join(repr(float(row[name])) for name in parameters.columns)
         return f"los-testbed campaign --depth model --loop {base.loop}{command_options(base, FILES)} --member={values}"
     length = f"{base.duration!r}".removesuffix(".0")
     further = command_options(base, [name for name in SIMULATED if name not in ("duration", "loop", "scenario")])
-    return own.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{further}")
+    return parameters.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{further}")
 
 
 def member_of(text: str, parameters: str | None) -> dict[str, float]:
@@ -56,13 +56,13 @@ def member_of(text: str, parameters: str | None) -> dict[str, float]:
     ValueError
         Another number of values than there are parameters, or one outside its range.
     """
-    own = MemberParameters.of(parameters)
+    member = MemberParameters.of(parameters)
     try:
-        values = dict(zip(own.columns, map(float, text.split(",")), strict=True))
+        values = dict(zip(member.columns, map(float, text.split(",")), strict=True))
     except ValueError:
-        raise InputError(f"--member must be {','.join(own.columns)}, got {text!r}") from None
+        raise InputError(f"--member must be {','.join(member.columns)}, got {text!r}") from None
     try:
-        own.checked(values)
+        member.checked(values)
     except ValueError as error:
         raise InputError(f"--member: {error}") from None
     return values

@@ -94,13 +94,13 @@ class MemberParameters:
         ValueError
             One is outside its range.
         """
-        found = {}
+        checked = {}
         for column, (name, (low, high)) in zip(self.columns, self.ranges.items()):
             value, slack = float(row[column]), 1e-9 * (high - low)
             if not low - slack <= value <= high + slack:
                 raise InputError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
-            found[name] = value
-        return found
+            checked[name] = value
+        return checked
 
     def settings(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Settings of a run from a member; a row of a campaign's data set will do."""
@@ -147,27 +147,29 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     >>> bool((more[:2] == first).all()), members("corners", 0, 0).shape
     (True, (128, 7))
     """
-    own = MemberParameters.of(parameters)
-    ranges, count = own.limits, len(own.columns)
+    member = MemberParameters.of(parameters)
+    ranges, count = member.limits, len(member.columns)
     if sampling == "adversarial":
         raise InputError("sampling must be one that needs no controllers here, got 'adversarial'")
     if sampling not in SAMPLINGS:
         path = Path(sampling)
         header, lines = read_csv(path, "sampling", SAMPLINGS)
-        if sorted(header) != sorted(own.columns):
-            raise InputError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
-        points = np.empty((len(lines), len(own.columns)))
+        if sorted(header) != sorted(member.columns):
+            raise InputError(
+                f"{path}: the header must be {','.join(member.columns)}, got {','.join(header) or 'nothing'}"
+            )
+        points = np.empty((len(lines), len(member.columns)))
         for number, line in enumerate(lines, start=2):
             texts = {name: text.strip() for name, text in zip(header, line)}
-            values = {name: _number(texts.get(name, "")) for name in own.columns}
-            for column, (low, high) in zip(own.columns, own.limits):
+            values = {name: _number(texts.get(name, "")) for name in member.columns}
+            for column, (low, high) in zip(member.columns, member.limits):
                 if math.isnan(values[column]):
                     got = texts.get(column, "")
                     raise InputError(
                         f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}"
                     )
             try:
-                points[number - 2] = list(own.checked(values).values())
+                points[number - 2] = list(member.checked(values).values())
             except ValueError as error:
                 raise InputError(f"{path}, line {number}: {error}") from None
         return _first(points, samples, "lines")

@@ -131,8 +131,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if arguments is None else arguments
         remember_command(words)
-        given = with_common_options_first(_with_lone_options(words))
-        result = command_line()(args=given, prog_name="los-testbed", standalone_mode=False)
+        ordered = with_common_options_first(_with_lone_options(words))
+        result = command_line()(args=ordered, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))
     except (typer.Abort, KeyboardInterrupt):

@@ -122,8 +122,8 @@ def campaign(
     if json_:
         print_json(summary)
     if gate:
-        found = [(f"{v['requirement']} ({v['interpretation']})", MET.get(v["status"])) for v in summary["verdicts"]]
-        leave_by_gate([*found, *((text, None) for text in summary["not_judged"])])
+        verdicts = [(f"{v['requirement']} ({v['interpretation']})", MET.get(v["status"])) for v in summary["verdicts"]]
+        leave_by_gate([*verdicts, *((text, None) for text in summary["not_judged"])])
 
 
 def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> None:

@@ -18,7 +18,7 @@ from pointing_analysis.formatting.number_text import ABSENT, digits
 from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 
-def refuse_beside_member(given: Mapping[str, Any]) -> None:
+def refuse_beside_member(options: Mapping[str, Any]) -> None:
     """Refuse options that are for many members.
 
     Raises
@@ -26,7 +26,7 @@ def refuse_beside_member(given: Mapping[str, Any]) -> None:
     ValueError
         One of them is given.
     """
-    for name, value in given.items():
+    for name, value in options.items():
         if value:
             raise InputError(f"{name} must not be given with --member, got {value}")
 

@@ -139,10 +139,10 @@ class Commands(UserDict[str, Any]):
         super().__init__({**dict.fromkeys(ENTRIES), **further})
 
     def __getitem__(self, name: str) -> Any:
-        found = super().__getitem__(name)
-        if found is None:
-            found = self[name] = loaded(name)
-        return found
+        command = super().__getitem__(name)
+        if command is None:
+            command = self[name] = loaded(name)
+        return command
 
 
 class CommandGroup(TyperGroup):

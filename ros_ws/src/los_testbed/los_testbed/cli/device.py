@@ -78,16 +78,16 @@ def check(
     opened_s = time.monotonic()
     try:
         with real_time_thread(PRIORITIES["plant"]):
-            found = record(supervisor, peaks)
+            recorded = record(supervisor, peaks)
     finally:
         supervisor.end()
-    rows = judge(found, model)
+    rows = judge(recorded, model)
     fault_lines = faults(rows)
     console = Screen(stderr=json_)
     console.print(on_screen(_table(rows), whole=("value",)))
     for line in fault_lines or ("no fault: directions, gains, delays and noise agree with the model",):
         say(console, line)
-    if (pause := found.longest_pause_ms) > config.hold_ticks:
+    if (pause := recorded.longest_pause_ms) > config.hold_ticks:
         warn([f"commands paused for up to {pause:.0f} ms, the machine is busy: directions are valid, repeat the rest"])
     if json_:
         print_json(

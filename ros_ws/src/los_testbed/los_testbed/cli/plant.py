@@ -88,11 +88,11 @@ def plant(
     from titop_plant.telescope.summary import summarise
 
     with one_thread():
-        found = summarise(load_telescope(parameters))
+        summary = summarise(load_telescope(parameters))
     if json_:
-        print_json(found.to_mapping())
+        print_json(summary.to_mapping())
     else:
-        show(Screen(), found)
+        show(Screen(), summary)
 
 
 @plant_app.command(help=FIGURES_EXAMPLES)
@@ -137,7 +137,7 @@ def check(
     config = RunConfig(parameters=str(file), mode="inprocess", loop="none", duration=DT)
     _ = RunParts(config).sources  # one that cannot be used is refused
     with one_thread():
-        found = summarise(telescope)
+        summary = summarise(telescope)
     # Stages, sensors, actuators, requirements and own disturbances of a telescope, in words
     ports = telescope.loop_ports
     forces = K_PMA_OUTPUTS if telescope.stages[-1] not in FORCE_STAGES else ()
@@ -156,7 +156,7 @@ def check(
     console = Screen(stderr=json_)
     for name, text in loop.items():
         console.print(f"{name:<14}{text}", highlight=False)
-    show(console, found)
+    show(console, summary)
     for line in difference_summary(file) or ["no value differs"]:
         console.print(f"{'reference':<14}{line}", highlight=False)
     pictures: list[Path] = []
@@ -170,7 +170,7 @@ def check(
             console.print(str(path), soft_wrap=True, highlight=False)
     if json_:
         further = {"loop": loop, "changed": {name: counts._asdict() for name, counts in changed.items()}}
-        print_json({**found.to_mapping(), **further, "figures": [str(path) for path in pictures]})
+        print_json({**summary.to_mapping(), **further, "figures": [str(path) for path in pictures]})
 
 
 @plant_app.command(help=EXPORT_EXAMPLES)
@@ -209,29 +209,31 @@ def cases(
 
     rows = []
     for name, settings in named_cases(file).items():
-        given = {key: value for key, value in settings.items() if key != "description"}
-        member = RunConfig.from_mapping(given)
+        member_settings = {key: value for key, value in settings.items() if key != "description"}
+        member = RunConfig.from_mapping(member_settings)
         check_ranges(member, load_telescope(member.parameters))
-        rows.append((name, str(settings.get("description", given))))
+        rows.append((name, str(settings.get("description", member_settings))))
     Screen().print(on_screen(TextTable.of(("case", "telescope"), rows)))
 
 
-def show(console: Console, found: PlantSummary) -> None:
+def show(console: Console, summary: PlantSummary) -> None:
     """Print a model's properties as tables."""
-    stable = "all poles in the left half plane" if found.hurwitz else "not stable"
-    console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)
-    if found.bodies:
-        inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
-        centre = ", ".join(f"{x:.3f}" for x in found.centre_of_mass)
-        console.print(f"mass {found.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
+    stable = "all poles in the left half plane" if summary.hurwitz else "not stable"
+    console.print(f"order {summary.order}, {stable}; slowest pole {summary.slowest_pole:.3g} rad/s", highlight=False)
+    if summary.bodies:
+        inertia = ", ".join(f"{x:.0f}" for x in summary.to_mapping()["total_inertia"])
+        centre = ", ".join(f"{x:.3f}" for x in summary.centre_of_mass)
+        console.print(f"mass {summary.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
         console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
-    console.print(_table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(found)))
+    console.print(
+        _table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(summary))
+    )
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
-    if found.bodies:
-        console.print(_table("bodies", heads, _bodies(found)))
-    if found.mechanisms:
+    if summary.bodies:
+        console.print(_table("bodies", heads, _bodies(summary)))
+    if summary.mechanisms:
         rotors = ("rotor", "at rest [rad/s]", "at the default speed [rad/s]")
-        rows: list[tuple[Any, ...]] = [(mode.name, mode.at_rest, mode.at_speed) for mode in found.mechanisms]
+        rows: list[tuple[Any, ...]] = [(mode.name, mode.at_rest, mode.at_speed) for mode in summary.mechanisms]
         console.print(_table("modes of rotors, their mounts held", rotors, rows))
 
 
@@ -240,16 +242,16 @@ def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> S
     return on_screen(TextTable.of((heads[0], *numbers(*heads[1:])), cells, title))
 
 
-def _parameters(found: PlantSummary) -> list[tuple[Any, ...]]:
+def _parameters(summary: PlantSummary) -> list[tuple[Any, ...]]:
     return [
-        (p.name, found.occurrences[p.name], p.nominal, p.lower, p.upper, "" if p.unit == "1" else p.unit)
-        for p in found.parameters
+        (p.name, summary.occurrences[p.name], p.nominal, p.lower, p.upper, "" if p.unit == "1" else p.unit)
+        for p in summary.parameters
     ]
 
 
-def _bodies(found: PlantSummary) -> list[tuple[Any, ...]]:
+def _bodies(summary: PlantSummary) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
-    for b in found.bodies:
+    for b in summary.bodies:
         span = f"{b.frequencies[0]:.4g} .. {b.frequencies[1]:.4g}" if b.modes else "rigid"
         fraction = b.min_residual_fraction if abs(b.min_residual_fraction) > 1e-9 else 0.0  # rounding
         rows.append((b.name, b.mass, b.modes, span, f"{100.0 * fraction:.2g} %"))

@@ -120,9 +120,9 @@ def _through(
     with Progress("replay [ticks]", equal=True) as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed)
-    found = replay_run.metrics(run, replayed, transient)
-    _show(console, comparison, found, chosen.as_recorded, run)
-    content = replay_run.as_dict(run, chosen, comparison, found)
+    metrics = replay_run.metrics(run, replayed, transient)
+    _show(console, comparison, metrics, chosen.difference, run)
+    content = replay_run.as_dict(run, chosen, comparison, metrics)
     if output is not None:
         replay_run.write_bag(output, run, replayed, chosen)
         say(console, f"bag     {output}")
@@ -133,12 +133,12 @@ def _is_complete(console: Console, bag: Path, replayed: int, max_chunk: int) -> 
     """Whether a bag is whole and its run of as many ticks as were replayed; a line says it, or why not."""
     from los_testbed.bags.check import check_bag as verify
 
-    found = verify(bag, max_chunk)
-    missing = found.title
-    if not found.code and found.ticks == replayed:
+    verification = verify(bag, max_chunk)
+    missing = verification.title
+    if not verification.code and verification.ticks == replayed:
         missing = ""
-    elif not found.code and found.ticks is not None:
-        missing = f"{replayed} of the {found.ticks} ticks of its plan were replayed"
+    elif not verification.code and verification.ticks is not None:
+        missing = f"{replayed} of the {verification.ticks} ticks of its plan were replayed"
     elif missing == "whole":
         missing = "whole, and does not say what was planned"
     say(console, f"the bag is not shown to be complete: {missing}" if missing else "the bag is complete")
@@ -177,18 +177,18 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
 
 def _show(
-    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool, run: Run
+    console: Console, comparison: Comparison, metrics: Mapping[str, Mapping[str, float]], difference: str, run: Run
 ) -> None:
     from pointing_analysis.requirements.requirement import time_text
     from pointing_analysis.requirements.summary import exposure_of_run, requirements_of
 
-    say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
+    say(console, f"{difference or 'controllers as recorded'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were excluded", soft_wrap=True)
     window, part = time_text(exposure_of_run(run)), probabilities_of(requirements_of(run) or ()).knowledge
     rows = []
     for text, key, unit in ROWS:
-        values = [found[side].get(key.format(key=quantile_key(part))) for side in ("recorded", "replayed")]
+        values = [metrics[side].get(key.format(key=quantile_key(part))) for side in ("recorded", "replayed")]
         if any(value is not None for value in values):
             shown = (ABSENT if value is None else f"{digits(value, 4)} {unit}" for value in values)
             rows.append((text.format(window=window, part=percent(part, 10)), *shown))

@@ -297,24 +297,24 @@ DISTURBANCE_ON = "on"
 """Value of ``--disturbance`` where it stands alone."""
 
 
-def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
+def _disturbance(values: list[str] | None, none: bool) -> dict[str, Any]:
     """Settings of ``--disturbance`` and ``--no-disturbance``."""
-    if given and none:
-        raise InputError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
-    if not given:
+    if values and none:
+        raise InputError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(values)})")
+    if not values:
         return {"disturbance": False} if none else {}
-    classes = [name for name in given if name != DISTURBANCE_ON and is_code(name)]
-    files = [name for name in given if name not in classes and name != DISTURBANCE_ON]
+    classes = [name for name in values if name != DISTURBANCE_ON and is_code(name)]
+    files = [name for name in values if name not in classes and name != DISTURBANCE_ON]
     if len(classes) > 1:
         raise InputError(f"--disturbance must name one class at most, got {', '.join(classes)}")
     if odd := [name for name in files if ";" in name]:
         raise InputError(f"--disturbance must name files without a semicolon, got {odd[0]}")
-    found: dict[str, Any] = {"disturbance": True}
+    settings: dict[str, Any] = {"disturbance": True}
     if classes:
-        found["disturbance_source"] = classes[0]
+        settings["disturbance_source"] = classes[0]
     if files:
-        found["disturbance_files"] = ";".join(files)
-    return found
+        settings["disturbance_files"] = ";".join(files)
+    return settings
 
 
 LISTS = tuple("--" + name.replace("_", "-") for name, own in RunConfig.SETTINGS.items() if own.length is not None)
@@ -340,14 +340,14 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     >>> with_lone_options(["run", "--wheel-speed", "200", "-210.5", "--seed", "3"])
     ['run', '--wheel-speed=200 -210.5', '--seed', '3']
     """
-    given: list[str] = []
+    words: list[str] = []
     for a, b in zip(arguments, [*arguments[1:], ""]):
-        if given and given[-1].partition("=")[0] in LISTS and _is_number(a):
-            given[-1] += f" {a}" if "=" in given[-1] else f"={a}"
+        if words and words[-1].partition("=")[0] in LISTS and _is_number(a):
+            words[-1] += f" {a}" if "=" in words[-1] else f"={a}"
         elif a == "--live" and not b.lstrip("+-").isdigit():
-            given.append(f"--live={LIVE_PORT}")
+            words.append(f"--live={LIVE_PORT}")
         elif a == "--disturbance" and (not b or b.startswith("-")):
-            given.append(f"--disturbance={DISTURBANCE_ON}")
+            words.append(f"--disturbance={DISTURBANCE_ON}")
         else:
-            given.append(a)
-    return given
+            words.append(a)
+    return words

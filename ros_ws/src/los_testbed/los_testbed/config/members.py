@@ -134,15 +134,15 @@ def member_settings(values: Mapping[str, float]) -> dict[str, Any]:
     {'wheel_speed': [2.0], 'frequencies': [3.0]}
     """
     angles = [value for name, value in values.items() if name == ANGLE]
-    found: dict[str, Any] = {"tau": angles[0]} if angles else {}
+    settings: dict[str, Any] = {"tau": angles[0]} if angles else {}
     if speeds := [value for name, value in values.items() if SPEED.fullmatch(name)]:
-        found["wheel_speed"] = speeds
+        settings["wheel_speed"] = speeds
     omegas = {name: values[name] for name in further_parameters(values)}
     if tuple(omegas) == ("solar_array.omega_1", "solar_array.omega_2"):
-        found |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
+        settings |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
     elif omegas:
-        found["frequencies"] = list(omegas.values())
-    return found
+        settings["frequencies"] = list(omegas.values())
+    return settings
 
 
 def worst_member(loop: str, worst_of: str, parameters: str | None = None, designs: str = "") -> dict[str, Any]:

@@ -69,10 +69,10 @@ def load(text: str, setting: str = "plant") -> Any:
     try:
         module, sign, name = text.partition(":")
         if sign:
-            found: Any = import_module(module)
+            part_of_module: Any = import_module(module)
             for part in name.split("."):
-                found = getattr(found, part)
-            return found
+                part_of_module = getattr(part_of_module, part)
+            return part_of_module
         known = {point.name: point for point in entry_points(group=group)}
         if text not in known:
             if Path(text).is_dir():

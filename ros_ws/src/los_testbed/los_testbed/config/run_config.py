@@ -206,9 +206,9 @@ class RunConfig(PhysicalSettings):
         >>> RunConfig(plant="my.module:Plant", k_pma="designs/k_pma.json", start="rest").code_of_user
         {'plant': 'my.module:Plant'}
         """
-        found = {name: getattr(self, name) for name in ("plant", "device", "disturbance_source")}
-        found |= {name: law for name in ("k_fsm", "k_pma") if is_code(law := getattr(self, name))}
-        return {name: value for name, value in found.items() if value}
+        named = {name: getattr(self, name) for name in ("plant", "device", "disturbance_source")}
+        named |= {name: law for name in ("k_fsm", "k_pma") if is_code(law := getattr(self, name))}
+        return {name: value for name, value in named.items() if value}
 
     @property
     def ticks(self) -> int:

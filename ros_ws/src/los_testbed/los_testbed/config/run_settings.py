@@ -142,16 +142,16 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     designs : str
         Folder of designs; empty for the stored ones.
     """
-    given = RunConfig.from_mapping({**settings})
-    config = with_scenario(given)
-    found: dict[str, Any] = {} if given.scenario else {"scenario": config.scenario}
+    stated = RunConfig.from_mapping({**settings})
+    config = with_scenario(stated)
+    implied: dict[str, Any] = {} if stated.scenario else {"scenario": config.scenario}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
-        found |= worst_member(config.loop, config.worst_of, config.parameters, designs)
+        implied |= worst_member(config.loop, config.worst_of, config.parameters, designs)
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
         from titop_plant.simulation.build import resonant_speeds
 
-        found["wheel_speed"] = list(resonant_speeds(config.parameters))
-    return found
+        implied["wheel_speed"] = list(resonant_speeds(config.parameters))
+    return implied
 
 
 def completed(settings: Mapping[str, Any], designs: str = "") -> RunConfig:
@@ -170,10 +170,10 @@ def completed(settings: Mapping[str, Any], designs: str = "") -> RunConfig:
     ValueError
         Unknown names, values that do not fit.
     """
-    given = with_stage(settings)
-    if given.get("plant") or given.get("device"):
-        return RunConfig.from_mapping({"start": "rest", **given})
-    return RunConfig.from_mapping({**given, **of_scenario(given, designs)})
+    stated = with_stage(settings)
+    if stated.get("plant") or stated.get("device"):
+        return RunConfig.from_mapping({"start": "rest", **stated})
+    return RunConfig.from_mapping({**stated, **of_scenario(stated, designs)})
 
 
 def with_scenario(config: RunConfig, telescope: Telescope | None = None, usual: str = SCENARIOS[0]) -> RunConfig:

@@ -157,12 +157,12 @@ def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
     ----------
     sensors : sequence of Sensor
     """
-    found, first = [], 0
+    topics, first = [], 0
     for one in sensors:
         columns = slice(first, first + one.port.size)
-        found.append(sensor_topic(one.name, columns, one.port.unit))
+        topics.append(sensor_topic(one.name, columns, one.port.unit))
         first = columns.stop
-    return tuple(found)
+    return tuple(topics)
 
 
 def shifted(topic: TopicDefinition, columns: int) -> TopicDefinition:
@@ -197,14 +197,14 @@ def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
     sizes : mapping of str to int
         Values of each topic, named without namespace.
     """
-    found = []
+    topics = []
     for name, size in sizes.items():
         match name.split("/"):
             case [group, sensor] if group == PLACED:
-                found.append(sensor_topic(sensor, slice(0, size)))
+                topics.append(sensor_topic(sensor, slice(0, size)))
             case [group, actuator, "command"] if group == COMMANDED:
-                found.append(actuator_topic(actuator, slice(0, size)))
-    return tuple(found)
+                topics.append(actuator_topic(actuator, slice(0, size)))
+    return tuple(topics)
 
 
 DEPTH = 100

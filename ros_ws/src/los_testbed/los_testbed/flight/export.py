@@ -83,11 +83,11 @@ def provenance(law: SampledSystem) -> dict[str, str]:
     >>> provenance(law)
     {'name': '"\\u002a/ mine"', 'dt': '0.001'}
     """
-    found: dict[str, Any] = {"name": law.name, "dt": law.dt}
+    entries: dict[str, Any] = {"name": law.name, "dt": law.dt}
     for group in ("design_basis", "provenance"):
-        found |= {f"{group}.{key}": value for key, value in getattr(law, group).items()}
+        entries |= {f"{group}.{key}": value for key, value in getattr(law, group).items()}
     kept, total = {}, 0
-    for key, value in found.items():
+    for key, value in entries.items():
         if not isinstance(value, (str, int, float)):
             continue
         name, text = _plain(key), _plain(value[:LONGEST_ENTRY] if isinstance(value, str) else value)
@@ -173,18 +173,18 @@ def _header(laws: FlightLaws) -> dict[str, Any]:
 
 
 def _unit(laws: FlightLaws, unit: str, tables: Tables) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "sha256": tables.sha256,
         "tables": "\n".join(tables.declaration(name) for name in tables.values),
     }
     if unit in ("k_fsm", "k_pma"):
         entries = provenance(getattr(laws, unit))
-        found["provenance"] = [f"{name}: {text}" for name, text in entries.items()]
-        found["provenance_text"] = c_string(entries)
+        values["provenance"] = [f"{name}: {text}" for name, text in entries.items()]
+        values["provenance_text"] = c_string(entries)
     if unit == "k_fsm":
-        found["held_columns"] = HELD.tolist()
-        found["parts"] = [0, *(part.stop for part in HELD_PARTS.values())]
-    return found
+        values["held_columns"] = HELD.tolist()
+        values["parts"] = [0, *(part.stop for part in HELD_PARTS.values())]
+    return values
 
 
 def _self_test(laws: FlightLaws) -> dict[str, Any]:
@@ -220,9 +220,9 @@ def write_flight_code(laws: FlightLaws, output: Path) -> SelfTest:
 
 def compiler() -> list[str] | None:
     """Command of the C compiler: that of the variable CC, else the first one that there is; None without one."""
-    given = shlex.split(os.environ.get("CC", ""))
-    if given:
-        return given if shutil.which(given[0]) else None
+    command = shlex.split(os.environ.get("CC", ""))
+    if command:
+        return command if shutil.which(command[0]) else None
     return next(([name] for name in COMPILERS if shutil.which(name)), None)
 
 

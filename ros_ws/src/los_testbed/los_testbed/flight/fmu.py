@@ -75,8 +75,8 @@ class Model:
 
     def sources(self) -> dict[str, str]:
         """All sources, with those of FMI."""
-        given = self._given()
-        return {**self.files, **{name: template(name).render(**given) for name in ("fmu_model.h", "fmi2.c")}}
+        values = self._given()
+        return {**self.files, **{name: template(name).render(**values) for name in ("fmu_model.h", "fmi2.c")}}
 
     def xml(self) -> str:
         """The description of the model."""
@@ -147,7 +147,7 @@ def plant_model(plant: object) -> Model:
         "LIMITS": plant.authority,
         "BIAS": plant.sensors.bias,
     }
-    found = Tables.of(**tables)
+    rounded = Tables.of(**tables)
     every = [1] * MEASUREMENTS
     for name, ticks in sample_ticks(plant.frame_ticks).items():
         every[COLUMNS[name]] = [ticks] * (COLUMNS[name].stop - COLUMNS[name].start)
@@ -163,10 +163,10 @@ def plant_model(plant: object) -> Model:
         measurements=MEASUREMENTS,
         truth=TRUTH,
         every=every,
-        tables="\n".join(map(found.declaration, found.values)),
+        tables="\n".join(map(rounded.declaration, rounded.values)),
     )
     about = f"Telescope {plant.parameters_hash} with its disturbance, without sensor noise"
-    return Model(PLANT, about, inputs, outputs, {f"{PLANT}.c": text}, found.sha256)
+    return Model(PLANT, about, inputs, outputs, {f"{PLANT}.c": text}, rounded.sha256)
 
 
 def _kind_of(plant: object) -> str:

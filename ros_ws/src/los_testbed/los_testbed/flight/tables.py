@@ -118,13 +118,13 @@ def read_tables(path: Path) -> tuple[Tables, str]:
         The file cannot be read or has no such tables.
     """
     text = _text(path)
-    found = {
+    tables = {
         name: np.array([float.fromhex(number) for number in re.findall(_NUMBER, body)])
         for name, body in _TABLE.findall(text)
     }
-    if not found:
+    if not tables:
         raise InputError(f"{path} must have tables of flight code, got none")
-    return Tables(found), _stated(text, path)
+    return Tables(tables), _stated(text, path)
 
 
 def check_tables(folder: Path, expected: Mapping[str, Tables]) -> Checked:
@@ -135,17 +135,17 @@ def check_tables(folder: Path, expected: Mapping[str, Tables]) -> Checked:
     ValueError
         A file of the folder is missing or has no tables.
     """
-    faults, found = [], {}
+    faults, digests = [], {}
     for unit in UNITS:
         path = folder / f"{unit}.c"
         tables, stated = read_tables(path)
-        found[unit] = tables.sha256
+        digests[unit] = tables.sha256
         if stated != tables.sha256:
             faults.append(f"{path.name} states {stated[:12]}, its tables are {tables.sha256[:12]}")
         if tables.sha256 != expected[unit].sha256:
             faults.append(f"tables of {path.name} differ from the designs")
     header = folder / HEADER
-    stated, common = _stated(_text(header), header), common_hash(found)
+    stated, common = _stated(_text(header), header), common_hash(digests)
     if stated != common:
         faults.append(f"{HEADER} states {stated[:12]}, the tables are {common[:12]}")
     wanted = common_hash({unit: tables.sha256 for unit, tables in expected.items()})

@@ -94,9 +94,9 @@ def _subnormal(rng: np.random.Generator) -> FloatArray:
 def magnitudes(rng: np.random.Generator, rows: int = CASE_TICKS) -> FloatArray:
     """Inputs of all magnitudes, (rows, 22): subnormal numbers to 1e300, of both signs."""
     size = rows, MEASUREMENTS
-    found: FloatArray = np.ldexp(rng.uniform(1.0, 2.0, size), rng.integers(-1073, 997, size))
-    found *= rng.choice([-1.0, 1.0], size)
-    return found
+    values: FloatArray = np.ldexp(rng.uniform(1.0, 2.0, size), rng.integers(-1073, 997, size))
+    values *= rng.choice([-1.0, 1.0], size)
+    return values
 
 
 CASES = MappingProxyType(
@@ -114,13 +114,13 @@ CASES = MappingProxyType(
 
 def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatArray:
     """The measurements with a camera that begins late, is slower than the loop and loses parts of its frames."""
-    found = measurement.copy()
-    rows = np.arange(len(found)) % FRAME != 1
-    found[np.ix_(rows, HELD)] = np.nan
+    measured = measurement.copy()
+    rows = np.arange(len(measured)) % FRAME != 1
+    measured[np.ix_(rows, HELD)] = np.nan
     odd = np.flatnonzero(rows)[::2]
     partly = np.array([[1e-6, np.nan], [np.inf, 1e-6], [-np.inf, -1e-6]])
-    found[np.ix_(odd, HELD[:2])] = rng.choice(partly, len(odd))
-    return found
+    measured[np.ix_(odd, HELD[:2])] = rng.choice(partly, len(odd))
+    return measured
 
 
 def law_ticks(laws: FlightLaws) -> Iterator[LawTick]:
@@ -181,9 +181,9 @@ def gate_ticks(gate: CommandGate, hold_ticks: int, fade_ticks: int) -> Iterator[
         before = dict(gate.rejected)
         if offered:
             gate.offer(bytes(gate.codec.encode(stamp, candidate)), now)
-        found = [name for name, count in gate.rejected.items() if count != before.get(name, 0)]
+        rejected = [name for name, count in gate.rejected.items() if count != before.get(name, 0)]
         gate.apply(now, applied)
-        yield GateTick(offered, stamp, now, candidate, VERDICTS.index(found[0] if found else ""), applied)
+        yield GateTick(offered, stamp, now, candidate, VERDICTS.index(rejected[0] if rejected else ""), applied)
 
 
 __all__ = ["SEED", "VERDICTS", "GateTick", "LawTick", "gate_ticks", "law_ticks", "magnitudes", "run_laws"]

@@ -90,8 +90,8 @@ class FoxgloveControls(ServerListener):  # type: ignore[misc, unused-ignore]
     ) -> list[Parameter]:
         """Set them one after the other; the values that then hold, also of those that were refused."""
         asked = {parameter.name: parameter.get_value() for parameter in parameters}
-        given = asked.get(TOKEN)
-        if isinstance(given, str) and secrets.compare_digest(given.encode(), self._token.encode()):
+        token = asked.get(TOKEN)
+        if isinstance(token, str) and secrets.compare_digest(token.encode(), self._token.encode()):
             self._may_act.add(client.id)
         elif TOKEN in asked:
             self._may_act.discard(client.id)

@@ -92,13 +92,13 @@ class ViewerFrames:
 
     def settings(self) -> dict[str, Any]:
         """Settings in force: those of the start and the changes that the nodes report."""
-        found = {name: getattr(self._config, name) for name in CHANGING}
+        values = {name: getattr(self._config, name) for name in CHANGING}
         for name, node in CHANGING.items():
             changes = self._nodes.get(node, {}).get("values", {}).get("changes", "[]")
             for change in json.loads(changes):
                 if change["name"] == name:
-                    found[name] = change["value"]
-        return found
+                    values[name] = change["value"]
+        return values
 
     def next(self, seen: dict[str, int]) -> dict[str, Any]:
         """Frame of a viewer that has `seen` what this function noted in it; empty at first."""

@@ -118,12 +118,12 @@ class History:
         if len(error) < 1.5 * SEGMENT_S / DT:
             return {"reason": f"shown after {1.5 * SEGMENT_S:g} s"}
         try:
-            found = psd(error, DT, SEGMENT_S)
+            estimate = psd(error, DT, SEGMENT_S)
         except InputError as refusal:  # a sample is missing in every segment
             return {"reason": str(refusal)}
         kept = slice(1, None)
-        density = found.density.sum(axis=1)
-        return {"frequency": _short(found.frequency[kept]), "density": _short(density[kept])}
+        density = estimate.density.sum(axis=1)
+        return {"frequency": _short(estimate.frequency[kept]), "density": _short(density[kept])}
 
 
 def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) -> list[dict[str, Any]]:
@@ -131,7 +131,7 @@ def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) 
 
     A requirement on the RPE has one value for each exposure, one on the APE one for each tick; others are left out.
     """
-    found = []
+    rows = []
     for requirement in requirements:
         if (requirement.loops and stage not in requirement.loops) or requirement.axis:
             continue
@@ -144,7 +144,7 @@ def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) 
         values = values[~np.isnan(values)]
         limit = requirement.limit / RAD_PER_MAS
         if len(values):
-            found.append(
+            rows.append(
                 {
                     "name": requirement.name,
                     "text": str(requirement),
@@ -157,7 +157,7 @@ def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) 
                     "probability": requirement.probability,
                 }
             )
-    return found
+    return rows
 
 
 def _short(values: FloatArray) -> list[float]:

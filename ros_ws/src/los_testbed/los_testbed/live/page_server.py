@@ -191,8 +191,8 @@ class PageServer:
         self.silent = SilentConnections(MAX_SILENT)
         self.token = secrets.token_urlsafe(16)
         self.viewers: set[_Data] = set()
-        own = {"server": self}
-        handlers = [(r"/data", _Data, own), (r"/action", _Action, own), (r"/(.*)", _Files, own)]
+        arguments = {"server": self}
+        handlers = [(r"/data", _Data, arguments), (r"/action", _Action, arguments), (r"/(.*)", _Files, arguments)]
         sockets = listening_sockets(host, port)
         self.port = int(sockets[0].getsockname()[1])
         application = Application(handlers, websocket_ping_interval=PING_S, websocket_ping_timeout=PING_S)

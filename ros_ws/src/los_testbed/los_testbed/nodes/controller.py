@@ -80,13 +80,13 @@ class ControllerLaw:
 
     def __init__(self, context: NodeContext, build: Callable[[RunConfig], ControllerCore] = build_controller) -> None:
         self.context = context
-        own = build is not build_controller
+        by_user = build is not build_controller
         run = RunParts(context.config)
-        controller = made_by(build, context.config, "controller") if own else run.controller()
-        if not own:
+        controller = made_by(build, context.config, "controller") if by_user else run.controller()
+        if not by_user:
             context.warn_alone(run.check())
-        self.digest = "" if own else announced(run)["controller"]
-        ports = REFERENCE_PORTS if own else run.used["k_pma"]
+        self.digest = "" if by_user else announced(run)["controller"]
+        ports = REFERENCE_PORTS if by_user else run.used["k_pma"]
         self._reset, control = watched(controller.reset, "reset"), watched(controller.step, "step")
         self.further = sensor_topics(ports.further_sensors)
         self.size = ACCEL.stop + sum(topic.size for topic in self.further)

@@ -88,12 +88,12 @@ class EstimatorLaw:
 
     def __init__(self, context: NodeContext, build: Callable[[RunConfig], EstimatorCore] = build_estimator) -> None:
         self.context = context
-        own = build is not build_estimator
-        estimator = made_by(build, context.config, "estimator") if own else build(context.config)
+        by_user = build is not build_estimator
+        estimator = made_by(build, context.config, "estimator") if by_user else build(context.config)
         self._reset = watched(estimator.reset, "reset")
         parts = RunParts(context.config)
-        self.digest = "" if own else announced(parts)["estimator"]
-        self.further = () if own else sensor_topics(parts.used["k_fsm"].further_sensors)
+        self.digest = "" if by_user else announced(parts)["estimator"]
+        self.further = () if by_user else sensor_topics(parts.used["k_fsm"].further_sensors)
         self.size = MEASUREMENTS + sum(topic.size for topic in self.further)
         self.columns: IntArray | None = None
         self.los = np.zeros(ESTIMATES)

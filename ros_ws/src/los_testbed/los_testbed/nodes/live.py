@@ -44,7 +44,7 @@ TRIGGERS = ("start", "stop", "reset")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node; returns the exit code."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
     parser = argparse.ArgumentParser(prog="live", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument(
@@ -56,21 +56,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--tls-cert", default="", help="certificate (PEM)")
     parser.add_argument("--tls-key", default="", help="its private key (PEM)")
-    own, _ = parser.parse_known_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
+    options, _ = parser.parse_known_args(words[: words.index("--ros-args")] if "--ros-args" in words else words)
 
     live = Live(
-        own.host,
-        own.port,
-        origins=tuple(own.origin),
-        topics=tuple(own.topic),
-        tls_cert=own.tls_cert,
-        tls_key=own.tls_key,
+        options.host,
+        options.port,
+        origins=tuple(options.origin),
+        topics=tuple(options.topic),
+        tls_cert=options.tls_cert,
+        tls_key=options.tls_key,
     )
 
     async def serve(context: NodeContext) -> int:
         return await LiveNode(context, live).run()
 
-    return run_node("live", given, lambda context: asyncio.run(serve(context)))
+    return run_node("live", words, lambda context: asyncio.run(serve(context)))
 
 
 class LiveNode:

@@ -75,23 +75,23 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
     def body(context: NodeContext) -> int:
         others = OtherPlants(context)
         context.event("alone")
-        own, command = build is not build_plant, None
+        by_user, command = build is not build_plant, None
         if context.config.device:
             raise InputError(
                 f"device must be absent for the node plant, got {context.config.device}: use the node device"
             )
         parts = RunParts(context.config)
-        plant = made_by(build, context.config, "plant") if own else parts.plant()
-        if own or context.config.plant:
+        plant = made_by(build, context.config, "plant") if by_user else parts.plant()
+        if by_user or context.config.plant:
             check_plant(plant)
-        if not own:
+        if not by_user:
             command = parts.start.command
         elif context.config.start != "rest":
             context.event("warning", message=OWN_PLANT)
             context.warn_alone([OWN_PLANT])
         compile_telescope(plant, context.config.ticks)
         with one_thread():
-            return PlantLoop(context, plant, command, "" if own else announced(parts)["plant"]).run(others)
+            return PlantLoop(context, plant, command, "" if by_user else announced(parts)["plant"]).run(others)
 
     return run_node("plant", arguments, body)
 
@@ -195,11 +195,11 @@ class PlantLoop:
         """Whether the loop under trial meets its deadlines; a single stall of the machine does not count."""
         config = self.context.config
         for trial in range(TRIALS):
-            self._exercised = found = exercise(self.context, self.io, config.exercise)
-            if found.share <= config.max_missed or self.context.stop:
+            self._exercised = measured = exercise(self.context, self.io, config.exercise)
+            if measured.share <= config.max_missed or self.context.stop:
                 return True
             if trial == TRIALS - 1:
-                self.context.event("too_slow", **asdict(found))
+                self.context.event("too_slow", **asdict(measured))
         return False
 
     def _ask_again(self, value: bool) -> None:

@@ -136,14 +136,14 @@ class Recorder:
             A node does.
         """
         for name, report in self.reports.items():
-            own, said = self._announced.get(name, ""), report.statistics.get(DIGEST, "")
-            if said and said != own:
+            expected, said = self._announced.get(name, ""), report.statistics.get(DIGEST, "")
+            if said and said != expected:
                 if self.bag is not None:
                     self._write_chunk()
                     self._finish_bag()
                 raise InputError(
                     f"the settings of the recorder must be those of the node {name}, whose digest is {said}, got "
-                    f"{own or 'none'}: give both the same options"
+                    f"{expected or 'none'}: give both the same options"
                 )
 
     def _look(self) -> None:

@@ -214,7 +214,7 @@ class _Player:
 
     def _answers(self) -> dict[str, Signal]:
         """Answers by topic, sorted by stamp; hold ticks and unreadable messages are excluded."""
-        found = {}
+        signals = {}
         for topic in ANSWERS:
             codec, out = codec_for(topic), np.zeros(topic.size)
             rows: dict[int, FloatArray] = {}
@@ -227,5 +227,5 @@ class _Player:
                     rows[stamp] = out.copy()
             if rows:
                 stamps = np.array(sorted(rows), np.int64)
-                found[topic.name] = stamps, np.array([rows[s] for s in stamps.tolist()])
-        return found
+                signals[topic.name] = stamps, np.array([rows[s] for s in stamps.tolist()])
+        return signals

@@ -53,28 +53,28 @@ def entries_of(items: Sequence[str]) -> list[DisturbanceTable]:
     ValueError
         A file that cannot be read or holds no source.
     """
-    found = []
+    entries = []
     for item in items:
         name, _, place = item.partition("@")
         path = Path(name)
         if path.suffix.lower() == ".toml":
             if place:
                 raise InputError(f"place must be given in the file {path}, got {item!r}")
-            found += entries_in(path, _toml(path))
+            entries += entries_in(path, _toml(path))
         else:
             table: dict[str, Any] = {"name": path.stem, "file": path.name, **({"place": place} if place else {})}
             table["kind"] = _kind_of(read_table(path))
-            found.append(DisturbanceTable(table, path.parent, str(path)))
-    return found
+            entries.append(DisturbanceTable(table, path.parent, str(path)))
+    return entries
 
 
 def sources_of(config: RunConfig, telescope: Telescope) -> list[DisturbanceTable]:
     """Tables of all sources of a run: those of its files, then those of its telescope; none without disturbance."""
     if not config.disturbance or config.other_plant:
         return []
-    own = [DisturbanceTable(table, Path(table[FOLDER]), str(config.parameters)) for table in telescope.sources]
-    own = [replace(one, table={k: v for k, v in one.table.items() if k != FOLDER}) for one in own]
-    return entries_of(config.files_of_disturbance) + own
+    of_telescope = [DisturbanceTable(table, Path(table[FOLDER]), str(config.parameters)) for table in telescope.sources]
+    of_telescope = [replace(one, table={k: v for k, v in one.table.items() if k != FOLDER}) for one in of_telescope]
+    return entries_of(config.files_of_disturbance) + of_telescope
 
 
 def entries_in(path: Path, content: Mapping[str, Any]) -> list[DisturbanceTable]:
@@ -125,11 +125,11 @@ def make_sources(
     if len(set(names)) < len(names):
         files = ", ".join(dict.fromkeys(entry.where for entry in entries))
         raise InputError(f"{files}: disturbances must have different names, got {', '.join(names)}")
-    found = tuple(_source(entry, telescope, run) for entry in entries)
-    driven = [one.place for one in found if one.limit < math.inf]
+    sources = tuple(_source(entry, telescope, run) for entry in entries)
+    driven = [one.place for one in sources if one.limit < math.inf]
     for place in sorted({place for place in driven if driven.count(place) > 1}):
         raise InputError(f"actuator {place} must have one source, got {driven.count(place)}")
-    return found
+    return sources
 
 
 def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -> PlacedSource:

@@ -69,10 +69,10 @@ class LibraryLaw:
             raise InputError(
                 f"{setting} {path} must have the functions of `los-testbed export c`, got none of {', '.join(missing)}"
             )
-        found = tuple((ctypes.c_int * (1 + len(sizes))).in_dll(self._library, f"{prefix}_sizes"))
-        self.order = found[0]
-        if found[1:] != sizes or not 0 <= self.order <= LARGEST_ORDER:
-            raise InputError(f"{setting} {path} must have the sizes (order, {sizes}), got {found}")
+        stated = tuple((ctypes.c_int * (1 + len(sizes))).in_dll(self._library, f"{prefix}_sizes"))
+        self.order = stated[0]
+        if stated[1:] != sizes or not 0 <= self.order <= LARGEST_ORDER:
+            raise InputError(f"{setting} {path} must have the sizes (order, {sizes}), got {stated}")
         self.tables_sha256 = (ctypes.c_char * 65).in_dll(self._library, f"{prefix}_tables_sha256").value.decode()
         self._step, self._reset_to = (getattr(self._library, f"{prefix}_{what}") for what in ("step", "reset_to"))
         self._self = np.zeros(self.order + sum(sizes[:-1]))
@@ -86,10 +86,10 @@ class LibraryLaw:
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
         """Set the state of the next reset of K_FSM: `state` (order,), held values `camera` (h,)."""
-        for given, kept in zip((state, camera), (self._start, *self._held)):
-            if np.shape(given) != kept.shape:
-                raise InputError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
-            kept[:] = given
+        for value, kept in zip((state, camera), (self._start, *self._held)):
+            if np.shape(value) != kept.shape:
+                raise InputError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(value)}")
+            kept[:] = value
 
     def reset(self, state: FloatArray | None = None, held: FloatArray | None = None) -> None:
         """Back to the start, or to `state` (order,), of K_FSM with the values `held` (h,)."""
@@ -116,8 +116,8 @@ class LibraryLaw:
 
     def step(self, values: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick; `values` are the measurement, or the accelerations of the platform."""
-        given = np.ascontiguousarray(values, dtype=float)  # kept until the call returns
-        self._step(_pointer(self._self), _pointer(given), _pointer(out))
+        inputs = np.ascontiguousarray(values, dtype=float)  # kept until the call returns
+        self._step(_pointer(self._self), _pointer(inputs), _pointer(out))
 
 
 def _pointer(values: FloatArray) -> ctypes.c_void_p:

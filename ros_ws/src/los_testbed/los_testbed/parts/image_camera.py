@@ -143,16 +143,16 @@ class ImageCamera:
         frame = self._read[0]
         while frame.found is None:
             self._go_on()
-        counts, found = frame.counts, frame.found
-        assert counts is not None and found is not None
+        counts, stars = frame.counts, frame.found
+        assert counts is not None and stars is not None
         self._read.popleft()
         self.image[:] = counts
         if dropped:
             return self._none(DROPPED)
-        if found.reason:
+        if stars.reason:
             self._without += 1
-            return self._none(found.reason)
-        angles = frame.middle + found.place
+            return self._none(stars.reason)
+        angles = frame.middle + stars.place
         self._without, self._middle = 0, pixel * np.rint(angles / pixel)
         return np.asarray(angles)
 

@@ -46,8 +46,8 @@ def told_model(block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> S
         return None
     from lftkit.systems.exchange import as_sampled, as_system
 
-    found = block.system()
-    model = found if isinstance(found, SampledSystem) else as_sampled(as_system(found))
+    system = block.system()
+    model = system if isinstance(system, SampledSystem) else as_sampled(as_system(system))
     model = model.with_inputs(inputs)
     model.require(inputs, outputs, DT)
     return model
@@ -72,27 +72,27 @@ def difference(reset: Callable[..., None], step: Callable[..., None], model: Sam
     """
     rng = np.random.default_rng(1)
     state, held = (SIZE * rng.standard_normal(n) for n in (model.order, HELD.size))
-    given = SIZE * rng.standard_normal((TICKS, total_size(model.inputs)))
+    values = SIZE * rng.standard_normal((TICKS, total_size(model.inputs)))
     if observes(model.inputs):
         observer = LosEstimator(model, model.inputs[len(K_FSM_INPUTS) :])
         observer.start_at(state, held)
         observer.reset()
         reset(state, held)
         model_step: Callable[[FloatArray, FloatArray], None] = observer.step
-        given[np.ix_(np.arange(TICKS) % FRAME != FRAME // 2, HELD)] = np.nan
+        values[np.ix_(np.arange(TICKS) % FRAME != FRAME // 2, HELD)] = np.nan
     else:
         law = replace(model)
         law.reset(state)
         reset(state)
         model_step = law.step
-    found: FloatArray = np.zeros((TICKS, total_size(model.outputs)))
-    expected = np.zeros_like(found)
+    outputs: FloatArray = np.zeros((TICKS, total_size(model.outputs)))
+    expected = np.zeros_like(outputs)
     for tick in range(TICKS):
-        step(given[tick].copy(), found[tick])
-        model_step(given[tick], expected[tick])
-    odd = ~(np.abs(found - expected) <= TOLERANCE * np.abs(expected).max())
+        step(values[tick].copy(), outputs[tick])
+        model_step(values[tick], expected[tick])
+    odd = ~(np.abs(outputs - expected) <= TOLERANCE * np.abs(expected).max())
     if not odd.any():
         return ""
     tick = int(np.argwhere(odd)[0][0])
-    pair = f"{found[tick][odd[tick]][0]:.6g} for {expected[tick][odd[tick]][0]:.6g}"
+    pair = f"{outputs[tick][odd[tick]][0]:.6g} for {expected[tick][odd[tick]][0]:.6g}"
     return f"{pair} in {element(model.outputs, odd[tick])} at tick {tick}"

@@ -48,10 +48,10 @@ def with_named_ports(
     """
     law = _counted_from_zero(law)
     for side, loop in (("inputs", tuple(inputs)), ("outputs", tuple(outputs))):
-        own: tuple[Port, ...] = getattr(law, side)
-        if own == loop or [port.name for port in own] != [UNNAMED[side]]:
+        ports: tuple[Port, ...] = getattr(law, side)
+        if ports == loop or [port.name for port in ports] != [UNNAMED[side]]:
             continue
-        listed, size = ", ".join(f"{port.name}[{port.size}]" for port in loop), total_size(own)
+        listed, size = ", ".join(f"{port.name}[{port.size}]" for port in loop), total_size(ports)
         if not in_order:
             first = loop[0].name
             raise InputError(
@@ -62,8 +62,8 @@ def with_named_ports(
         if size != total_size(loop):
             raise InputError(f"{side} must be {total_size(loop)}, in the order {listed}, got {size} without names")
         law = replace(law, inputs=loop) if side == "inputs" else replace(law, outputs=loop)
-    known = [port for port in inputs if any((port.name, port.size) == (own.name, own.size) for own in law.inputs)]
-    if len(known) == len(law.inputs) and [port.name for port in known] != [own.name for own in law.inputs]:
+    known = [port for port in inputs if any((port.name, port.size) == (one.name, one.size) for one in law.inputs)]
+    if len(known) == len(law.inputs) and [port.name for port in known] != [port.name for port in law.inputs]:
         return law.with_inputs(known)
     return law
 

@@ -94,9 +94,9 @@ class RunParts:
     def telescope(self) -> Telescope:
         """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
         known = self.known_family
-        found = load_telescope(self.config.parameters) if known is None else known.telescope
-        found.check_exposure(self.config.frame_ticks)
-        return found
+        loaded = load_telescope(self.config.parameters) if known is None else known.telescope
+        loaded.check_exposure(self.config.frame_ticks)
+        return loaded
 
     @cached_property
     def pupil_file(self) -> bytes:
@@ -239,15 +239,15 @@ class RunParts:
     def model_of(self, name: str) -> SampledSystem | None:
         """A controller as a linear system; None of code without a model."""
         law = getattr(self, name)
-        found = law.linear if isinstance(law, UserBlock) else law
-        return found if isinstance(found, SampledSystem) else None
+        model = law.linear if isinstance(law, UserBlock) else law
+        return model if isinstance(model, SampledSystem) else None
 
     @property
     def linear(self) -> dict[str, SampledSystem] | None:
         """Both controllers as linear systems; None where one of them is code without a model."""
         laws = {name: self.model_of(name) for name in LAWS}
-        found = {name: law for name, law in laws.items() if law is not None}
-        return found if len(found) == len(laws) else None
+        models = {name: law for name, law in laws.items() if law is not None}
+        return models if len(models) == len(laws) else None
 
     def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, LoopPorts]:
         """Telescopes for the loop with these controllers, and the rows that it has."""
@@ -361,8 +361,8 @@ class RunParts:
         with one_thread():  # of all parts: their bits depend on the number of threads
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
             telescope = (self.sensed_family if readings else self.loop_family).build(self.physical, state)
-            own = config.disturbance_source if config.disturbance else None
-            driven = telescope if own is None else self._driven(telescope, own)
+            source = config.disturbance_source if config.disturbance else None
+            driven = telescope if source is None else self._driven(telescope, source)
             return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
 
     @cached_property
@@ -493,10 +493,10 @@ class RunParts:
         profile = motion(self.settings, self.telescope)
         names = tuple(wheel.name for wheel in self.telescope.wheels)
         run = RunConditions(tuple(map(float, profile.speeds(0.0))), self.config.duration, self.config.seed, names)
-        found = make_sources(self._entries, self.telescope, run)
+        placed = make_sources(self._entries, self.telescope, run)
         if self._mechanisms:
-            found += mechanism_sources(self.telescope, profile, self.config.duration, self.config.seed)
-        return found
+            placed += mechanism_sources(self.telescope, profile, self.config.duration, self.config.seed)
+        return placed
 
     @property
     def sources_digest(self) -> str:
@@ -574,12 +574,12 @@ class RunParts:
 
 
 def _user_plant(config: RunConfig) -> SteppedPlant:
-    own: SteppedPlant = make(config)
+    plant: SteppedPlant = make(config)
     try:
-        own.reset()
+        plant.reset()
     except RAISED as error:
         raise InputError(f"plant {config.plant}: reset must succeed, got {in_one_line(error)}") from error
-    return own
+    return plant
 
 
 def build_plant(config: RunConfig) -> SteppedPlant:

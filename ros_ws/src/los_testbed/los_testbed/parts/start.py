@@ -267,13 +267,13 @@ def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel
     for loop in (config.loop, open_loop):
         of = model(loop=loop)
         try:
-            found = worst_tone(
+            tone = worst_tone(
                 of.loop, of.plant, family.telescope, index=config.worst_of, stage=config.loop, closed=loop != open_loop
             )
         except ValueError as error:
             notes.append(f"{error}: the tone is the worst one of the stage {open_loop}")
         else:
-            return found.peaking_at(0.5 * config.duration)
+            return tone.peaking_at(0.5 * config.duration)
     raise AssertionError("the loop above returns or raises")
 
 

@@ -102,11 +102,11 @@ class UserBlock:
         ports: LoopPorts = REFERENCE_PORTS,
     ) -> None:
         try:
-            found = {name: getattr(block, name, "none") for name in ("step", "reset")}
+            methods = {name: getattr(block, name, "none") for name in ("step", "reset")}
             self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
         except RAISED as error:
             raise InputError(f"{setting} {text}: attributes must have values, got {in_one_line(error)}") from error
-        for name, method in found.items():
+        for name, method in methods.items():
             if not callable(method):
                 raise InputError(f"{setting} {text}: {name} must be a method, got {method!r}")
         self.name, self.block, self.ports = f"{setting} {text}", block, ports
@@ -131,8 +131,8 @@ class UserBlock:
     @property
     def linear(self) -> SampledSystem | None:
         """Its linear system or model; None for other code."""
-        found = self.block.k_fsm if type(self.block) is LosEstimator else self.block
-        return found if isinstance(found, SampledSystem) else self._told
+        law = self.block.k_fsm if type(self.block) is LosEstimator else self.block
+        return law if isinstance(law, SampledSystem) else self._told
 
     @property
     def is_linear(self) -> bool:
@@ -212,12 +212,12 @@ class UserBlock:
     def _check_model(self, model: SampledSystem) -> None:
         """Compare user code with its model."""
         try:
-            found = difference(self.block.reset, self.block.step, model)
+            text = difference(self.block.reset, self.block.step, model)
         except RAISED as error:
             what = in_one_line(error)
             raise InputError(f"{self.name}: reset and step must accept a state, got {what}") from error
-        if found:
-            raise InputError(f"{self.name}: step must agree with system() from a state, got {found}")
+        if text:
+            raise InputError(f"{self.name}: step must agree with system() from a state, got {text}")
 
     def _trial(self) -> Iterable[FloatArray]:
         """Outputs of the first ticks after a reset, with zeros as input; held values are NaN from the second tick."""
@@ -228,15 +228,15 @@ class UserBlock:
         except BlockFailedError as error:
             raise InputError(str(error)) from error
         for tick in range(TRIAL_TICKS):
-            given = np.zeros(size)
+            inputs = np.zeros(size)
             if tick and self.inputs[: len(K_FSM_INPUTS)] == K_FSM_INPUTS:
-                given[HELD] = np.nan
-            kept, out = given.copy(), np.full(width, UNTOUCHED)
+                inputs[HELD] = np.nan
+            kept, out = inputs.copy(), np.full(width, UNTOUCHED)
             try:
-                self.block.step(*((given, out) if size else (out,)))
+                self.block.step(*((inputs, out) if size else (out,)))
             except RAISED as error:
                 raise InputError(f"{self.name}: step must accept {shapes}, got {in_one_line(error)}") from error
-            if not np.array_equal(given, kept, equal_nan=True):
+            if not np.array_equal(inputs, kept, equal_nan=True):
                 raise InputError(f"{self.name}: step must not change its input, got another one after the step")
             if (untouched := out == UNTOUCHED).any():
                 where = element(self.outputs, untouched)
@@ -337,15 +337,15 @@ def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem
     ValueError
         A system that is not sampled, or has no names of ports.
     """
-    found = load(text, setting)
-    if isinstance(found, SampledSystem):
-        return found
-    if type(found).__module__.partition(".")[0] not in ("control", "lftkit") or not hasattr(found, "dt"):
+    law = load(text, setting)
+    if isinstance(law, SampledSystem):
+        return law
+    if type(law).__module__.partition(".")[0] not in ("control", "lftkit") or not hasattr(law, "dt"):
         return None
     from lftkit.systems.exchange import as_sampled, as_system
 
     try:
-        return with_named_ports(as_sampled(as_system(found)), *LAWS[setting], in_order)
+        return with_named_ports(as_sampled(as_system(law)), *LAWS[setting], in_order)
     except ValueError as error:
         raise InputError(f"{setting} {text}: {error}") from None
 

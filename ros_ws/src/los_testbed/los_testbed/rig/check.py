@@ -91,22 +91,22 @@ class _Seen:
         return np.asarray(self.moved * np.exp(2j * np.pi * FREQUENCIES * delay))
 
 
-def judge(found: MotionRecord, model: ModelResponse) -> tuple[DeviceCheckRow, ...]:
+def judge(record: MotionRecord, model: ModelResponse) -> tuple[DeviceCheckRow, ...]:
     """Rows of all values of sensors, then of commands."""
-    commanded = amplitudes(*held(found.commands, RAMP_S), RAMP_S)
-    sensors = [_seen(port, found, model, commanded) for port in MEASURED]
+    commanded = amplitudes(*held(record.commands, RAMP_S), RAMP_S)
+    sensors = [_seen(port, record, model, commanded) for port in MEASURED]
     rows: list[DeviceCheckRow] = []
     for driver in COMMANDED:
-        own = [sensor for sensor in sensors if sensor.driver == driver]
-        clear = [sensor for sensor in own if sensor.known and not _quiet(sensor, commanded)]
+        of_driver = [sensor for sensor in sensors if sensor.driver == driver]
+        clear = [sensor for sensor in of_driver if sensor.known and not _quiet(sensor, commanded)]
         delays = {sensor.port: _delay(sensor, commanded) for sensor in clear}
         common = min(delays.values(), default=0.0)
         common = common if common > DELAY_TOLERANCE_S else 0.0
-        actuators = _actuators(driver, own, clear, delays, commanded)
+        actuators = _actuators(driver, of_driver, clear, delays, commanded)
         corrected = _corrected(actuators, commanded, driver)
-        rows += _command_rows(driver, actuators, max(0.0, common), [s.port for s in own])
-        for sensor in own:
-            rows += _sensor_rows(sensor, corrected, delays.get(sensor.port, 0.0), common, found, model)
+        rows += _command_rows(driver, actuators, max(0.0, common), [s.port for s in of_driver])
+        for sensor in of_driver:
+            rows += _sensor_rows(sensor, corrected, delays.get(sensor.port, 0.0), common, record, model)
     order = {part: k for k, part in enumerate((*MEASURED, *COMMANDED))}
     return tuple(sorted(rows, key=lambda row: (order[row.part], row.value)))
 
@@ -119,16 +119,16 @@ def faults(rows: Sequence[DeviceCheckRow]) -> tuple[str, ...]:
             by_fault.setdefault((row.part, NUMBER.sub("{}", row.fault)), []).append(row)
     sizes = {part: COLUMNS[part].stop - COLUMNS[part].start for part in (*MEASURED, *COMMANDED)}
     lines = []
-    for (part, text), found in by_fault.items():
-        columns = zip(*(NUMBER.findall(row.fault) for row in found))
+    for (part, text), faulty in by_fault.items():
+        columns = zip(*(NUMBER.findall(row.fault) for row in faulty))
         numbers = [", ".join(column if len(set(column)) > 1 else column[:1]) for column in columns]
-        which = "" if len(found) == sizes[part] else f"[{', '.join(str(row.value) for row in found)}]"
+        which = "" if len(faulty) == sizes[part] else f"[{', '.join(str(row.value) for row in faulty)}]"
         lines.append(f"{part}{which}: {text.format(*numbers)}")
     return tuple(lines)
 
 
-def _seen(port: str, found: MotionRecord, model: ModelResponse, commanded: ComplexArray) -> _Seen:
-    times, values, _ = found.samples[port]
+def _seen(port: str, record: MotionRecord, model: ModelResponse, commanded: ComplexArray) -> _Seen:
+    times, values, _ = record.samples[port]
     gains = model.gains[COLUMNS[port]]
     parts = [np.einsum("jbl,bl->jl", gains[:, COLUMNS[name]], commanded[COLUMNS[name]]) for name in COMMANDED]
     driver = COMMANDED[int(np.argmax([float(np.abs(part).max()) for part in parts]))]
@@ -161,17 +161,17 @@ def _rms(values: ComplexArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=-1)))
 
 
-def _match(seen: ComplexArray, models: Sequence[ComplexArray], own: int) -> _Match:
+def _match(seen: ComplexArray, models: Sequence[ComplexArray], expected: int) -> _Match:
     """The model with the smallest residual; its own one, if that has a small residual."""
     power = float(np.sum(np.abs(seen) ** 2))
-    found: list[_Match] = []
+    matches: list[_Match] = []
     for model in models:
         size = float(np.sum(np.abs(model) ** 2))
         gain = float(np.sum((model.conj() * seen).real)) / size if size else 0.0
         rest = float(np.sum(np.abs(seen - gain * model) ** 2)) / power if power else 1.0
-        found.append(_Match(len(found), gain, rest))
-    best = min(found, key=lambda match: match.rest)
-    return found[own] if found[own].rest < max(UNEXPLAINED**2, 2 * best.rest) else best
+        matches.append(_Match(len(matches), gain, rest))
+    best = min(matches, key=lambda match: match.rest)
+    return matches[expected] if matches[expected].rest < max(UNEXPLAINED**2, 2 * best.rest) else best
 
 
 def _by_values(sensor: _Seen, delay: float, commanded: ComplexArray) -> list[_Match]:
@@ -185,12 +185,12 @@ def _by_actuators(sensor: _Seen, delay: float, commanded: ComplexArray) -> list[
     """For each actuator the one to which the sensor responds at its lines; values are scaled by the model."""
     weight = 1.0 / np.maximum(_rms(_expected(sensor, commanded)[:, sensor.lines()]), 1e-300)[:, None]
     seen = sensor.late(delay)
-    found = []
-    for own, a in enumerate(sensor.actuators):
+    matches = []
+    for index, a in enumerate(sensor.actuators):
         lines = lines_of(int(a))
         models = [weight * sensor.gains[:, b][:, lines] * commanded[a, lines] for b in sensor.actuators]
-        found.append(_match(weight * seen[:, lines], models, own))
-    return found
+        matches.append(_match(weight * seen[:, lines], models, index))
+    return matches
 
 
 def _delay(sensor: _Seen, commanded: ComplexArray) -> float:
@@ -205,15 +205,15 @@ def _delay(sensor: _Seen, commanded: ComplexArray) -> float:
 
 
 def _actuators(
-    driver: str, own: Sequence[_Seen], clear: Sequence[_Seen], delays: dict[str, float], commanded: ComplexArray
+    driver: str, sensors: Sequence[_Seen], clear: Sequence[_Seen], delays: dict[str, float], commanded: ComplexArray
 ) -> list[_Match]:
     """Motion of each actuator of a port: its own, unless all sensors agree on another one."""
     size = COLUMNS[driver].stop - COLUMNS[driver].start
     if not clear:
-        nothing = bool(own) and all(sensor.known and _clear(sensor, commanded) for sensor in own)
+        nothing = bool(sensors) and all(sensor.known and _clear(sensor, commanded) for sensor in sensors)
         return [_Match(k, 0.0 if nothing else 1.0, 0.0) for k in range(size)]
     matched = [_by_actuators(sensor, delays[sensor.port], commanded) for sensor in clear]
-    found = []
+    actuators = []
     for k in range(size):
         matches = [sensor[k] for sensor in matched]
         gains = np.array([match.gain for match in matches])
@@ -223,10 +223,10 @@ def _actuators(
         agreed = agreed and bool(np.all(np.abs(gains - middle) < GAIN_TOLERANCE * abs(middle)))
         wrong = matches[0].index != k or abs(middle - 1.0) > GAIN_TOLERANCE
         if dead:
-            found.append(_Match(k, 0.0, 0.0))
+            actuators.append(_Match(k, 0.0, 0.0))
         else:
-            found.append(_Match(matches[0].index, middle, 0.0) if agreed and wrong else _Match(k, 1.0, 0.0))
-    return found
+            actuators.append(_Match(matches[0].index, middle, 0.0) if agreed and wrong else _Match(k, 1.0, 0.0))
+    return actuators
 
 
 def _corrected(actuators: Sequence[_Match], commanded: ComplexArray, driver: str) -> ComplexArray:
@@ -255,27 +255,27 @@ def _command_rows(
     return rows
 
 
-def _words(match: _Match, own: int, verb: str) -> str:
+def _words(match: _Match, expected: int, verb: str) -> str:
     """Fault of a gain; empty without one."""
     if abs(match.gain) < DEAD_GAIN:
         return f"dead: {verb} nothing"
     sign = "wrong sign" if match.gain < 0 else ""
     size = f"gain {abs(match.gain):.2f}" if abs(abs(match.gain) - 1.0) > GAIN_TOLERANCE else ""
-    swapped = f"swapped: {verb} like value {match.index}" if match.index != own else ""
+    swapped = f"swapped: {verb} like value {match.index}" if match.index != expected else ""
     return ", ".join(part for part in (swapped, sign, size) if part)
 
 
 def _sensor_rows(
-    sensor: _Seen, commanded: ComplexArray, delay: float, common: float, found: MotionRecord, model: ModelResponse
+    sensor: _Seen, commanded: ComplexArray, delay: float, common: float, record: MotionRecord, model: ModelResponse
 ) -> list[DeviceCheckRow]:
-    times, values, ages = found.samples[sensor.port]
+    times, values, ages = record.samples[sensor.port]
     columns = COLUMNS[sensor.port]
     quiet = values[times < 0.0]
     noise = scatter(quiet) if len(quiet) else np.full(columns.stop - columns.start, np.nan)
     lines = sensor.lines()
     expected = _rms(_expected(sensor, commanded)[:, lines])
     matches = _by_values(sensor, delay, commanded) if sensor.known else []
-    beyond, rows = found.beyond_range[sensor.port], []
+    beyond, rows = record.beyond_range[sensor.port], []
     for j in range(columns.stop - columns.start):
         low, high = model.noise[columns][j], model.disturbed[columns][j]
         gain = behind = np.nan
@@ -284,7 +284,7 @@ def _sensor_rows(
                 f"beyond range: {beyond} of {counted(beyond + len(times), 'sample')}, which are not used (other unit?)"
             )
         elif not matches:
-            odd = found.not_finite[sensor.port]
+            odd = record.not_finite[sensor.port]
             fault = f"too few samples: {len(times)}" + (f", {odd} not finite" if odd else "")
         elif expected[j] == 0.0:
             fault = _noise_fault(noise[j], low, high)

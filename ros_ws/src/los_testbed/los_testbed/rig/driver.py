@@ -163,18 +163,18 @@ class PacketRig:
 
     def read(self, now_ns: int) -> Sequence[Sample]:
         """Samples that have come, oldest first."""
-        found: list[Sample] = []
+        samples: list[Sample] = []
         for packet, received in self._take():
             if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3) and _are_counts(packet.values):
                 sent = int(packet.values[0] * SPLIT + packet.values[1]) + int(packet.values[2:].sum())
                 self.clock.answer(sent, packet.time_ns, received)
                 self._unanswered, self._next_sync = False, received + SYNC_PERIOD_NS
             else:
-                found += self._samples(packet, received)
-        found.sort(key=lambda sample: sample.acquired_ns)
-        if now_ns >= self._next_sync or (found and self._was_set(found[-1])):
+                samples += self._samples(packet, received)
+        samples.sort(key=lambda sample: sample.acquired_ns)
+        if now_ns >= self._next_sync or (samples and self._was_set(samples[-1])):
             self._sync(now_ns)
-        return found
+        return samples
 
     def _was_set(self, newest: Sample) -> bool:
         """Whether the rig's clock was stepped: it is queried immediately, since no sample is usable until then."""
@@ -267,5 +267,5 @@ class PacketRig:
         except OSError:
             self.counts["receive_failed"] += 1
             return []
-        found = ((self._reader.read(data), time_ns) for data, time_ns in arrived)
-        return [(packet, time_ns) for packet, time_ns in found if packet is not None]
+        packets = ((self._reader.read(data), time_ns) for data, time_ns in arrived)
+        return [(packet, time_ns) for packet, time_ns in packets if packet is not None]

@@ -384,20 +384,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the emulator until SIGINT or SIGTERM; returns the exit code."""
     parser = argparse.ArgumentParser("los_testbed.rig.emulator", description="Emulator of a rig; never hardware.")
     parser.add_argument("--config", default="{}", help="settings of a run, as a JSON object")
-    for name, own in RigSettings.__dataclass_fields__.items():
+    for name, setting in RigSettings.__dataclass_fields__.items():
         option = "--" + name.replace("_", "-")
-        if own.type == "bool":
-            parser.add_argument(option, action=argparse.BooleanOptionalAction, default=own.default)
+        if setting.type == "bool":
+            parser.add_argument(option, action=argparse.BooleanOptionalAction, default=setting.default)
         else:
-            kind = {"float": float, "int": int}.get(str(own.type), str)
+            kind = {"float": float, "int": int}.get(str(setting.type), str)
             choices = ("", *FAULTS) if name == "fault" else None
-            parser.add_argument(option, type=kind, default=own.default, choices=choices)
+            parser.add_argument(option, type=kind, default=setting.default, choices=choices)
     parser.add_argument("--priority", action="store_true", help="ask for real-time scheduling")
-    given = vars(parser.parse_args(arguments))
+    options = vars(parser.parse_args(arguments))
     try:
-        priority = given.pop("priority")
-        config = RunConfig.from_mapping({"start": "rest", **json.loads(given.pop("config"))}).emulated()
-        rig = Emulator(config, RigSettings(**given))
+        priority = options.pop("priority")
+        config = RunConfig.from_mapping({"start": "rest", **json.loads(options.pop("config"))}).emulated()
+        rig = Emulator(config, RigSettings(**options))
     except (ValueError, OSError) as error:
         sys.stderr.write(f"emulator: {error}\n")
         return 2

@@ -97,14 +97,14 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
     ticks.begin(first)
     start = first + round(1e9 * QUIET_S)
     written: list[tuple[float, FloatArray]] = []
-    found: list[tuple[Sample, int]] = []
+    samples: list[tuple[Sample, int]] = []
     silent = 0
     while (present := steady()) < first + TICKS * TICK_NS:
         command = motion((present - start) * 1e-9, peaks)
         supervisor.write(command, present)
         written.append(((present - start) * 1e-9, command))
         came = supervisor.samples(present)
-        found += [(sample, present) for sample in came]
+        samples += [(sample, present) for sample in came]
         silent = 0 if came else silent + 1
         if silent > SILENT_TICKS:
             odd = [port for port in MEASURED if supervisor.counts[f"{NOT_FINITE}{port}"]]
@@ -114,23 +114,23 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
     supervisor.write(np.zeros(COMMANDS), steady())
     return MotionRecord(
         (np.array([t for t, _ in written]), np.array([u for _, u in written])),
-        {port: _of_port(found, port, start) for port in MEASURED},
-        {port: supervisor.counts[f"{NOT_FINITE}{port}"] + _empty_frames(found, port) for port in MEASURED},
+        {port: _of_port(samples, port, start) for port in MEASURED},
+        {port: supervisor.counts[f"{NOT_FINITE}{port}"] + _empty_frames(samples, port) for port in MEASURED},
         {port: supervisor.counts[f"{BEYOND_RANGE}{port}"] for port in MEASURED},
     )
 
 
-def _empty_frames(found: Sequence[tuple[Sample, int]], port: str) -> int:
+def _empty_frames(samples: Sequence[tuple[Sample, int]], port: str) -> int:
     """Frames without a value."""
-    return sum(sample.port == port and not np.isfinite(sample.values).all() for sample, _ in found)
+    return sum(sample.port == port and not np.isfinite(sample.values).all() for sample, _ in samples)
 
 
-def _of_port(found: Sequence[tuple[Sample, int]], port: str, start: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _of_port(samples: Sequence[tuple[Sample, int]], port: str, start: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     size = COLUMNS[port].stop - COLUMNS[port].start
-    own = [(s, read) for s, read in found if s.port == port and np.isfinite(s.values).all()]
-    times = np.array([(s.acquired_ns - start) * 1e-9 for s, _ in own])
-    values = np.array([s.values for s, _ in own]).reshape(-1, size)
-    ages = np.array([(read - s.acquired_ns) * 1e-9 for s, read in own])
+    finite = [(s, read) for s, read in samples if s.port == port and np.isfinite(s.values).all()]
+    times = np.array([(s.acquired_ns - start) * 1e-9 for s, _ in finite])
+    values = np.array([s.values for s, _ in finite]).reshape(-1, size)
+    ages = np.array([(read - s.acquired_ns) * 1e-9 for s, read in finite])
     order = np.argsort(times, kind="stable")
     return times[order], values[order], ages[order]
 
@@ -217,8 +217,8 @@ def _all_lines(seconds: float) -> float:
 
 
 def _scatters(seen: FloatArray) -> FloatArray:
-    found = [seen[np.isfinite(seen[:, COLUMNS[port]]).all(axis=1), COLUMNS[port]] for port in MEASURED]
-    return np.concatenate([scatter(values) for values in found])
+    measured = [seen[np.isfinite(seen[:, COLUMNS[port]]).all(axis=1), COLUMNS[port]] for port in MEASURED]
+    return np.concatenate([scatter(values) for values in measured])
 
 
 def simulated(plant: Any, commands: FloatArray, noise: float, disturbance: float) -> FloatArray:

@@ -75,24 +75,24 @@ class PacketSplitter:
     def feed(self, data: bytes) -> list[bytes]:
         """Packets that are whole with these bytes."""
         self._rest += data
-        found: list[bytes] = []
+        packets: list[bytes] = []
         while True:
             start = self._rest.find(MAGIC)
             if start < 0:
                 start = max(0, len(self._rest) - len(MAGIC) + 1)  # the magic may have begun
                 self.skipped += start
                 self._rest = self._rest[start:]
-                return found
+                return packets
             self.skipped += start
             self._rest = self._rest[start:]
             if len(self._rest) < HEAD.size:
-                return found
+                return packets
             values = HEAD.unpack_from(self._rest)[6]
             size = HEAD.size + 8 * values + CHECK.size
             if values <= MOST_VALUES and len(self._rest) < size:
-                return found
+                return packets
             if values <= MOST_VALUES and self._fits(self._rest[:size]):
-                found.append(self._rest[:size])
+                packets.append(self._rest[:size])
                 self._rest = self._rest[size:]
             else:
                 self.skipped += 1

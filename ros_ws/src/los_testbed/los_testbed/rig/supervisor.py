@@ -520,7 +520,7 @@ class Supervisor:
         """Counts that are not zero, ages of the samples, and the device's ``notes``."""
         if not self._ended:
             self._call("notes", self._note)
-        own = self._notes
+        notes = self._notes
         fault = "; ".join(filter(None, [self.fault, *self._failures.values()]))
         return {
             "device_state": self.state,
@@ -528,8 +528,8 @@ class Supervisor:
             **({"device_zero": self.zero} if self.zero else {}),
             **{f"device_{name}": str(count) for name, count in sorted(self.counts.items()) if count},
             **{f"device_{name}": text for name, text in self.age.summary("age").items()},
-            **self._delays(float(own.get("clock_way_us", 0.0)) / 2),
-            **{f"device_{name}": str(text) for name, text in own.items()},
+            **self._delays(float(notes.get("clock_way_us", 0.0)) / 2),
+            **{f"device_{name}": str(text) for name, text in notes.items()},
         }
 
 

@@ -79,17 +79,17 @@ class UdpSocket:
 
     def receive_from(self) -> list[tuple[bytes, int, Any]]:
         """Packets that have come, their times of arrival and their senders."""
-        found: list[tuple[bytes, int, Any]] = []
+        received: list[tuple[bytes, int, Any]] = []
         while True:
             try:
                 data, extra, _, peer = self._socket.recvmsg(2048, 64)
             except BlockingIOError:
-                return found
+                return received
             except OSError:
-                if found:
-                    return found
+                if received:
+                    return received
                 raise
-            found.append((data, _arrival(extra), peer))
+            received.append((data, _arrival(extra), peer))
 
     def close(self) -> None:
         """Close the socket."""

@@ -171,6 +171,6 @@ class Reader:
 
     def statistics(self) -> dict[str, str]:
         """Counts that are not zero."""
-        found = {"packets_lost": self.lost, "packets_reordered": self.reordered}
-        found |= {f"refused_{reason}": count for reason, count in sorted(self.refused.items())}
-        return {name: str(count) for name, count in found.items() if count}
+        counts = {"packets_lost": self.lost, "packets_reordered": self.reordered}
+        counts |= {f"refused_{reason}": count for reason, count in sorted(self.refused.items())}
+        return {name: str(count) for name, count in counts.items() if count}

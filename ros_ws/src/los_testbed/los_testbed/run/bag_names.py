@@ -17,10 +17,10 @@ def free_name(base: Path) -> Path:
 
 def recorded(base: Path) -> str:
     """Location of the record of a failed run, as the end of a message; empty without one."""
-    found = [path for path in sorted(base.parent.glob(f"{glob.escape(base.name)}*")) if _is_bag(path, base)]
-    if not found:
+    bags = [path for path in sorted(base.parent.glob(f"{glob.escape(base.name)}*")) if _is_bag(path, base)]
+    if not bags:
         return ""
-    return f"; recorded until then: {', '.join(map(_with_repair, found))}"
+    return f"; recorded until then: {', '.join(map(_with_repair, bags))}"
 
 
 def _with_repair(bag: Path) -> str:

@@ -31,8 +31,8 @@ def requested(run: Run) -> tuple[str, ...]:
     read = {node: _read(run, node) for node in NODES}
     rows = [
         (row["tick"] / RATE, _sentence(node, row))
-        for node, (found, _) in read.items()
-        for row in found
+        for node, (changes, _) in read.items()
+        for row in changes
         if isinstance(row.get("by"), str)
     ]
     rows.sort(key=lambda row: row[0])

@@ -34,21 +34,21 @@ MOST_LINES = 100
 def acting(parts: RunParts, start: RunStart) -> list[dict[str, Any]]:
     """Scenario, user's disturbance and sources, each with name, kind and details; of sources with tones the lines."""
     config = parts.config
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     if config.scenario_acts:
         tone = start.tone
         text = ""
         if tone is not None:
             index = f"{tone.index} tones" if tone.index in ("slow", "fast") else tone.index
             text = f"tone of {tone.omega / (2 * math.pi):.4g} Hz, worst for the {index}"
-        found.append({"name": str(config.scenario), "kind": "scenario", "what": text})
+        entries.append({"name": str(config.scenario), "kind": "scenario", "what": text})
     if config.disturbance and config.disturbance_source:
-        found.append({"name": config.disturbance_source, "kind": "code", "what": "code of the user"})
+        entries.append({"name": config.disturbance_source, "kind": "code", "what": "code of the user"})
     for source in parts.sources:
         lines = [float(f"{line:.9g}") for line in source.signal.lines[:MOST_LINES]]
         entry = {"name": source.name, "kind": source.kind, "what": f"{source.kind} at {source.place}"}
-        found.append({**entry, **({LINES: lines} if lines else {})})
-    return found
+        entries.append({**entry, **({LINES: lines} if lines else {})})
+    return entries
 
 
 def member(parts: RunParts) -> str:
@@ -61,6 +61,6 @@ def member(parts: RunParts) -> str:
     speeds = ", ".join(f"{speed:.6g}" for speed in wheel_speeds(parts))
     texts = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []
     texts += [f"wheels at {speeds} rad/s"] if speeds else []
-    given = frequencies(config, parts.telescope)
-    texts += [f"{name} {value:.6g} rad/s" for name, value in given.items()] or ["frequencies nominal"]
+    natural = frequencies(config, parts.telescope)
+    texts += [f"{name} {value:.6g} rad/s" for name, value in natural.items()] or ["frequencies nominal"]
     return ", ".join(texts)

@@ -37,7 +37,7 @@ ALONE = Nodes()
 """No viewers."""
 
 
-def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
+def check(parts: RunParts, plant: SteppedPlant | None = None) -> tuple[str, ...]:
     """Check all that can be checked before anything is started or written; warnings about the controllers.
 
     Raises
@@ -49,12 +49,12 @@ def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
     config = parts.config
     check_new_bag(config.bag)
     check_ranges(config, parts.telescope)
-    if own is not None and config.mode != "inprocess":
+    if plant is not None and config.mode != "inprocess":
         raise InputError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
-    if own is not None or config.plant:
+    if plant is not None or config.plant:
         from los_testbed.run.loop.contract import check_plant
 
-        check_plant(parts.plant() if own is None else own)
+        check_plant(parts.plant() if plant is None else plant)
     if config.device:
         from los_testbed.parts.device_contract import make_device
 
@@ -71,14 +71,14 @@ def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
     return warnings
 
 
-def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = None) -> Results:
+def execute(parts: RunParts, nodes: Nodes = ALONE, plant: SteppedPlant | None = None) -> Results:
     """Run, with a progress bar and optionally a server for viewers; the results.
 
     Parameters
     ----------
     parts : RunParts
     nodes : Nodes
-    own : SteppedPlant, optional
+    plant : SteppedPlant, optional
         Instead of the plant of `parts`, in the mode ``inprocess``; the controllers start at rest.
 
     Raises
@@ -91,7 +91,7 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
         Of the mode ``inprocess``.
     """
     config = parts.config
-    warnings = check(parts, own)
+    warnings = check(parts, plant)
     warn(warnings)
     for line in difference_summary(config.parameters) if config.parameters else ():
         sys.stderr.write(f"telescope: {line}\n")
@@ -109,7 +109,7 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
             from los_testbed.run.loop.simulate import record
 
             try:
-                record(parts, config.bag, progress, own)
+                record(parts, config.bag, progress, plant)
             except (LoopDivergedError, RunFailedError) as error:
                 raise type(error)(f"{error}{recorded(config.bag)}") from None
             except KeyboardInterrupt:

@@ -62,18 +62,18 @@ def identity(config: RunConfig, *, controllers: bool = True) -> dict[str, str]:
         A file that cannot be read.
     """
     parts = RunParts(config)
-    found = {"telescope": telescope_digest(parts.telescope)}
+    digests = {"telescope": telescope_digest(parts.telescope)}
     if controllers:
-        found |= {name: content_digest(path) for name, path in parts.model_files.items()}
+        digests |= {name: content_digest(path) for name, path in parts.model_files.items()}
     if config.files_of_disturbance:
         from los_testbed.parts.disturbance_files import digest as files_digest
         from los_testbed.parts.disturbance_files import entries_of
 
-        found["disturbances"] = files_digest(entries_of(config.files_of_disturbance))
+        digests["disturbances"] = files_digest(entries_of(config.files_of_disturbance))
     if config.motion_from_file:
-        found["profile"] = content_digest(Path(config.profile))
-    found |= source_hashes(config.code_of_user)
-    return {**software(), **{name: text[:DIGITS] for name, text in found.items()}}
+        digests["profile"] = content_digest(Path(config.profile))
+    digests |= source_hashes(config.code_of_user)
+    return {**software(), **{name: text[:DIGITS] for name, text in digests.items()}}
 
 
 def announced(parts: RunParts) -> dict[str, str]:
@@ -90,26 +90,26 @@ def announced(parts: RunParts) -> dict[str, str]:
         A file that cannot be read, a law that cannot be used.
     """
     config, laws = parts.config, {name: parts.model_of(name) for name in LAWS}
-    found = {name: "" if law is None else law_digest(law) for name, law in laws.items()}
+    digests = {name: "" if law is None else law_digest(law) for name, law in laws.items()}
     control = parts.control_law()
     values = [control.loop, control.mirror_gain, control.limits.tolist(), config.fade_ticks]
-    controller = digest([found["k_pma"], *values]) if found["k_pma"] else ""
-    plant = "" if config.other_plant else digest(_of_plant(parts, found))
-    return {"plant": plant, "estimator": found["k_fsm"], "controller": controller}
+    controller = digest([digests["k_pma"], *values]) if digests["k_pma"] else ""
+    plant = "" if config.other_plant else digest(_of_plant(parts, digests))
+    return {"plant": plant, "estimator": digests["k_fsm"], "controller": controller}
 
 
 def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
     """All that the plant of a run is built from; code counts by its name."""
     config, plain = parts.config, parts.config.to_plain()
     names = {*PhysicalSettings.SETTINGS, "nonlinear", *(("disturbance_source",) if config.disturbance else ())}
-    found = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
-    found |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
-    found |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
-    found["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile
+    settings = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
+    settings |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
+    settings |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
+    settings["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile
     if config.start != "rest" or needs_tone(config):
         named = {name: laws[name] or getattr(config, name) for name in laws}
-        found |= {"loop": config.loop, "worst_of": config.worst_of, "laws": named}
-    return found
+        settings |= {"loop": config.loop, "worst_of": config.worst_of, "laws": named}
+    return settings
 
 
 def telescope_digest(telescope: Telescope) -> str:

@@ -147,13 +147,13 @@ def _sensors(parts: RunParts, known: bool) -> tuple[RecordedSensor, ...]:
     """The sensors of a run, those of the loop first; without noise where it has none or it is not `known`."""
     acts, further = float(parts.config.noise), parts.ports.further_sensors
     noise = parts.telescope.loop_ports.reference.noise * acts
-    found = [(topic, noise[topic.columns]) for topic in SENSORS]
-    found += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
+    noises = [(topic, noise[topic.columns]) for topic in SENSORS]
+    noises += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
     return tuple(
         RecordedSensor(
             t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()) if known else ()
         )
-        for t, sigma in found
+        for t, sigma in noises
     )
 
 

@@ -63,11 +63,11 @@ class MissionVerdict:
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         row = self.requirement
-        found = {} if row is None else {**row.as_dict(), "without_fine_control": number(self.without)}
+        values = {} if row is None else {**row.as_dict(), "without_fine_control": number(self.without)}
         return {
             "stage": self.stage,
             "member": self.member,
-            **found,
+            **values,
             **({"failure": self.failure} if self.failure else {}),
         }
 
@@ -153,8 +153,8 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
         Receives one line for each member and stage.
     """
     settings = of_designs(str(folder))
-    given = {**settings, "mode": "inprocess", "duration": SECONDS, "loop": OPENED}  # a stage that every telescope has
-    base = with_scenario(RunConfig.from_mapping(given))
+    stated = {**settings, "mode": "inprocess", "duration": SECONDS, "loop": OPENED}  # a stage that every telescope has
+    base = with_scenario(RunConfig.from_mapping(stated))
     parts = RunParts(base)
     if base.scenario != NO_SCENARIO or not parts.sources:
         return Mission()
@@ -165,8 +165,8 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
         for member, values in {"nominal": {}, **({"worst for the RPE": worst} if worst else {})}.items():
             report(f"{stage}, {member}: under {', '.join(source.name for source in parts.sources)}")
             config = RunConfig.from_mapping({**base.to_mapping(), "loop": stage, **values})
-            found, sizes = _judged(config, stage, member)
-            verdicts += found
+            judged, sizes = _judged(config, stage, member)
+            verdicts += judged
             rpe |= {(stage, member): sizes} if sizes else {}
     return Mission(tuple(source.name for source in parts.sources), tuple(verdicts), rpe)
 
@@ -189,5 +189,5 @@ def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVer
             return [MissionVerdict(stage, member, None, float("nan"), str(error))], None
         closed = summarise(Run.open(Path(scratch, "closed")), requirements=requirements)
         pairs = list(zip(closed.rows, opened.rows))
-    found = [MissionVerdict(stage, member, row, other.value) for row, other in pairs]
-    return found, (closed.rpe_rms, opened.rpe_rms)
+    rows = [MissionVerdict(stage, member, row, other.value) for row, other in pairs]
+    return rows, (closed.rpe_rms, opened.rpe_rms)

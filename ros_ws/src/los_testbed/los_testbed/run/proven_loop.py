@@ -70,12 +70,12 @@ def bounds_of(parts: RunParts, proven: Statement) -> ErrorBounds | None:
         if config.scenario != "worst_case" or parts.start.tone is None:
             return None
         tone = "slow tone" if parts.start.tone.omega <= parts.telescope.weights.band_edge else "fast tone"
-    found = {
+    bounds = {
         WITH_NOISE[row.name]: ProvenBound(row.value * ANGLES[row.unit], row.probability)
         for row in proven.sums
         if row.probability is not None
     }
-    return ErrorBounds(found.get("APE"), found.get(tone), parts.telescope.weights.rpe_window) if found else None
+    return ErrorBounds(bounds.get("APE"), bounds.get(tone), parts.telescope.weights.rpe_window) if bounds else None
 
 
 def reasons_against(parts: RunParts) -> list[str]:
@@ -89,34 +89,34 @@ def reasons_against(parts: RunParts) -> list[str]:
     ['nonlinear is on, proofs have off', 'camera_dropout is 0.5, proofs have 0']
     """
     config = parts.config
-    found = [
+    reasons = [
         f"{name} is {_shown(value)}, proofs have {_shown(setting.default)}"
         for name, setting in RunConfig.SETTINGS.items()
         if name not in ADMITTED | JUDGED and (value := getattr(config, name)) != setting.default
     ]
     if config.other_plant:
-        return found  # nothing more is known of it
-    found += [
+        return reasons  # nothing more is known of it
+    reasons += [
         f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
         for name, ports in parts.used.items()
         if ports.further and parts.acts(name)
     ]
-    own = parts.telescope.design_basis
-    found += [
+    design_basis = parts.telescope.design_basis
+    reasons += [
         f"{name} is {limit:g}, proofs have the telescope's {proven:g}"
         for name in ("fsm_authority", "pma_authority")
-        if (limit := getattr(parts.basis, name)) != (proven := getattr(own, name))
+        if (limit := getattr(parts.basis, name)) != (proven := getattr(design_basis, name))
     ]
     if config.start != STEADY:
-        found.append("the run starts at rest, proofs are of the steady state")
+        reasons.append("the run starts at rest, proofs are of the steady state")
     moved = any(getattr(config, name) != RunConfig.SETTINGS[name].default for name in MOTION)
     if moved and parts.settings.ramps:  # most runs need not load for it what builds a plant
-        found.append("array angle or wheel speeds vary")
+        reasons.append("array angle or wheel speeds vary")
     if (config.disturbance_source and config.disturbance) or parts.sources:
-        found.append("other disturbances than the tones of the scenario act")
+        reasons.append("other disturbances than the tones of the scenario act")
     if parts.star_camera is not None:
-        found.append("the camera takes images")
-    return found
+        reasons.append("the camera takes images")
+    return reasons
 
 
 def _shown(value: Any) -> str:

@@ -79,8 +79,8 @@ class Controllers:
         Contents of ``k_fsm.json`` and ``k_pma.json``, or ``.so`` for those of a flight library.
     loop : str
         Stage.
-    as_recorded : bool
-        Whether all of this is as the bag has recorded it.
+    difference : str
+        What is not as the bag has recorded it; empty: nothing.
     estimator : LosEstimator
     controller : FsmPmaController
     layout : LoopLayout
@@ -95,13 +95,18 @@ class Controllers:
 
     files: Mapping[str, bytes]
     loop: str
-    as_recorded: bool
+    difference: str
     estimator: LosEstimator | LibraryLaw | UserBlock
     controller: FsmPmaController
     layout: LoopLayout
     start: LoopStart | None = None
     warnings: tuple[str, ...] = ()
     changes: tuple[LawChanges, LawChanges] = (UNCHANGED, UNCHANGED)
+
+    @property
+    def as_recorded(self) -> bool:
+        """Whether all of this is as the bag has recorded it."""
+        return not self.difference
 
 
 def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
@@ -169,8 +174,8 @@ def controllers(
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
-    found = {name: _law_of(run, name, asked, in_order) for name, asked in (("k_fsm", k_fsm), ("k_pma", k_pma))}
-    chosen, telescope = {name: law for name, (law, _) in found.items()}, telescope_of(run)
+    read = {name: _law_of(run, name, asked, in_order) for name, asked in (("k_fsm", k_fsm), ("k_pma", k_pma))}
+    chosen, telescope = {name: law for name, (law, _) in read.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
     rows = {name: _rows_of(run, law) for name, law in chosen.items()}
     fsm, pma = (_in_order(name, law, rows[name]) for name, law in chosen.items())
@@ -179,7 +184,7 @@ def controllers(
         RunConfig(fade_ticks=run.parameters.get("fade_ticks", FADE_TICKS)).fade_ticks,
     )
     controller = assemble_controller(laws, _completed(telescope), stage, fade_ticks, rows["k_pma"])
-    files = {_file_name(name, law): data for name, (law, data) in found.items() if data}
+    files = {_file_name(name, law): data for name, (law, data) in read.items() if data}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
     estimator = LosEstimator(fsm, rows["k_fsm"].further_measured) if isinstance(fsm, SampledSystem) else fsm
     start, resting = _started(run, laws, closed=stage == recorded)
@@ -189,17 +194,17 @@ def controllers(
     if resting := [name for name in resting if name == "k_fsm" or stage in FORCE_STAGES]:
         of_replay = " and ".join(resting)
         warnings += (f"the run starts in a steady state, {of_replay} of the replay at rest: figures have the start-up",)
-    as_recorded, layout = (
-        stage == recorded and len(files) == len(found) and all(same.values()),
-        layout_of(rows["k_fsm"], rows["k_pma"]),
-    )
+    layout = layout_of(rows["k_fsm"], rows["k_pma"])
+    difference = "" if stage == recorded else f"controllers as recorded, with loop {stage} instead of {recorded}"
+    if len(files) != len(read) or not all(same.values()):
+        difference = "other controllers"
     changes = UNCHANGED, UNCHANGED
     if stage == recorded:
         changes = (
             changes_of(run, "estimator", estimator, fade_ticks),
             changes_of(run, "controller", controller, fade_ticks),
         )
-    return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings, changes)
+    return Controllers(files, stage, difference, estimator, controller, layout, start, warnings, changes)
 
 
 def changes_of(run: Run, node: str, law: object, fade_ticks: int) -> LawChanges:
@@ -214,17 +219,17 @@ def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tu
     """A law as a run takes it, and the content of its file; of code nothing."""
     if asked is None:
         return controller_of(run, name)
-    given = str(asked)
-    if is_library(given):
-        return LibraryLaw(Path(given), name), read_bytes(given, SYSTEM)
-    if is_code(given):
-        block = make_law(RunConfig.from_mapping({name: given, "ports_in_order": in_order}), name)
+    text = str(asked)
+    if is_library(text):
+        return LibraryLaw(Path(text), name), read_bytes(text, SYSTEM)
+    if is_code(text):
+        block = make_law(RunConfig.from_mapping({name: text, "ports_in_order": in_order}), name)
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
-    law = read_law(name, Path(given), in_order)
+    law = read_law(name, Path(text), in_order)
     if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
         law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
-    return law, read_bytes(given) if given.endswith(".json") else law.to_json().encode()
+    return law, read_bytes(text) if text.endswith(".json") else law.to_json().encode()
 
 
 def _rows_of(run: Run, law: Law) -> LoopPorts:
@@ -276,10 +281,10 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
 def telescope_of(run: Run) -> DesignBasis:
     """Telescope and limits stated in a bag."""
     names = ("los_sensitivity", "fsm_authority", "pma_authority")
-    found: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
+    values: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
     if "parameters_hash" in run.parameters:
-        found["parameters_hash"] = str(run.parameters["parameters_hash"])
-    return DesignBasis.from_mapping(found, str(run.path))
+        values["parameters_hash"] = str(run.parameters["parameters_hash"])
+    return DesignBasis.from_mapping(values, str(run.path))
 
 
 def _completed(telescope: DesignBasis) -> DesignBasis:
@@ -309,12 +314,12 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
 def _check_finite(who: str, signals: Mapping[str, FloatArray], stamp: NDArray[np.int64], run: Run) -> None:
     """Reject a replay whose output is not finite, with tick and port."""
     for part in parts(len(stamp)):
-        found = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
-        if found is not None:
-            tick = part.start + found[0]
+        odd = first_not_finite({name: values[part] for name, values in signals.items()}, part.stop - part.start)
+        if odd is not None:
+            tick = part.start + odd[0]
             seconds = (stamp[tick] - stamp[0]) * 1e-9
             raise LoopDivergedError(
-                f"the {who} diverges on the sensors of {run.path} within {seconds:g} s: at tick {tick} the {found[1]}"
+                f"the {who} diverges on the sensors of {run.path} within {seconds:g} s: at tick {tick} the {odd[1]}"
             )
 
 
@@ -331,26 +336,26 @@ def _knowledge(series: ErrorSeries, window: float, part: float) -> dict[str, flo
 
 
 def _commands(signals: Signals) -> dict[str, float]:
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for name, (_, values) in signals.items():
         if name in COMMAND_TOPICS or name.startswith(f"{COMMANDED}/"):
             key = "fsm_peak_rad" if name == FSM_COMMAND.name else "pma_peak_n"
             peaks = [float(np.abs(values[part]).max()) for part in parts(len(values))]
-            found[key] = max([found.get(key, 0.0), *peaks])
-    return found
+            largest[key] = max([largest.get(key, 0.0), *peaks])
+    return largest
 
 
 def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
     """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
     window, part = exposure_of_run(run), probabilities_of(requirements_of(run) or ()).knowledge
     recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
-    found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
+    values = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
     if {"truth/los", "fsm/strain_gauge"} <= set(run.topics):
         if "los_estimate" in recorded:
-            found["recorded"] = {**_knowledge(knowledge_error(run, transient), window, part), **found["recorded"]}
+            values["recorded"] = {**_knowledge(knowledge_error(run, transient), window, part), **values["recorded"]}
         series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-        found["replayed"] = {**_knowledge(series, window, part), **found["replayed"]}
-    return found
+        values["replayed"] = {**_knowledge(series, window, part), **values["replayed"]}
+    return values
 
 
 def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controllers) -> None:
@@ -431,18 +436,20 @@ def write_signals(bag: BagWriter, signals: Signals) -> None:
         release()
 
 
-def as_dict(run: Run, chosen: Controllers, comparison: replay.Comparison, found: Mapping[str, Any]) -> dict[str, Any]:
+def as_dict(
+    run: Run, chosen: Controllers, comparison: replay.Comparison, measures: Mapping[str, Any]
+) -> dict[str, Any]:
     """The replay as one JSON object."""
     return {
         "bag": str(run.path),
         "loop": chosen.loop,
         "as_recorded": chosen.as_recorded,
         "identical": comparison.identical,
-        "ticks": min((found.compared for found in comparison.differences), default=0),
+        "ticks": min((one.compared for one in comparison.differences), default=0),
         "incomplete_ticks": comparison.incomplete,
         "differences": [vars(d) for d in comparison.differences],
         **{
             key: {name: float(f"{x:.6g}") if np.isfinite(x) else None for name, x in values.items()}
-            for key, values in found.items()
+            for key, values in measures.items()
         },
     }

@@ -33,10 +33,10 @@ def rows_of(run: Run, law: SampledSystem) -> LoopPorts:
     BagError
         An actuator that was not commanded in the run: its limit is not in the bag.
     """
-    own = {port.name for port in K_FSM_OUTPUTS} | set(COMMANDED)
+    of_loop = {port.name for port in K_FSM_OUTPUTS} | set(COMMANDED)
     unknown = [port for port in law.inputs if port.name not in {known.name for known in MEASURED_PORTS}]
     sensors = [Sensor(port, *np.full((2, port.size), np.nan)) for port in unknown]
-    actuators = [_actuator(run, port) for port in law.outputs if port.name not in own]
+    actuators = [_actuator(run, port) for port in law.outputs if port.name not in of_loop]
     first = REFERENCE_PORTS
     return LoopPorts((*first.sensors, *sensors), (*first.actuators, *actuators))
 

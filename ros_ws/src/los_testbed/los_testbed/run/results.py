@@ -100,13 +100,13 @@ def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict
     >>> counted({"plant": {"foreign_/a": "3"}, "recorder": {"foreign_/a": "5", "messages": "9"}}, "foreign_")
     {'/a': 5}
     """
-    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for values in statistics.values():
         for name, text in values.items():
             if name.startswith(beginning) and text.isdecimal():
                 topic = name.removeprefix(beginning)
-                found[topic] = max(found.get(topic, 0), int(text))
-    return found
+                counts[topic] = max(counts.get(topic, 0), int(text))
+    return counts
 
 
 def late_reports(recorder: Mapping[str, str]) -> list[str]:

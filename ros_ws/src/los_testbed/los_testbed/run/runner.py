@@ -95,9 +95,9 @@ class Runner:
         self._lock_domain = lock_domain
         self._config = config.at_rest() if commands and "plant" in commands else config
         self._progress = progress
-        self._programs = programs(config.processes, own=not commands)
-        own = {name: node_command(module_of(name, config.device)) for name in self._programs}
-        self._commands = {name: (commands or {}).get(name, own[name]) for name in self._programs}
+        self._programs = programs(config.processes, usual=not commands)
+        usual = {name: node_command(module_of(name, config.device)) for name in self._programs}
+        self._commands = {name: (commands or {}).get(name, usual[name]) for name in self._programs}
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
@@ -128,8 +128,8 @@ class Runner:
     @property
     def domain(self) -> int:
         """ROS domain of the run."""
-        own = self._config.domain
-        return own if own is not None else domain_of(os.environ)
+        domain = self._config.domain
+        return domain if domain is not None else domain_of(os.environ)
 
     def run(self) -> Results:
         """Start, watch and end the nodes.
@@ -182,8 +182,8 @@ class Runner:
     def _unlisted(self) -> str:
         """Beginning of the list of members: programs of the user's own in a node's place may list nothing."""
         space = self._config.namespace.rstrip("/")
-        own = [name for name in LAWS if name in self._commands and self._commands[name] != node_command(name)]
-        return "".join(complete_line(f"{space}/{name}") for name in own)
+        by_user = [name for name in LAWS if name in self._commands and self._commands[name] != node_command(name)]
+        return "".join(complete_line(f"{space}/{name}") for name in by_user)
 
     def _perform(self) -> None:
         try:

@@ -91,11 +91,11 @@ class Plan:
 
     def members(self) -> dict[str, RunConfig]:
         """Telescopes by name."""
-        found = {"nominal": self.base}
+        configs = {"nominal": self.base}
         for seed in range(1, self.samples):
             member = random_member(seed, self.base.parameters)
-            found[f"sample-{seed}"] = RunConfig.from_mapping(layered(self.base.to_mapping(), member))
-        return found
+            configs[f"sample-{seed}"] = RunConfig.from_mapping(layered(self.base.to_mapping(), member))
+        return configs
 
     @cached_property
     def stages(self) -> tuple[str, ...]:
@@ -105,31 +105,31 @@ class Plan:
     @cached_property
     def runs(self) -> list[StageRun]:
         """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
-        found = []
+        runs = []
         for scenario in self.scenarios:
             if scenario == WORST:
-                found += self._worst_runs()
+                runs += self._worst_runs()
                 continue
             first = next(name for name in self.scenarios if name != WORST)
-            found += [
+            runs += [
                 self._run(scenario, member, loop, part, config)
                 for member, config in self.members().items()
                 for loop in self.stages
                 for part in self.parts
                 if part != "noise" or scenario == first
             ]
-        return found
+        return runs
 
     def _worst_runs(self) -> list[StageRun]:
         """Each stage at its own worst parameters, for each index, with the noise and without."""
-        found = []
+        runs = []
         for loop in self.stages:
             for index in WORST_INDICES:
                 member = worst_member(loop, index, self.base.parameters, self.designs)
-                own = {name: value for name, value in self.base.to_mapping().items() if name not in MEMBER}
-                config = RunConfig.from_mapping({**own, "worst_of": index, **member})
-                found += [self._run(WORST, index, loop, part, config) for part in ("all", "disturbance")]
-        return found
+                settings = {name: value for name, value in self.base.to_mapping().items() if name not in MEMBER}
+                config = RunConfig.from_mapping({**settings, "worst_of": index, **member})
+                runs += [self._run(WORST, index, loop, part, config) for part in ("all", "disturbance")]
+        return runs
 
     def _run(self, scenario: str, member: str, loop: str, part: str, config: RunConfig) -> StageRun:
         noise, disturbance = PARTS[part]
@@ -323,8 +323,8 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
 
 def stages_of(results: Sequence[StageResult]) -> tuple[str, ...]:
     """Stages of some results, in their order."""
-    found = {r.run.loop for r in results}
-    return tuple(stage for stage in STAGES if stage in found)
+    loops = {r.run.loop for r in results}
+    return tuple(stage for stage in STAGES if stage in loops)
 
 
 def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) -> dict[str, StageResult]:

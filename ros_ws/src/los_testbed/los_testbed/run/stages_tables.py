@@ -43,15 +43,15 @@ DIVERGED = "diverged"
 def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, metric: str) -> str:
     """Metric of the nominal telescope and, in brackets, the worst of all telescopes."""
     chosen = select(results, scenario, loop, part)
-    found = {name: r.metrics[metric] for name, r in chosen.items() if metric in r.metrics}
-    if "nominal" not in found:
+    values = {name: r.metrics[metric] for name, r in chosen.items() if metric in r.metrics}
+    if "nominal" not in values:
         return ABSENT
     sign = -1.0 if metric in LOWER else 1.0
-    worst = max(found, key=lambda name: math.inf if math.isnan(found[name]) else sign * found[name])
+    worst = max(values, key=lambda name: math.inf if math.isnan(values[name]) else sign * values[name])
     # a run that is too short for an index has a summary without it, one that diverged has no summary
     missing = [DIVERGED if chosen[name].summary is None else ABSENT for name in ("nominal", worst)]
-    texts = [digits(found[name], none=none, infinite=none) for name, none in zip(("nominal", worst), missing)]
-    return texts[0] if len(found) == 1 else f"{texts[0]} ({texts[1]})"
+    texts = [digits(values[name], none=none, infinite=none) for name, none in zip(("nominal", worst), missing)]
+    return texts[0] if len(values) == 1 else f"{texts[0]} ({texts[1]})"
 
 
 def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
@@ -89,15 +89,15 @@ def rows(results: Sequence[StageResult], scenario: str, chosen: Sequence[tuple[s
 def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[str]], int]:
     """Transmissibility of the nominal telescope at the strongest tones, stage by stage, and the number of all tones."""
     stages = stages_of(results)
-    found = {
+    tones = {
         loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in stages
     }
-    omegas = sorted(set().union(*found.values()), key=lambda w: -max(f[w].model for f in found.values() if w in f))
+    omegas = sorted(set().union(*tones.values()), key=lambda w: -max(f[w].model for f in tones.values() if w in f))
     table = []
     for omega in sorted(omegas[:TONES_SHOWN]):
         row = [f"{omega / (2 * math.pi):.3f}"]
         for loop in stages:
-            tone = found[loop].get(omega)
+            tone = tones[loop].get(omega)
             if tone is None:
                 row.append(ABSENT)
                 continue
@@ -111,8 +111,8 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
 
 def requirements(results: Sequence[StageResult], scenario: str) -> TextTable:
     """Table of the requirements of the nominal telescope, stage by stage."""
-    found = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in stages_of(results)]
-    rows = [replace(row, run=loop) for loop, r in found if r is not None and r.summary for row in r.summary.rows]
+    nominal = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in stages_of(results)]
+    rows = [replace(row, run=loop) for loop, r in nominal if r is not None and r.summary for row in r.summary.rows]
     table = requirement_table(rows, several=True).only("run", *BRIEF)
     heads = (Heading("stage"), *table.columns[1:])
     return replace(table, columns=heads, title=f"{scenario}: requirements, nominal telescope")
@@ -132,13 +132,13 @@ def tables(results: Sequence[StageResult], plan: Plan) -> Iterable[tuple[str, Te
         heads = (*texts("stage"), *numbers(*(head for _, _, head in shown)))
         yield above, TextTable.of(heads, rows(results, scenario, shown), title)
         yield "Requirements, nominal telescope:", requirements(results, scenario)
-        found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
-        title = f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}"
+        tones, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
+        title = f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(tones, total)}"
         above = (
             "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
-            f"when settled, if different), {_of(found, total)}:"
+            f"when settled, if different), {_of(tones, total)}:"
         )
-        yield above, TextTable.of((*texts("Hz"), *numbers(*plan.stages)), found, title)
+        yield above, TextTable.of((*texts("Hz"), *numbers(*plan.stages)), tones, title)
 
 
 def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[TextTable]:
@@ -152,8 +152,8 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[TextTable]:
             yield table
 
 
-def _of(found: Sequence[Any], total: int) -> str:
-    return f"the {len(found)} strongest of {total} tones" if len(found) < total else f"{total} tones"
+def _of(tones: Sequence[Any], total: int) -> str:
+    return f"the {len(tones)} strongest of {total} tones" if len(tones) < total else f"{total} tones"
 
 
 def worst_caption(plan: Plan) -> str:

@@ -63,8 +63,8 @@ class TlsFiles:
         ValueError
             Some without the others, or an address that does not speak TLS; what the class refuses.
         """
-        given = {"--tls-ca-file": ca_file, "--tls-cert": certificate, "--tls-key": key}
-        named = [option for option, path in given.items() if path is not None]
+        options = {"--tls-ca-file": ca_file, "--tls-cert": certificate, "--tls-key": key}
+        named = [option for option, path in options.items() if path is not None]
         if not named:
             return None
         if not scheduler.startswith(SCHEME):

@@ -81,7 +81,7 @@ def analyse(
     require_different(bags)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else None
     outputs = report_files(output, usual, form, paper, export)
-    given = requirements_in(requirements, STAGES)
+    asked = requirements_in(requirements, STAGES)
 
     def opener(bag: Path, limit: int) -> Recording:
         return open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit)
@@ -89,8 +89,8 @@ def analyse(
     with Progress("analysis"):
         runs = open_runs(bags, opener, max_chunk, optics)
         for run in runs:
-            check_exposures(run, given or (), transient)
-        summaries = summarise_runs(runs, outputs, transient, requirements=given)
+            check_exposures(run, asked or (), transient)
+        summaries = summarise_runs(runs, outputs, transient, requirements=asked)
     print_summary(Screen(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

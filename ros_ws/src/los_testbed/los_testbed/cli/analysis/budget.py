@@ -109,15 +109,15 @@ def budget(
     named = budget_file.testbed_table(content.get("sources", {}))
     _check_testbed(named, {"--members": members, "--designs": designs, "--parameters": parameters})
     rows = [] if sources is None else source_rows(content)
-    found = load(lambda table: table)
-    verdicts = evaluate(found)
-    page = "" if output is None else render_budget(found, verdicts)
+    nominal = load(lambda table: table)
+    verdicts = evaluate(nominal)
+    page = "" if output is None else render_budget(nominal, verdicts)
     console = Screen(stderr=json_)
-    _print(console, found, verdicts)
+    _print(console, nominal, verdicts)
     worst: tuple[WorstTotal, ...] = ()
     if members and named is not None:
         worst = _over_members(console, load, verdicts, members_of(of_designs(named), designs or "", members))
-    results = result_rows(found, verdicts, {row.name: (row.member, row.worst.total) for row in worst})
+    results = result_rows(nominal, verdicts, {row.name: (row.member, row.worst.total) for row in worst})
     # Files are written after all computations: an error must not destroy existing ones.
     if sources is not None:
         write_rows(sources, rows, COLUMNS)
@@ -129,22 +129,22 @@ def budget(
         console.print(f"table   {table}", soft_wrap=True, highlight=False)
     if json_:
         over = {"over_members": [row.as_dict() for row in worst]} if worst else {}
-        print_json({**as_dict(found, verdicts), **over})
+        print_json({**as_dict(nominal, verdicts), **over})
     if gate:
         leave_by_gate((str(v.requirement), v.compliant) for v in [*verdicts, *(row.worst for row in worst)])
 
 
-def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> None:
+def _print(console: Screen, evaluated: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> None:
     """Requirements and totals of a budget for the screen."""
     from pointing_analysis.budget.total import axis_total
     from pointing_analysis.report.pointing_budget_page import vector
 
-    console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
+    console.print(f"{evaluated.title} [{evaluated.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
         console.print(on_screen(_shown(v)))
-    for rule in found.totals:
-        total = axis_total(found, rule)
-        axes = ", ".join(found.axes)
+    for rule in evaluated.totals:
+        total = axis_total(evaluated, rule)
+        axes = ", ".join(evaluated.axes)
         text = f"{rule.index}, factor {rule.factor:g}, {axes}: RSS {vector(total.rss.tolist())}"
         console.print(f"{text}; level {vector(total.level.tolist())}", highlight=False, soft_wrap=True)
 
@@ -154,9 +154,11 @@ def _check_testbed(table: Mapping[str, Any] | None, options: Mapping[str, Any]) 
     for name, value in options.items():
         if value and table is None:
             raise InputError(f"{name} must be left out for a budget without a source of type testbed, got {value}")
-    own = {} if table is None else table.get("settings", {})
-    if options["--parameters"] and "parameters" in own:
-        raise InputError(f"--parameters must be left out where the budget names parameters, got {own['parameters']}")
+    settings = {} if table is None else table.get("settings", {})
+    if options["--parameters"] and "parameters" in settings:
+        raise InputError(
+            f"--parameters must be left out where the budget names parameters, got {settings['parameters']}"
+        )
 
 
 def _over_members(
@@ -167,9 +169,9 @@ def _over_members(
     from los_testbed.run.summary.worst_pointing_budget import worst_totals
 
     with Progress("members", equal=True) as bar:
-        found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
+        worst = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
     rows = []
-    for row in found:
+    for row in worst:
         v = row.worst
         margin = Marked(digits(v.margin, 4), "ok" if v.compliant else "bad")
         totals = (digits(total, 4) for total in (row.at.total, v.total, v.limit))
@@ -177,4 +179,4 @@ def _over_members(
     heads = (*texts("requirement"), *numbers("at the point", "worst", "limit", "margin", "member"))
     title = f"Over {counted(len(members), 'member')} of the family: worst found, no bound"
     console.print(on_screen(TextTable.of(heads, rows, title)))
-    return found
+    return worst

@@ -126,11 +126,11 @@ def export(
     (run,) = open_runs([bag], _opener(los, unit, rate), max_chunk)
     series = performance_error(run, transient)
     if output.suffix.lower() == ".csv" or path:
-        found = write_path(output, series, run.path.name, exposure, number_)
+        written = write_path(output, series, run.path.name, exposure, number_)
     else:
-        found = write_kernel(output, series, run.path.name, exposure, number_, step)
+        written = write_kernel(output, series, run.path.name, exposure, number_, step)
     console = Screen(stderr=json_)
-    say(console, f"{found.text}")
+    say(console, f"{written.text}")
     say(console, str(output))
     if json_:
-        print_json({"output": str(output), **found.values})
+        print_json({"output": str(output), **written.values})

@@ -73,7 +73,7 @@ def report(
         raise InputError(f"--to must be after --from = {start:g} s, got {stop:g} s")
     for bag in bags:
         check_bag(bag)
-    given = requirements_in(requirements, STAGES)
+    asked = requirements_in(requirements, STAGES)
     usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else Path("report")
     outputs = report_files(output, usual, form, paper, export)
 
@@ -81,22 +81,22 @@ def report(
         return Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit)
 
     with Progress("report"):
-        result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
+        result = judged(open_runs(bags, opener, max_chunk, optics), transient, asked)
         result.write_page(outputs)
-    found, console, names = result.summaries, Screen(stderr=json_), labels(result.runs)
-    show(console, names, found)
+    summaries, console, names = result.summaries, Screen(stderr=json_), labels(result.runs)
+    show(console, names, summaries)
     for text in dict.fromkeys(text for texts in result.remarks for text in texts):
         whose = [name for name, texts in zip(names, result.remarks) if text in texts]
         say(console, text if len(whose) == len(names) else f"{', '.join(whose)}: {text}", "note")
     say_outputs(console, outputs)
     if json_:
-        print_json({"report": str(outputs.path), "runs": [s.as_dict() for s in found]})
-    leave_if_contradicted(text for s in found for text in s.contradictions)
+        print_json({"report": str(outputs.path), "runs": [s.as_dict() for s in summaries]})
+    leave_if_contradicted(text for s in summaries for text in s.contradictions)
     if gate:
-        leave_by_gate(gate_of(found))
+        leave_by_gate(gate_of(summaries))
 
 
-def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
+def show(console: Console, names: Sequence[str], summaries: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
     from pointing_analysis.formatting.number_text import digits, percent
     from pointing_analysis.requirements.requirement import time_text
@@ -104,23 +104,23 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
     from pointing_analysis.requirements.summary import UNKNOWN
 
     absolute, relative = (
-        " or ".join(dict.fromkeys(percent(getattr(s.probabilities, name), 10) for s in found))
+        " or ".join(dict.fromkeys(percent(getattr(s.probabilities, name), 10) for s in summaries))
         for name in ("ape", "rpe")
     )
     heads = (
         *text_columns("run", "verdict"),
         *numbers(f"APE max, {absolute} [arcsec]", f"RPE rms, {relative} [mas]", "left out", "lost"),
     )
-    windows = ", ".join(dict.fromkeys(time_text(s.window) for s in found))
+    windows = ", ".join(dict.fromkeys(time_text(s.window) for s in summaries))
     rows = []
-    for name, s in zip(names, found):
+    for name, s in zip(names, summaries):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_quantile)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_quantile)}"
         verdict = Marked(s.overall, css_class(s.overall))
         rows.append((name, verdict, ape, rpe, f"{s.transient:g} s", s.lost_text()))
     table = TextTable.of(heads, rows, f"Pointing without start-up; windows of {windows}")
     console.print(on_screen(table, whole=("verdict",)))
-    if not all(s.requirements_known for s in found):
+    if not all(s.requirements_known for s in summaries):
         say(console, UNKNOWN, "note")
-    for name, s in zip(names, found):
+    for name, s in zip(names, summaries):
         for problem in s.problems:
             say(console, f"{name}: {problem}", "note")

@@ -65,18 +65,20 @@ def repair(
         raise InputError(f"--output must be given for {source}, which has no name")
     target = output or whole.with_name(f"{whole.stem if source.is_file() else whole.name}-repaired")
     with Progress("repair"):
-        found = repair_bag(source, target, limit)
+        repaired = repair_bag(source, target, limit)
     console = Screen(stderr=json_)
-    say(console, f"{counted(found.messages, 'message')} of {counted(len(found.copied), 'topic')} copied")
-    for sentence in found.sentences():
+    say(console, f"{counted(repaired.messages, 'message')} of {counted(len(repaired.copied), 'topic')} copied")
+    for sentence in repaired.sentences():
         say(console, sentence)
     say(console, f"bag     {target}")
     if json_:
-        lost = {loss.topic: {"messages": loss.missing, "places": [str(s) for s in loss.spans]} for loss in found.losses}
-        content = {"bag": str(target), "messages": found.messages, "copied": found.copied, "lost": lost}
-        content |= {"finished": found.finished, "problems": list(found.problems)}
-        print_json({**content, "contradictions": list(found.contradictions)})
-    leave_if_contradicted(found.contradictions)
+        lost = {
+            loss.topic: {"messages": loss.missing, "places": [str(s) for s in loss.spans]} for loss in repaired.losses
+        }
+        content = {"bag": str(target), "messages": repaired.messages, "copied": repaired.copied, "lost": lost}
+        content |= {"finished": repaired.finished, "problems": list(repaired.problems)}
+        print_json({**content, "contradictions": list(repaired.contradictions)})
+    leave_if_contradicted(repaired.contradictions)
 
 
 @bag_app.command(help=TRACE_EXAMPLES)

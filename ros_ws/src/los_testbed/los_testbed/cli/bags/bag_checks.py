@@ -58,33 +58,37 @@ def info(bag: Bag, max_chunk: MaxChunk = MAX_CHUNK_MB, json_: Json = False) -> N
     """See INFO_EXAMPLES."""
     from los_testbed.bags.describe import describe_bag
 
-    found, console = describe_bag(bag, chunk_limit(max_chunk)), Screen(stderr=json_)
-    _show(console, found)
-    for problem in found["problems"]:
+    described, console = describe_bag(bag, chunk_limit(max_chunk)), Screen(stderr=json_)
+    _show(console, described)
+    for problem in described["problems"]:
         say(console, problem, "note")
     if json_:
-        print_json(found)
-    leave_if_contradicted(found["contradictions"])
+        print_json(described)
+    leave_if_contradicted(described["contradictions"])
 
 
-def _show(console: Console, found: Mapping[str, Any]) -> None:
+def _show(console: Console, described: Mapping[str, Any]) -> None:
     """Lines like those of ``ros2 bag info``, and what only bags of this testbed have."""
-    lines = {"files": ", ".join(found["files"]), "size": f"{found['size_bytes'] / 1e6:.3f} MB", "storage": "mcap"}
-    if found["start_ns"] is not None:
-        start = datetime.fromtimestamp(found["start_ns"] * 1e-9, timezone.utc)
-        lines["start"] = f"{start:%Y-%m-%d %H:%M:%S} UTC ({found['start_ns'] * 1e-9:.9f})"
-        lines["duration"] = f"{found['duration_s']:.9g} s"
-    lines["messages"] = str(found["messages"])
-    lines |= {key: str(value) for key, value in (found["run"] | found["hashes"]).items()}
-    lines |= {f"SHA-256 of {name}": value for name, value in found["sha256"].items()}
-    lines |= {f"SHA-256 of {name}": about["sha256"] for name, about in found["attachments"].items()}
-    if found["digest"]:
-        lines["digest"] = ", ".join(found["digest"])
-    lines["signature"] = "present, not checked: los-testbed bag verify" if found["signed"] else "none"
+    lines = {
+        "files": ", ".join(described["files"]),
+        "size": f"{described['size_bytes'] / 1e6:.3f} MB",
+        "storage": "mcap",
+    }
+    if described["start_ns"] is not None:
+        start = datetime.fromtimestamp(described["start_ns"] * 1e-9, timezone.utc)
+        lines["start"] = f"{start:%Y-%m-%d %H:%M:%S} UTC ({described['start_ns'] * 1e-9:.9f})"
+        lines["duration"] = f"{described['duration_s']:.9g} s"
+    lines["messages"] = str(described["messages"])
+    lines |= {key: str(value) for key, value in (described["run"] | described["hashes"]).items()}
+    lines |= {f"SHA-256 of {name}": value for name, value in described["sha256"].items()}
+    lines |= {f"SHA-256 of {name}": about["sha256"] for name, about in described["attachments"].items()}
+    if described["digest"]:
+        lines["digest"] = ", ".join(described["digest"])
+    lines["signature"] = "present, not checked: los-testbed bag verify" if described["signed"] else "none"
     width = max(map(len, lines))
     for name, value in lines.items():
         say(console, f"{name:<{width}}  {value}")
-    rows = [(name, topic["type"], str(topic["messages"])) for name, topic in found["topics"].items()]
+    rows = [(name, topic["type"], str(topic["messages"])) for name, topic in described["topics"].items()]
     table = TextTable.of((*texts("topic", "type"), *numbers("messages")), rows)
     console.print(on_screen(table, box=None, padding=(0, 1)))
 
@@ -100,16 +104,16 @@ def verify(
     from los_testbed.bags.signature import public_key as read_key
 
     key = None if public_key is None else read_key("--public-key", public_key)
-    found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
-    rows = [(row.name, Marked(row.state, MARKS.get(row.state, "open")), row.found) for row in found.rows]
-    console.print(on_screen(TextTable.of(("check", "result", "found"), rows, f"{bag}: {found.title}")))
-    console.print(on_screen(_times(found.arrivals), whole=("topic",), box=None, padding=(0, 1)))
-    for problem in found.problems:
+    check, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
+    rows = [(row.name, Marked(row.state, MARKS.get(row.state, "open")), row.found) for row in check.rows]
+    console.print(on_screen(TextTable.of(("check", "result", "found"), rows, f"{bag}: {check.title}")))
+    console.print(on_screen(_times(check.arrivals), whole=("topic",), box=None, padding=(0, 1)))
+    for problem in check.problems:
         say(console, problem, "note")
     if json_:
-        print_json(found.as_dict())
-    if found.code:
-        raise typer.Exit(found.code)
+        print_json(check.as_dict())
+    if check.code:
+        raise typer.Exit(check.code)
 
 
 def _times(arrived: Mapping[str, Arrivals]) -> TextTable:
@@ -117,14 +121,14 @@ def _times(arrived: Mapping[str, Arrivals]) -> TextTable:
     from pointing_analysis.read.arrivals import KINDS
 
     rows = []
-    for topic, found in arrived.items():
-        rate = digits(None if found.period is None else 1.0 / found.period, 6)
-        lost = ABSENT if found.lost is None else str(found.lost)
+    for topic, times in arrived.items():
+        rate = digits(None if times.period is None else 1.0 / times.period, 6)
+        lost = ABSENT if times.lost is None else str(times.lost)
         cells = []
         for kind in KINDS:
-            sizes = [event.size for event in found.of(kind)]
+            sizes = [event.size for event in times.of(kind)]
             cells.append(f"{len(sizes)} ({max(sizes, key=abs):.3g} s)" if sizes else "0")
-        rows.append((topic, str(found.messages), rate, lost, *cells))
+        rows.append((topic, str(times.messages), rate, lost, *cells))
     heads = (*texts("topic"), *numbers("count", "Hz", "lost", *(f"{kind}s" for kind in KINDS)))
     return TextTable.of(heads, rows, "times of the messages; of gaps, stalls and clock steps the largest")
 

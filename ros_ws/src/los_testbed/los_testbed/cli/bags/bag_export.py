@@ -54,9 +54,9 @@ def export(
     with Progress("export"):
         run = Run.open(bag, start=start, stop=stop, max_chunk=chunk_limit(max_chunk))
         names = [name.strip().strip("/") for name in topics.split(",") if name.strip()]
-        found = signals_of(run, names)
-        write_signals(found, output, mat_version)
-    samples = {signal.name: len(signal.stamp) for signal in found}
+        signals = signals_of(run, names)
+        write_signals(signals, output, mat_version)
+    samples = {signal.name: len(signal.stamp) for signal in signals}
     say(Screen(stderr=json_), f"{counted(len(samples), 'topic')}, {counted(sum(samples.values()), 'sample')}: {output}")
     if json_:
         print_json({"output": str(output), "samples": samples})

@@ -31,7 +31,7 @@ def topics(
     """See TOPICS_EXAMPLES."""
     from pointing_analysis.read.external_bag import candidates
 
-    found = candidates(bag)
+    usable = candidates(bag)
     rows = [
         (
             c.name,
@@ -42,14 +42,14 @@ def topics(
             str(c.messages),
             f"{c.rate:.6g}",
         )
-        for c in found
+        for c in usable
     ]
     heads = (*texts("--los", "type", "values", "unit", "time"), *numbers("count", "Hz"))
     table = TextTable.of(heads, rows, f"{bag.name}: possible lines of sight")
     shown = on_screen(table, whole=("--los",), box=None, padding=(0, 1))
     Screen(stderr=json_).print(
-        shown if found else f"{bag}: no message with two numbers or a quaternion", soft_wrap=not found
+        shown if usable else f"{bag}: no message with two numbers or a quaternion", soft_wrap=not usable
     )
     if json_:
-        content = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
+        content = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in usable]
         print_json({"bag": str(bag), "candidates": content})

@@ -171,9 +171,9 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
     rows = []
     worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
     for name, value in provenance["tuned_values"].items():
-        found = worst.get(name)
-        row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
-        largest = max(value, found["value"]) if found else value
+        peak = worst.get(name)
+        row = (f"{peak['value']:.4f}", f"{peak['omega']:.4g}") if peak else ("", "")
+        largest = max(value, peak["value"]) if peak else value
         rows.append((name, f"{value:.4f}", *row, met(largest <= 1.0)))
     heads = (*texts("requirement"), *numbers("tuned", "worst found", "at [rad/s]"), *texts(""))
     console = Screen()

@@ -144,8 +144,8 @@ def export_fmu(
     path = output or Path(f"{PLANT if telescope else LAW}.fmu")
     check_output(path, "--output", new=True, suffixes=(".fmu",))
     if telescope:
-        given = {"parameters": None if parameters is None else str(parameters)}
-        stated = with_stage({**of_designs(designs or ""), **given})
+        parameters_setting = {"parameters": None if parameters is None else str(parameters)}
+        stated = with_stage({**of_designs(designs or ""), **parameters_setting})
         config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
         model = plant_model(RunParts(config).plant())
     elif parameters is not None:

@@ -97,22 +97,22 @@ def design_certify(
 
 def leave_if_unproven(figures: Sequence[FigureBounds]) -> None:
     """End the command with the code of a figure that is violated, or not proven."""
-    found = {bounds.status for bounds in figures} - {"proven"}
-    if found:
-        raise typer.Exit(ExitCode.NOT_MET if "violated" in found else ExitCode.NOT_DEMONSTRATED)
+    others = {bounds.status for bounds in figures} - {"proven"}
+    if others:
+        raise typer.Exit(ExitCode.NOT_MET if "violated" in others else ExitCode.NOT_DEMONSTRATED)
 
 
-def show_bounds(found: Sequence[FigureBounds]) -> None:
+def show_bounds(figures: Sequence[FigureBounds]) -> None:
     """Table of bounds, and the figures not proven."""
     bounds = numbers("lower", "upper", "at rad/s")
     heads = (*texts("stage", "figure"), *bounds, *texts("status", "stable"), *numbers("strips", "CPU s"))
     rows = []
-    for b in found:
+    for b in figures:
         upper, stable = (at_most(b.upper) if math.isfinite(b.upper) else ABSENT), ("all" if b.stable else "")
         work = (f"{b.strips}", f"{b.seconds:.0f}")
         rows.append((b.stage, b.figure, at_least(b.lower), upper, f"{b.frequency:.5g}", b.status, stable, *work))
     Screen().print(on_screen(TextTable.of(heads, rows, "Bounds over the whole box (1 is the limit)")))
-    for b in found:
+    for b in figures:
         if b.status == "violated":
             values = ", ".join(f"{name} {value:.5g}" for name, value in b.point.items())
             sys.stderr.write(

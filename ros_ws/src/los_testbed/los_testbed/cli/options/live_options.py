@@ -64,8 +64,8 @@ def server_for_viewers(
     """
     if port is None:
         others = {"origin": origins, "topic": topics, "tls-cert": tls_cert, "tls-key": tls_key}
-        for name, given in others.items():
-            if given:
+        for name, stated in others.items():
+            if stated:
                 raise InputError(f"--live must be given with --live-{name}, got only the latter")
         return None
     cert, key = ("" if file is None else str(file.resolve()) for file in (tls_cert, tls_key))

@@ -51,14 +51,14 @@ def option(name: str, **more: Any) -> Any:
     **more
         As :func:`typer.Option` takes them.
     """
-    own = RunConfig.SETTINGS[name]
-    metavar = None if own.kind is bool else METAVARS.get(own.unit, WORDS[own.kind])
-    if own.kind is tuple:
+    setting = RunConfig.SETTINGS[name]
+    metavar = None if setting.kind is bool else METAVARS.get(setting.unit, WORDS[setting.kind])
+    if setting.kind is tuple:
         metavar = f"{metavar} ..."
-    return typer.Option(**{"metavar": metavar, "help": help_text(own), "show_default": False, **more})
+    return typer.Option(**{"metavar": metavar, "help": help_text(setting), "show_default": False, **more})
 
 
-def help_text(own: Setting) -> str:
+def help_text(setting: Setting) -> str:
     """Description with unit, range and default.
 
     Examples
@@ -66,12 +66,12 @@ def help_text(own: Setting) -> str:
     >>> help_text(RunConfig.SETTINGS["duration"]), help_text(RunConfig.SETTINGS["domain"])
     ('Length of the run [s], 0.001 to 86400; default: 10.', 'ROS domain, 0 to 232; default: ROS_DOMAIN_ID or 0.')
     """
-    text = own.text[0].upper() + own.text[1:]
-    if own.choices:
-        text += f": {', '.join(own.choices[:-1])} or {own.choices[-1]}"
-    elif own.low is not None:
-        text += f", {_in_short(own.low)} to {_in_short(own.high)}"
-    return f"{text}; default: {own.absent if own.default is None else _in_short(own.default)}."
+    text = setting.text[0].upper() + setting.text[1:]
+    if setting.choices:
+        text += f": {', '.join(setting.choices[:-1])} or {setting.choices[-1]}"
+    elif setting.low is not None:
+        text += f", {_in_short(setting.low)} to {_in_short(setting.high)}"
+    return f"{text}; default: {setting.absent if setting.default is None else _in_short(setting.default)}."
 
 
 def _in_short(value: Any) -> str:
@@ -118,12 +118,12 @@ def with_options(
     """
     signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []
-    for own in signature.parameters.values():
-        if own.name != name:
-            parameters.append(own)
+    for known in signature.parameters.values():
+        if known.name != name:
+            parameters.append(known)
             continue
         for key, (kind, default) in options.items():
-            parameters.append(inspect.Parameter(key, own.kind, default=default, annotation=kind))
+            parameters.append(inspect.Parameter(key, known.kind, default=default, annotation=kind))
 
     @wraps(command)
     def called(**values: Any) -> None:
@@ -138,14 +138,14 @@ def with_options(
 
 def _option(name: str, metavars: Mapping[str, str], helps: Mapping[str, str]) -> Any:
     """Annotated type of the option for a setting; None where it is not given."""
-    own = RunConfig.SETTINGS[name]
-    kind: Any = bool if own.kind is bool else str
+    setting = RunConfig.SETTINGS[name]
+    kind: Any = bool if setting.kind is bool else str
     more = {"metavar": metavars[name]} if name in metavars else {}
     more |= {"help": helps[name]} if name in helps else {}
-    return Annotated[kind | None, option(name, rich_help_panel=own.group or None, **more)]
+    return Annotated[kind | None, option(name, rich_help_panel=setting.group or None, **more)]
 
 
-def chosen(given: Mapping[str, Any], designs: str | None = None) -> dict[str, Any]:
+def chosen(words: Mapping[str, Any], designs: str | None = None) -> dict[str, Any]:
     """Settings from the options of :func:`with_settings`, which win over a folder of designs.
 
     Raises
@@ -153,5 +153,5 @@ def chosen(given: Mapping[str, Any], designs: str | None = None) -> dict[str, An
     ValueError
         A value that cannot be read; the folder lacks a controller.
     """
-    stated = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
+    stated = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in words.items() if v is not None}
     return {**of_designs(designs or ""), **stated}

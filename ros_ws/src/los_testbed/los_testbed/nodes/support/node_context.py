@@ -133,10 +133,10 @@ class NodeContext:
             self._gid = publisher_gid(self._statistics.handle)
         members().join(self.node.get_fully_qualified_name(), self._gid)
         usual = QoSProfile(depth=10)
-        own = report_quality(10) if self.config.mode == "realtime" else usual
+        of_reports = report_quality(10) if self.config.mode == "realtime" else usual
         self._diagnostics = [
             listed_publisher(self.node, DiagnosticArray, topic, quality)
-            for topic, quality in ((DIAGNOSTICS_TOPIC, usual), (f"{name}/{OWN_DIAGNOSTICS}", own))
+            for topic, quality in ((DIAGNOSTICS_TOPIC, usual), (f"{name}/{OWN_DIAGNOSTICS}", of_reports))
         ]
 
     def all_listed(self) -> None:
@@ -299,8 +299,8 @@ def _log_line(kind: str, content: Mapping[str, Any]) -> str:
     if kind != "done":
         return ""
     shown = ("ticks", "missed_ticks", "lost_periods", "latency_median_us", "gap_ticks", "messages", "samples_lost")
-    found = content["statistics"]
-    words = [f"{name} {found[name]}" for name in shown if name in found]
+    statistics = content["statistics"]
+    words = [f"{name} {statistics[name]}" for name in shown if name in statistics]
     return ", ".join(["done", *words, *([f"bag {content['bag']}"] if content.get("bag") else [])])
 
 

@@ -39,13 +39,13 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
         if name not in RunConfig.SETTINGS and name not in _OWN and not name.startswith("qos_overrides"):
             raise InputError(unknown(name, RunConfig.SETTINGS))
     values: dict[str, Any] = {}
-    for name, own in RunConfig.SETTINGS.items():
-        default = node.get_namespace() if name == "namespace" else own.plain(own.default)
+    for name, setting in RunConfig.SETTINGS.items():
+        default = node.get_namespace() if name == "namespace" else setting.plain(setting.default)
         try:
-            if own.kind is tuple:
-                values[name] = _declare_array(node, own)
+            if setting.kind is tuple:
+                values[name] = _declare_array(node, setting)
             else:
-                values[name] = node.declare_parameter(name, default, _descriptor(own, name not in changing)).value
+                values[name] = node.declare_parameter(name, default, _descriptor(setting, name not in changing)).value
         except ParameterException as error:
             raise InputError(f"{name}: {' '.join(str(error).split())}") from None
     if values["namespace"] != node.get_namespace():
@@ -61,18 +61,18 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
     return RunConfig.from_mapping(values)
 
 
-def _declare_array(node: Node, own: Setting) -> tuple[float, ...]:
+def _declare_array(node: Node, setting: Setting) -> tuple[float, ...]:
     """Declare an array; one without a value would empty every answer to a request for several parameters."""
-    descriptor = _descriptor(own)
+    descriptor = _descriptor(setting)
     descriptor.read_only = False
-    node.declare_parameter(own.name, Parameter.Type.DOUBLE_ARRAY, descriptor)
-    given: Any = node.get_parameter_or(own.name, None)
-    value: Any = None if given is None else given.value
+    node.declare_parameter(setting.name, Parameter.Type.DOUBLE_ARRAY, descriptor)
+    parameter: Any = node.get_parameter_or(setting.name, None)
+    value: Any = None if parameter is None else parameter.value
     values: tuple[float, ...] = tuple(value or ())
-    node.set_parameters([Parameter(own.name, Parameter.Type.DOUBLE_ARRAY, list(values))])
-    final = _descriptor(own)
+    node.set_parameters([Parameter(setting.name, Parameter.Type.DOUBLE_ARRAY, list(values))])
+    final = _descriptor(setting)
     final.type = Parameter.Type.DOUBLE_ARRAY.value
-    node.set_descriptor(own.name, final)
+    node.set_descriptor(setting.name, final)
     return values
 
 
@@ -131,20 +131,20 @@ class ChangingParameters:
                 self._own = False
 
 
-def _descriptor(own: Setting, read_only: bool = True) -> ParameterDescriptor:
-    absent = own.plain(None) if own.optional else None
-    text = own.text + (f"; {json.dumps(absent)} for {own.absent}" if own.optional else "")
-    if owner := next((node for node, names in NAMES.items() if own.name in names), None):
+def _descriptor(setting: Setting, read_only: bool = True) -> ParameterDescriptor:
+    absent = setting.plain(None) if setting.optional else None
+    text = setting.text + (f"; {json.dumps(absent)} for {setting.absent}" if setting.optional else "")
+    if owner := next((node for node, names in NAMES.items() if setting.name in names), None):
         text += f"; the {owner} changes it during a run"
-    descriptor = ParameterDescriptor(name=own.name, description=text, read_only=read_only)
-    if own.low is None or own.high is None:
-        descriptor.additional_constraints = own.range
-    elif own.kind is tuple:
-        descriptor.additional_constraints = f"each {own.range}"
+    descriptor = ParameterDescriptor(name=setting.name, description=text, read_only=read_only)
+    if setting.low is None or setting.high is None:
+        descriptor.additional_constraints = setting.range
+    elif setting.kind is tuple:
+        descriptor.additional_constraints = f"each {setting.range}"
     else:
-        low = own.low if absent is None else min(own.low, absent)
-        ends = {"from_value": own.kind(low), "to_value": own.kind(own.high)}
-        if own.kind is float:
+        low = setting.low if absent is None else min(setting.low, absent)
+        ends = {"from_value": setting.kind(low), "to_value": setting.kind(setting.high)}
+        if setting.kind is float:
             descriptor.floating_point_range = [FloatingPointRange(**ends)]
         else:
             descriptor.integer_range = [IntegerRange(**ends, step=1)]

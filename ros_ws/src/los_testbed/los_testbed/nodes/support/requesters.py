@@ -44,9 +44,9 @@ class Requesters:
         Identifier of one of its publishers.
     """
 
-    def __init__(self, node: Node, own: bytes) -> None:
+    def __init__(self, node: Node, gid: bytes) -> None:
         self._node = node
-        self._own = own[:PREFIX_BYTES]
+        self._own = gid[:PREFIX_BYTES]
         self._events: list[RawSubscription] = []
         self._names: dict[bytes, str] = {}
         self._count = -1
@@ -97,14 +97,15 @@ class Requesters:
         count = sum(self._node.count_publishers(topic) for topic in GRAPH)
         if count == self._count:
             return
-        found: dict[bytes, set[str]] = {}
+        by_prefix: dict[bytes, set[str]] = {}
         for topic in GRAPH:
             for info in self._node.get_publishers_info_by_topic(topic):
                 name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                found.setdefault(bytes(info.endpoint_gid)[:PREFIX_BYTES], set()).add(name)
+                by_prefix.setdefault(bytes(info.endpoint_gid)[:PREFIX_BYTES], set()).add(name)
         space = self._node.get_namespace()
         named = {
-            prefix: min(names, key=lambda name: (not name.startswith(space), name)) for prefix, names in found.items()
+            prefix: min(names, key=lambda name: (not name.startswith(space), name))
+            for prefix, names in by_prefix.items()
         }
         if not any("_NODE_NAME_UNKNOWN_" in name for name in named.values()):
             self._count = count

@@ -50,15 +50,15 @@ class SourceWatch:
 
     def _senders(self, subscription: RawSubscription, intruders: Sequence[bytes]) -> list[str]:
         """Nodes of publishers that have sent; those without a name are waited for."""
-        nodes, found = {e.gid: e.node for e in subscription.endpoints()}, []
+        nodes, labels = {e.gid: e.node for e in subscription.endpoints()}, []
         for gid in intruders:
             node, key = nodes.get(gid.hex(), ""), f"{subscription.name} {gid.hex()}"
             self._looks[key] = self._looks.get(key, 0) + 1
             if node or self._looks[key] > UNKNOWN_LOOKS:
                 self._named.add(gid)
                 del self._looks[key]
-                found.append(_label(subscription, node) if node else UNKNOWN_NODE)
-        return found
+                labels.append(_label(subscription, node) if node else UNKNOWN_NODE)
+        return labels
 
     def _second(self, subscription: RawSubscription, count: int) -> list[str]:
         """Nodes with a publisher beside the matched one; those without a name are waited for.

@@ -25,11 +25,11 @@ def unread_in_words(node: Node) -> str:
     node : Node
         The plant's.
     """
-    own = [node.resolve_topic_name(topic.name) for topic in SENSORS]
+    sensors = [node.resolve_topic_name(topic.name) for topic in SENSORS]
     bundles = {node.resolve_topic_name(name) for name in BUNDLES.values()}
     composed = bool(_readers(node, node.resolve_topic_name(BUNDLES["plant"])))
     laws = [name for name in LAWS if name in node.get_node_names()]
-    sent = [] if composed or not laws else own
+    sent = [] if composed or not laws else sensors
     heard: dict[str, str] = {}
     for name in laws:
         if not composed or name == "controller":
@@ -44,8 +44,8 @@ def unread_in_words(node: Node) -> str:
 
 def bypassed_in_words(node: Node, topics: Iterable[TopicDefinition], bundle: str) -> str:
     """Warning if topics of single sensors or actuators are remapped and the message of all is used."""
-    own = node.get_namespace().rstrip("/")
-    names = [(f"{own}/{topic.name}", node.resolve_topic_name(topic.name)) for topic in topics]
+    namespace = node.get_namespace().rstrip("/")
+    names = [(f"{namespace}/{topic.name}", node.resolve_topic_name(topic.name)) for topic in topics]
     other = ", ".join(f"{usual} is {name}" for usual, name in names if usual != name)
     if not other:
         return ""
@@ -55,9 +55,9 @@ def bypassed_in_words(node: Node, topics: Iterable[TopicDefinition], bundle: str
     )
 
 
-def _topics(found: Iterable[tuple[str, list[str]]]) -> list[str]:
+def _topics(names_and_types: Iterable[tuple[str, list[str]]]) -> list[str]:
     """Topics with the types of the loop."""
-    return sorted(topic for topic, types in found if {ACCEL, JOINT_STATE, VECTOR3}.intersection(types))
+    return sorted(topic for topic, types in names_and_types if {ACCEL, JOINT_STATE, VECTOR3}.intersection(types))
 
 
 def _readers(node: Node, topic: str) -> list[str]:

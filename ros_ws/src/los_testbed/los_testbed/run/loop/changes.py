@@ -89,12 +89,12 @@ def owner_of(name: str) -> str:
 
 def appliers_of(law: object, fade: Fade) -> dict[str, Apply]:
     """What the settings that may change during a run do with an observer or a controller, and its fade."""
-    found: dict[str, Apply] = {ACTIVE: fade.turn}
+    appliers: dict[str, Apply] = {ACTIVE: fade.turn}
     if isinstance(law, FsmPmaController):
-        found["loop"] = law.switch
-        found["fsm_authority"] = lambda value: law.limit(fsm_authority=value)
-        found["pma_authority"] = lambda value: law.limit(pma_authority=value)
-    return found
+        appliers["loop"] = law.switch
+        appliers["fsm_authority"] = lambda value: law.limit(fsm_authority=value)
+        appliers["pma_authority"] = lambda value: law.limit(pma_authority=value)
+    return appliers
 
 
 @dataclass

@@ -111,13 +111,15 @@ class SimulatedLoop:
     used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS)
 
     @classmethod
-    def of(cls, parts: RunParts, own: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
+    def of(cls, parts: RunParts, user_plant: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
         """The loop of a run in the state in which it starts; `own` replaces the plant of `parts`.
 
         Without `readings` further sensors that no controller uses are left out.
         """
         estimator, controller = parts.estimator(), parts.controller()
-        plant, first = (parts.plant(readings=readings), parts.start.command) if own is None else (own, None)
+        plant, first = (
+            (parts.plant(readings=readings), parts.start.command) if user_plant is None else (user_plant, None)
+        )
         estimator.reset()
         controller.reset()
         return cls(plant, estimator, controller, first, parts.ports, (parts.used["k_fsm"], parts.used["k_pma"]))
@@ -185,8 +187,8 @@ class SimulatedLoop:
                     done += 1
         except RAISED as error:
             # a user's block reports its failure and tick itself
-            own = isinstance(error, BlockFailedError)
-            text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
+            named = isinstance(error, BlockFailedError)
+            text = str(error) if named else f"{who} failed at tick {first + done}: {in_one_line(error)}"
             failed = RunFailedError(text)
             failed.__cause__ = error
             return failed, done
@@ -195,5 +197,5 @@ class SimulatedLoop:
 
 def readings_of(plant: object) -> FloatArray:
     """Readings of the further sensors of a plant at its last tick, the same array at every tick; empty without any."""
-    found = getattr(plant, READINGS, None)
-    return np.zeros(0) if found is None else np.asarray(found)
+    readings = getattr(plant, READINGS, None)
+    return np.zeros(0) if readings is None else np.asarray(readings)

@@ -87,8 +87,8 @@ class CompiledLoop:
         """
         if kernel_for(ticks) is None:
             return None
-        own = type(plant) is Plant and plant.is_plain and type(estimator) is LosEstimator
-        if not own or type(controller) is not FsmPmaController:
+        plain = type(plant) is Plant and plant.is_plain and type(estimator) is LosEstimator
+        if not plain or type(controller) is not FsmPmaController:
             compile_telescope(plant, ticks)
             return None
         if type(estimator.k_fsm) is not SampledSystem or type(controller.k_pma) is not SampledSystem:  # type: ignore[attr-defined]

@@ -35,7 +35,7 @@ def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int,
     signals : name of the vector -> (n, size) values of consecutive ticks
     rows : how many of the ticks are valid
     """
-    found = []
+    odd_values = []
     for name, values in signals.items():
         odd = beyond(values[:rows])
         if name == "measurement":
@@ -43,8 +43,8 @@ def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int,
         ticks = np.flatnonzero(odd.any(axis=1))
         if ticks.size:
             row = int(ticks[0])
-            found.append((row, f"{name} {port_of(values[row], odd[row])} is {values[row][odd[row]][0]:g}"))
-    return min(found, key=lambda one: one[0]) if found else None
+            odd_values.append((row, f"{name} {port_of(values[row], odd[row])} is {values[row][odd[row]][0]:g}"))
+    return min(odd_values, key=lambda one: one[0]) if odd_values else None
 
 
 def check_plant(plant: SteppedPlant) -> None:

@@ -95,9 +95,9 @@ def enlarge_receive_buffers(size: int) -> int:
         with contextlib.suppress(OSError):  # closed since
             if not os.readlink(entry).startswith("socket:"):
                 continue
-            with socket.socket(fileno=os.dup(int(entry.name))) as found:
-                if found.type == socket.SOCK_DGRAM and found.family in (socket.AF_INET, socket.AF_INET6):
-                    found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
+            with socket.socket(fileno=os.dup(int(entry.name))) as opened:
+                if opened.type == socket.SOCK_DGRAM and opened.family in (socket.AF_INET, socket.AF_INET6):
+                    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
                     count += 1
     return count
 

@@ -82,19 +82,19 @@ def record(
     parts: RunParts,
     bag_path: Path,
     progress: Callable[[int], None] = lambda ticks: None,
-    own: SteppedPlant | None = None,
+    user_plant: SteppedPlant | None = None,
 ) -> dict[str, dict[str, str]]:
     """Simulate and record the parts of a run, as :func:`run_in_process`; `own` replaces the plant of `parts`."""
-    loop = SimulatedLoop.of(parts, own)
+    loop = SimulatedLoop.of(parts, user_plant)
     plant, start, name = loop.plant, AT_REST, {}
-    if own is None:
+    if user_plant is None:
         start = parts.start
     else:
-        name = {"plant": parts.config.plant or f"{type(own).__module__}:{type(own).__qualname__}"}
+        name = {"plant": parts.config.plant or f"{type(user_plant).__module__}:{type(user_plant).__qualname__}"}
     digests = {node: {DIGEST: text} for node, text in announced(parts).items() if text}
     counts = {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}
-    statistics = {**digests, "plant": counts if own is not None else {**digests.get("plant", {}), **counts}}
-    topics = parts.topics if own is None else TOPICS
+    statistics = {**digests, "plant": counts if user_plant is not None else {**digests.get("plant", {}), **counts}}
+    topics = parts.topics if user_plant is None else TOPICS
     bag = BagWriter(
         bag_path,
         {METADATA_NAME: run_metadata(parts, start, statistics)},

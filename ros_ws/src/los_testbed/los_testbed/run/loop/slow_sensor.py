@@ -185,17 +185,17 @@ class SlowSensor:
         first = f"{BEGINNING}{self.name}_"
         pending = 1 if self.waiting >= 0 or self.latency_ns else 0  # the last frame may be on its way
         self.counts["absent"] = max(0, self._due - self.counts["came"] - pending)
-        found = {f"{first}{name}": str(self.counts[name]) for name in NAMES if self.counts[name]}
+        statistics = {f"{first}{name}": str(self.counts[name]) for name in NAMES if self.counts[name]}
         count, total, largest = self._ages
         if count:
-            found |= {
+            statistics |= {
                 f"{first}old": str(count),
                 f"{first}age_mean_ms": f"{total / count / TICK_NS:.3g}",
                 f"{first}age_max_ms": f"{largest / TICK_NS:.3g}",
             }
         if (silent := max(self._silent_max, self.silent_ns())) > 3 * self.period_ns:
-            found[f"{first}silent_max_s"] = f"{silent * 1e-9:.3g}"
-        return found
+            statistics[f"{first}silent_max_s"] = f"{silent * 1e-9:.3g}"
+        return statistics
 
 
 def frames_in_words(statistics: dict[str, str]) -> list[str]:
@@ -209,13 +209,13 @@ def frames_in_words(statistics: dict[str, str]) -> list[str]:
     ['camera/los: 2 frames late, used up to 9 ms old']
     """
     kinds = (*NAMES, "silent_max_s", "age_max_ms")
-    found: dict[str, dict[str, str]] = {}
+    by_sensor: dict[str, dict[str, str]] = {}
     for key, value in statistics.items():
         kind = next((kind for kind in kinds if key.startswith(BEGINNING) and key.endswith(f"_{kind}")), "")
         if kind:
-            found.setdefault(key.removeprefix(BEGINNING).removesuffix(f"_{kind}"), {})[kind] = value
+            by_sensor.setdefault(key.removeprefix(BEGINNING).removesuffix(f"_{kind}"), {})[kind] = value
     lines = []
-    for name, values in sorted(found.items()):
+    for name, values in sorted(by_sensor.items()):
         words = [counted(int(values[kind]), "frame", f" {kind.replace('_', ' ')}") for kind in NAMES if kind in values]
         if "silent_max_s" in values:
             words.append(f"silent for {values['silent_max_s']} s")

@@ -54,18 +54,18 @@ def parts_of(parts: RunParts) -> list[Part]:
     parts : RunParts
         Of the run, with the start that is recorded.
     """
-    config, found = parts.config, []
+    config, sources = parts.config, []
     if config.scenario_acts:
-        found.append(Part(str(config.scenario), "scenario", "wheels, drives", lambda n: _started(parts, False, n)))
+        sources.append(Part(str(config.scenario), "scenario", "wheels, drives", lambda n: _started(parts, False, n)))
     if config.disturbance and config.disturbance_source:
-        found.append(Part(config.disturbance_source, "code", "wheels, drives, bus", lambda n: _of_code(parts, n)))
-    found += [
+        sources.append(Part(config.disturbance_source, "code", "wheels, drives, bus", lambda n: _of_code(parts, n)))
+    sources += [
         Part(source.name, source.kind, source.place, lambda n, i=i: _of_source(parts, i, n))  # type: ignore[misc]
         for i, source in enumerate(parts.sources)
     ]
     if config.noise and config.loop in MIRROR_STAGES:
-        found.append(Part(NOISE, "noise", "sensors", lambda n: _started(parts, True, n)))
-    return found
+        sources.append(Part(NOISE, "noise", "sensors", lambda n: _started(parts, True, n)))
+    return sources
 
 
 def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
@@ -145,16 +145,16 @@ def _simulated(alone: RunParts, telescope: Plant, ticks: int) -> FloatArray:
     estimator, controller = alone.estimator(), alone.controller()
     for part in (plant, estimator, controller):
         part.reset()
-    found = np.zeros((ticks, 2))
+    los = np.zeros((ticks, 2))
     done = 0
 
     def keep(block: SampleBlock, rows: int) -> None:
         nonlocal done
-        found[done : done + rows] = block.truth[:rows]
+        los[done : done + rows] = block.truth[:rows]
         done += rows
 
     with one_thread():
         first = None if alone.states is None else alone.states.command
         used = alone.used["k_fsm"], alone.used["k_pma"]
         SimulatedLoop(plant, estimator, controller, first, alone.ports, used).run(ticks, keep)
-    return found
+    return los

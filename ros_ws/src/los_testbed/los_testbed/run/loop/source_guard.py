@@ -265,13 +265,13 @@ class SourceGuard:
         With a list of the run, all that are not in it; without one, those of other nodes than the matched one's or,
         before there is one, the expected one.
         """
-        found = []
+        foreign = []
         for endpoint in endpoints:
             standing = self.standing(bytes.fromhex(endpoint.gid))
             other = standing == OPEN and endpoint.node != (self.node or self.expected)
             if endpoint.node and (standing == OTHER or other):
-                found.append(endpoint)
-        return found
+                foreign.append(endpoint)
+        return foreign
 
 
 def _is_hold(data: bytes) -> bool:

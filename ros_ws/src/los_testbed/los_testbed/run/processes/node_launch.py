@@ -70,7 +70,7 @@ def module_of(name: str, device: str | None) -> str:
     return "device" if name == "plant" and device else name
 
 
-def programs(processes: str = COMPOSED, own: bool = True) -> dict[str, tuple[str, ...]]:
+def programs(processes: str = COMPOSED, usual: bool = True) -> dict[str, tuple[str, ...]]:
     """Programs of a run in the order in which they are started, with their nodes.
 
     Each node has a process of its own where the setting `processes` says so, and where the `own` programs of this
@@ -83,7 +83,7 @@ def programs(processes: str = COMPOSED, own: bool = True) -> dict[str, tuple[str
     >>> list(programs("separate"))
     ['plant', 'estimator', 'controller', 'recorder']
     """
-    if processes == COMPOSED and own:
+    if processes == COMPOSED and usual:
         return {"plant": ("plant",), BOTH_LAWS: ("estimator", "controller"), "recorder": ("recorder",)}
     return {name: (name,) for name in NODES}
 

@@ -55,8 +55,8 @@ def check_layer(environment: Mapping[str, str]) -> None:
     # Middleware layers that are installed where this interpreter or the ROS environment has its index
     places = [sys.prefix, *environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
     folders = [Path(place, *INDEX) for place in places if place]
-    found = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()}
-    layer, installed = environment.get(LAYER_VARIABLE, ""), sorted(found - {"rmw_implementation"})
+    present = {file.name for folder in folders if folder.is_dir() for file in folder.iterdir()}
+    layer, installed = environment.get(LAYER_VARIABLE, ""), sorted(present - {"rmw_implementation"})
     if layer and installed and layer not in installed:
         raise InputError(f"{LAYER_VARIABLE} must be {' or '.join(installed)}, which is installed, got {layer}")
 

@@ -46,10 +46,10 @@ class Live:
         >>> Live(port=0, topics=("truth/los",)).arguments()
         ['--host=127.0.0.1', '--port=0', '--topic=truth/los']
         """
-        own = [f"--host={self.host}", f"--port={self.port}"]
-        own += [f"--origin={origin}" for origin in self.origins]
-        own += [f"--topic={topic}" for topic in self.topics]
-        return own + ([f"--tls-cert={self.tls_cert}", f"--tls-key={self.tls_key}"] if self.tls_cert else [])
+        words = [f"--host={self.host}", f"--port={self.port}"]
+        words += [f"--origin={origin}" for origin in self.origins]
+        words += [f"--topic={topic}" for topic in self.topics]
+        return words + ([f"--tls-cert={self.tls_cert}", f"--tls-key={self.tls_key}"] if self.tls_cert else [])
 
 
 def listening_sockets(host: str, port: int) -> list[socket.socket]:

@@ -34,13 +34,13 @@ def with_proof(loop: RanLoop, summary: Summary) -> tuple[Summary, tuple[str, ...
     if proven is None or loop.parts is None:
         return summary, (f"{NO_PROOF}: {'; '.join(against)}",)
     bounds = bounds_of(loop.parts, proven)
-    found = [None if bounds is None else bounds.of(verdict.requirement) for verdict in summary.verdicts]
-    for bound, verdict in zip(found, summary.verdicts):
+    of_verdicts = [None if bounds is None else bounds.of(verdict.requirement) for verdict in summary.verdicts]
+    for bound, verdict in zip(of_verdicts, summary.verdicts):
         if bound is not None and verdict.quantile.value > ABOVE * bound.value:
             return summary, (f"{NO_PROOF}: {verdict.requirement.quantity} of the record is above the proven bound",)
     other = OTHER_DISTURBANCE if bounds is None else OTHER_QUANTITY
     beside = tuple(
-        replace(one, proven=bound, unproven="" if bound else other) for one, bound in zip(summary.beside, found)
+        replace(one, proven=bound, unproven="" if bound else other) for one, bound in zip(summary.beside, of_verdicts)
     )
     lines = [proven.text, proven.noise_text]
     if proven.relative is not None and summary.star is not None:

@@ -73,15 +73,15 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     model = parts.tone_model()
     if not model.loop.spectral_radius() < 1:
         raise InputError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
-    found = []
+    sources = []
     if part in ("tones", "all"):
-        found += _tones(path, model, unit)
+        sources += _tones(path, model, unit)
     if part in ("sources", "all"):
-        found += _of_files(path, parts, unit)
+        sources += _of_files(path, parts, unit)
     if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
         ports = parts.telescope.loop_ports.used_by(*parts.models.values())
-        found += _noise(path, model.loop, ports, unit)
-    return found
+        sources += _noise(path, model.loop, ports, unit)
+    return sources
 
 
 def with_designs(table: Mapping[str, Any], designs: str | None, parameters: Path | None = None) -> Mapping[str, Any]:
@@ -131,7 +131,7 @@ def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Error
 
 def _noise(path: tuple[str, ...], loop: SampledLoop, ports: LoopPorts, unit: float) -> list[ErrorSource]:
     """One source for each group of sensors, and for each further sensor of the telescope."""
-    sigma, found = ports.noise, []
+    sigma, sources = ports.noise, []
     groups = [GROUPS.get(sensor.port.name, sensor.port.name) for sensor in ports.sensors]
     for name in dict.fromkeys(groups):
         chosen = np.zeros_like(sigma)
@@ -141,8 +141,8 @@ def _noise(path: tuple[str, ...], loop: SampledLoop, ports: LoopPorts, unit: flo
             continue
         with one_thread():
             correlated = correlation(loop, chosen, unit)
-        found.append(kinds.gaussian((*path, f"noise, {name}"), correlated(0), _within(correlated), "noise"))
-    return found
+        sources.append(kinds.gaussian((*path, f"noise, {name}"), correlated(0), _within(correlated), "noise"))
+    return sources
 
 
 def _within(correlated: Callable[[int], FloatArray]) -> Callable[[float], FloatArray]:

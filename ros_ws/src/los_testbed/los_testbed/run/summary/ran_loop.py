@@ -117,9 +117,9 @@ class RanLoop:
         changed = {row["name"] for row in rows} - {STOP, RESET, ACTIVE}
         changed |= {"what was active"} if any(row["name"] == ACTIVE and not row["value"] for row in rows) else set()
         _, late = _counts(self.run)
-        found = [f"{counted(late, 'tick')} had an older command"] * (late > 0) + reasons_against(self.parts)
-        found += [f"{name} changed" for name in sorted(changed)]
-        return found or [self.differs] * bool(self.differs)
+        reasons = [f"{counted(late, 'tick')} had an older command"] * (late > 0) + reasons_against(self.parts)
+        reasons += [f"{name} changed" for name in sorted(changed)]
+        return reasons or [self.differs] * bool(self.differs)
 
 
 def _counts(run: Run) -> tuple[int, int]:
@@ -143,14 +143,14 @@ def contradiction(run: Run, parts: RunParts, nodes: Sequence[str] = NODES) -> st
     """The first node that has announced nothing, or another thing than the bag holds; empty where none has."""
     if not isinstance(run.parameters.get("statistics"), Mapping):
         return "the bag does not hold what its nodes announced"
-    own = announced(parts)
+    digests = announced(parts)
     for node in nodes:
         said = str(statistics_of(run.parameters, node).get(DIGEST, ""))
         if not said:
             return f"the node {node} announced no digest of what it ran"
-        if said != own[node]:
+        if said != digests[node]:
             files = "; a file of the telescope or of a disturbance may have changed" if node == "plant" else ""
-            return f"what the node {node} ran has the digest {said}, that of the bag {own[node] or 'none'}{files}"
+            return f"what the node {node} ran has the digest {said}, that of the bag {digests[node] or 'none'}{files}"
     return ""
 
 
@@ -170,19 +170,19 @@ def _difference(run: Run, parts: RunParts) -> str:
     if lacking := recorded - len(sampled):
         return f"{counted(lacking, 'tick')} of the record lack a sample"
     differences = replay.compare(run, replayed).differences
-    names = {found.topic for found in differences if found.compared and not found.missing}
+    names = {difference.topic for difference in differences if difference.compared and not difference.missing}
     acted = {LOS_ESTIMATE.name: len(replayed.stamp), FSM_COMMAND.name: len(replayed.command_stamp)}
     least = len(sampled) - missed
     for name in replayed.topics():
         if name not in names or acted.get(name, least) < least:
             return f"{name} is not recorded on each tick"
-    other = [found for found in differences if not found.identical]
+    other = [difference for difference in differences if not difference.identical]
     allowed = _rounding(run, parts, replayed) if other else {}
-    for found in other:
-        if not found.largest <= allowed[found.topic] < np.inf:
+    for difference in other:
+        if not difference.largest <= allowed[difference.topic] < np.inf:
             return (
-                f"{found.topic} is not that of the controllers in the bag on {found.different} of "
-                f"{counted(found.compared, 'tick')}, first after {found.first or 0.0:.3f} s"
+                f"{difference.topic} is not that of the controllers in the bag on {difference.different} of "
+                f"{counted(difference.compared, 'tick')}, first after {difference.first or 0.0:.3f} s"
             )
     return ""
 
@@ -194,20 +194,20 @@ def _rounding(run: Run, parts: RunParts, replayed: replay.Replayed) -> dict[str,
     most = _largest(samples)
     assert isinstance(estimator, LosEstimator) and isinstance(controller.k_pma, SampledSystem)
     systems = {"k_fsm": (estimator.k_fsm, layout.observer), "k_pma": (controller.k_pma, layout.controller)}
-    found = {}
+    bounds = {}
     for name, (system, topics) in systems.items():
         state = np.zeros(system.order) if parts.states is None else getattr(parts.states, name)
         columns = layout.of(topics)
         known = (samples[rows][:, columns] for rows in mapped_arrays.parts(len(samples)))
         filled = (np.where(np.isnan(part), most[columns], part) for part in known)
-        found[name] = rounding_bound(system, state, filled)
-    mirror = abs(controller.mirror_gain) * found["k_fsm"]
-    command = np.concatenate([mirror, found["k_pma"]]) + 4.0 * UNIT * _largest(replayed.command)
+        bounds[name] = rounding_bound(system, state, filled)
+    mirror = abs(controller.mirror_gain) * bounds["k_fsm"]
+    command = np.concatenate([mirror, bounds["k_pma"]]) + 4.0 * UNIT * _largest(replayed.command)
     largest = {topic: float(command[columns].max()) for topic, columns in layout.commands.items()}
-    return {LOS_ESTIMATE.name: float(found["k_fsm"].max()), **largest}
+    return {LOS_ESTIMATE.name: float(bounds["k_fsm"].max()), **largest}
 
 
 def _largest(values: FloatArray) -> FloatArray:
     """Largest magnitude of each column (n, m), without values that are missing."""
-    found = [np.fmax.reduce(np.abs(values[part]), axis=0) for part in mapped_arrays.parts(len(values))]
-    return np.asarray(np.nan_to_num(np.fmax.reduce(found, initial=0.0)))
+    largest = [np.fmax.reduce(np.abs(values[part]), axis=0) for part in mapped_arrays.parts(len(values))]
+    return np.asarray(np.nan_to_num(np.fmax.reduce(largest, initial=0.0)))

@@ -53,18 +53,18 @@ def source_shares(loop: RanLoop | None) -> tuple[SourceShare, ...]:
         return ()
     run = loop.run
     acting = run.parameters.get(ACTING)
-    own = acting is not None and any(entry.get("kind") != "scenario" for entry in acting)
-    if not (own or "disturbances" in run.parameters):
+    named = acting is not None and any(entry.get("kind") != "scenario" for entry in acting)
+    if not (named or "disturbances" in run.parameters):
         return ()
     parts = loop.known
     config = parts.config
     ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
-    found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]
-    whole = np.sum([los for _, los in found], axis=0)
+    by_part = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]
+    whole = np.sum([los for _, los in by_part], axis=0)
     record = _record(run, config.ticks, first, len(whole))
-    rows = [(part.name, part.kind, part.place, los) for part, los in found]
-    least = CANCELLED * max((_rms(los, window) for _, los in found), default=0.0)
+    rows = [(part.name, part.kind, part.place, los) for part, los in by_part]
+    least = CANCELLED * max((_rms(los, window) for _, los in by_part), default=0.0)
     if record is not None:
         rest = record - whole
         if _rms(rest, window) > max(SMALL * _rms(record, window), least):

@@ -94,14 +94,14 @@ def summarise_runs(
     outputs = report if isinstance(report, ReportOutputs) else ReportOutputs(report)
     outputs.check()
     runs = [Run.open(bag) if isinstance(bag, Path) else bag for bag in bags]
-    found = judged(runs, transient, requirements)
+    judged_runs = judged(runs, transient, requirements)
     if outputs:
-        found.write_page(outputs)
-    metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, found.remarks))
-    for values, rows in zip(metrics, found.shares):
+        judged_runs.write_page(outputs)
+    metrics = tuple(_metrics(*one) for one in zip(judged_runs.runs, judged_runs.summaries, judged_runs.remarks))
+    for values, rows in zip(metrics, judged_runs.shares):
         if rows:
             values["disturbances"] = as_rows(rows)
-    return RunSummaries(found.summaries, metrics, outputs, found.remarks, found.shares)
+    return RunSummaries(judged_runs.summaries, metrics, outputs, judged_runs.remarks, judged_runs.shares)
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ class JudgedRuns:
 
 
 def judged(
-    found: Sequence[Recording], transient: float | None, requirements: Sequence[Requirement] | None
+    recordings: Sequence[Recording], transient: float | None, requirements: Sequence[Requirement] | None
 ) -> JudgedRuns:
     """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
-    loops = tuple(RanLoop.of(run) if isinstance(run, Run) else None for run in found)
-    runs = tuple(_without_claims(run, loop) for run, loop in zip(found, loops))
+    loops = tuple(RanLoop.of(run) if isinstance(run, Run) else None for run in recordings)
+    runs = tuple(_without_claims(run, loop) for run, loop in zip(recordings, loops))
     measured = summarise_all(runs, transient=transient, requirements=requirements)
     proofs = [(summary, ()) if loop is None else with_proof(loop, summary) for loop, summary in zip(loops, measured)]
     shares = [_shares_or_reason(loop) for loop in loops]
@@ -204,8 +204,8 @@ def remarks_of(loop: RanLoop, summary: Summary, proofs: Sequence[str] = ()) -> t
     effect = control_effect(loop, summary)
     notes = (str(run.parameters.get(name, "")) for name in ("start_note", "idle_devices"))
     camera, lost = ON_CAMERA if on_camera(run) else "", _lost_periods(run, summary)
-    found = (effect.remark if effect else "", camera, lost, *notes, *proofs, *requested(run))
-    return tuple(text for text in found if text)
+    remarks = (effect.remark if effect else "", camera, lost, *notes, *proofs, *requested(run))
+    return tuple(text for text in remarks if text)
 
 
 def _lost_periods(run: Recording, summary: Summary) -> str:

@@ -101,12 +101,12 @@ def worst_totals(
     tick : callable
         Called with the number of members that are done.
     """
-    found: list[tuple[str, tuple[PointingBudgetVerdict, ...]]] = []
+    by_member: list[tuple[str, tuple[PointingBudgetVerdict, ...]]] = []
     for done, (name, member) in enumerate(members.items(), start=1):
-        found.append((name, evaluate(load(lambda table, member=member: of_member(table, member)))))  # type: ignore[misc]
+        by_member.append((name, evaluate(load(lambda table, member=member: of_member(table, member)))))  # type: ignore[misc]
         tick(done)
     rows = []
     for k, verdict in enumerate(at):
-        name, worst = max(((name, verdicts[k]) for name, verdicts in found), key=lambda entry: entry[1].total)
+        name, worst = max(((name, verdicts[k]) for name, verdicts in by_member), key=lambda entry: entry[1].total)
         rows.append(WorstTotal(verdict, worst, name, members[name], len(members)))
     return tuple(rows)

@@ -148,13 +148,13 @@ class RawSubscription:
         The graph learns the node of a publisher after the publisher. One that was out of reach for longer than the
         lease and is found again is the same one, of the node that it was of.
         """
-        found = []
+        publishers = []
         for info in self._node.get_publishers_info_by_topic(self.name):
             gid = bytes(info.endpoint_gid).hex()
             if info.node_name != _UNKNOWN:
                 self._node_names[gid] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            found.append(Endpoint(gid, self._node_names.get(gid, "")))
-        return found
+            publishers.append(Endpoint(gid, self._node_names.get(gid, "")))
+        return publishers
 
     def decide(self, now_ns: int) -> None:
         """Query the graph if there are messages of an undecided publisher."""
