@@ -209,51 +209,12 @@ class WeightTable:
 
 
 @dataclass(frozen=True)
-class ImageOptics:
-    """Parameters of images: in no plant and no design, so not in the telescope's hash.
-
-    Lengths in m, ``pixel_mas`` and ``weight_mas`` on the sky [mas], ``obscuration`` as a share of the diameter;
-    ``pupil`` is a FITS file in place of the aperture.
-    """
-
-    aperture_diameter: float
-    obscuration: float
-    spider_vanes: int
-    spider_width: float
-    wavelength: float
-    pixel_mas: float
-    weight_mas: float
-    pupil: str
-
-
-@dataclass(frozen=True)
 class OpticsTable:
     """Paraxial data of the two mirrors [m]."""
 
     primary_focal_length: float
     mirror_distance: float
     back_focal_distance: float
-
-
-@dataclass(frozen=True)
-class CameraTable:
-    """Guide star and detector, see :mod:`titop_plant.telescope.guide_camera`."""
-
-    magnitude: float
-    zero_magnitude_flux: float
-    throughput: float
-    exposure: float
-    readout_delay: float
-    window: int
-    read_noise: float
-    dark: float
-    full_well: float
-    cosmic_rate: float
-    cosmic_charge: float
-    second_magnitude: float
-    second_offset_mas: Vector
-    centroid: str
-    noise_curve: str
 
 
 def frozen(value: Any) -> Any:

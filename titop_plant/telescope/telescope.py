@@ -23,6 +23,8 @@ from lftkit.proofs.trusted.digests import digest
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.sensors import Sensor, read_loop_sensors
@@ -37,10 +39,8 @@ from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
     AttitudeTable,
     BodyTable,
-    CameraTable,
     DesignScenarioTable,
     DriveTable,
-    ImageOptics,
     ImbalanceTable,
     IsolatorTable,
     Material,
@@ -157,8 +157,8 @@ class Telescope:
 
     @cached_property
     def image_optics(self) -> ImageOptics:
-        """Parameters of images, from the table ``optics``."""
-        return made(ImageOptics, self._tables["optics"])
+        """Parameters of images, from the table ``optics``: in no plant and no design, so not in the hash."""
+        return ImageOptics.of_table(self._tables["optics"])
 
     @cached_property
     def isolator(self) -> IsolatorTable:
@@ -201,9 +201,9 @@ class Telescope:
         return made(WeightTable, self._tables["weights"])
 
     @cached_property
-    def camera(self) -> CameraTable:
+    def camera(self) -> GuideCamera:
         """Guide star and detector."""
-        return made(CameraTable, self._tables["camera"])
+        return GuideCamera.of_table(self._tables["camera"])
 
     @cached_property
     def plant(self) -> System | None:

@@ -220,7 +220,7 @@ FILES = [
         "one on |APE|one on |APE| and one on rms RPE for the stages",
     ),
     ('[sensors]\ncamera = "film"\n', "line 2: 'sensors.camera' must be vector, magnitude or image, got 'film'"),
-    ("[camera]\nwindow = 8\n", "camera.window must be an odd number from 7 to 63, got 8"),
+    ("[camera]\nwindow = 8\n", "line 2: 'camera.window' must be odd and between 7 and 63 pixels, got 8"),
     ("[camera]\nexposure = 0.0205\n", "line 2: 'camera.exposure' must be whole milliseconds, got 0.0205 s"),
     ('[sensors]\ncamera = "image"\ncamera_noise = 1e-8\n', "line 3: 'sensors.camera_noise' must be absent"),
     ('[sensors]\ncamera = "image"\n[optics]\npupil = "no.fits"\n', "cannot read the pupil |no.fits"),

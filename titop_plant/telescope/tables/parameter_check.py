@@ -6,12 +6,15 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from lftkit.errors import InputError
+from pointing_analysis.files.settings import CheckedTable, Refused
 from titop_plant.ports import AXES
 from titop_plant.sensors import SENSORS
 from titop_plant.telescope.sections import LOOP_FREQUENCIES
+
+T = TypeVar("T", bound=CheckedTable)
 
 POSITIVE = {
     "mass",
@@ -121,6 +124,19 @@ class ParameterFile:
         line = self.lines.get(known)
         about = f"unknown parameter {key!r}, {problem}" if problem.startswith("expected") else f"{key!r} {problem}"
         return InputError(f"{self.path}{f', line {line}' if line else ''}: {about}")
+
+    def made(self, kind: type[T], name: str, table: Mapping[str, Any], **parts: Any) -> T:
+        """The object of a table of the file, made by its class, with parts that are made already.
+
+        Raises
+        ------
+        ValueError
+            A value that does not fit; the message names the file, the line and the key.
+        """
+        try:
+            return kind.of_table(table, **parts)
+        except Refused as error:
+            raise self.error(f"{name}.{error.key}" if error.key else name, error.problem) from None
 
     def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         """The reference's table, its values replaced by the user's.
