@@ -56,7 +56,12 @@ class Refused(InputError):
         self.key, self.problem = key, problem
 
     def __str__(self) -> str:
-        return f"{self.key} {self.problem}".lstrip()
+        unknown_key = f"unknown parameter {self.key!r}, {self.problem}"
+        return unknown_key if self.problem.startswith("expected") else f"{self.key} {self.problem}".lstrip()
+
+    def within(self, outer: str) -> Refused:
+        """The same of a table in another one, or of a list in a table."""
+        return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem)
 
 
 def setting(
@@ -124,15 +129,14 @@ class Setting:
     @classmethod
     def of(cls, name: str, field: FieldInfo) -> Setting:
         """Of a field of a class of settings."""
-        kinds = [kind for kind in get_args(field.annotation) if kind not in (type(None), ...)]
         optional = type(None) in get_args(field.annotation)
-        annotation: Any = kinds[0] if optional else field.annotation
+        annotation: Any = get_args(field.annotation)[0] if optional else field.annotation
         item = annotation
         while get_origin(item) is tuple:
             item = get_args(item)[0]
-        arguments: Any = field.json_schema_extra
+        arguments: Any = field.json_schema_extra or setting(..., "").json_schema_extra
         kind = get_origin(annotation) or annotation
-        return cls(name, kind, item, optional, field.default, str(field.description), **arguments)
+        return cls(name, kind, item, optional, field.default, field.description or "", **arguments)
 
     @property
     def text(self) -> str:
@@ -203,13 +207,20 @@ class Setting:
         if kind == "missing":
             return Refused("", f"has no {self.name!r}")
         if kind == "finite_number":
-            return Refused(name, f"must be {self.range or 'a number'}, got {_as_float(value):g}")
+            both = self.low is not None and self.high is not None
+            return Refused(
+                name, f"must be {self.range if both else self._needed('a finite number')}, got {_as_float(value):g}"
+            )
         if self.kind is tuple and (not place or isinstance(value, tuple)):
             needed = f"a list of {self._list(len(place))}"
         else:
-            more = f" ({self.description})" if self.item is str else f" {self.range}" if self.range else ""
-            needed = KINDS[self.item] + more
+            needed = self._needed(KINDS[self.item])
         return Refused(name, f"must be {self.range if self.choices else needed}, got {value!r}")
+
+    def _needed(self, kind: str) -> str:
+        """A kind of value and its range, of a text what it is for."""
+        more = f"({self.description})" if self.item is str and self.description else self.range
+        return f"{kind} {more}".rstrip()
 
 
 def _as_float(value: float) -> float:
@@ -230,7 +241,7 @@ def unknown(name: str, known: Mapping[str, Any]) -> str:
 def settings_class(kind: type[T]) -> type[T]:
     """Complete a class of settings: its table, and every mistake in its values a ``ValueError`` of one line."""
     made: Any = kind
-    table: Mapping[str, FieldInfo] = {k: v for k, v in made.__pydantic_fields__.items() if v.json_schema_extra}
+    table: Mapping[str, FieldInfo] = {k: v for k, v in made.__pydantic_fields__.items() if not v.exclude}
     own_first = sorted(table, key=lambda name: name not in made.__annotations__)
     known = made.SETTINGS = MappingProxyType({name: Setting.of(name, table[name]) for name in own_first})
     check: Callable[..., None] = made.__init__
@@ -275,7 +286,21 @@ class CheckedTable:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any], **parts: Any) -> Self:
-        """Make the object of a table; keys that it does not have are those of others, `parts` are values of its own."""
+        """Make the object of a table, of which `parts` replace values.
+
+        Raises
+        ------
+        Refused
+            A key that is unknown or missing, a value that does not fit.
+        """
+        for key in table:
+            if key not in cls.SETTINGS:
+                raise Refused(key, f"expected one of: {', '.join(cls.SETTINGS)}")
+        return cls.of_part(table, **parts)
+
+    @classmethod
+    def of_part(cls, table: Mapping[str, Any], **parts: Any) -> Self:
+        """The same of a table with further keys, which others read."""
         return cls(**{**{key: value for key, value in table.items() if key in cls.SETTINGS}, **parts})
 
     def to_mapping(self) -> dict[str, Any]:

@@ -23,12 +23,9 @@ A table ``[camera]`` of the telescope's parameter file; its pixels are those of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 from pydantic.dataclasses import dataclass
 
-from lftkit.errors import InputError
 from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Excluded, Refused, setting, settings_class
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.pupil import PixelPupil
@@ -112,29 +109,6 @@ class GuideCamera(CheckedTable):
     def floor_variance(self) -> float:
         """Variance of a pixel without light [electrons2]: read noise, dark current, whole counts."""
         return self.read_noise**2 + self.dark * self.exposure + 1.0 / 12.0
-
-
-def from_mapping(table: Mapping[str, Any], where: str) -> GuideCamera:
-    """Camera from a table.
-
-    Parameters
-    ----------
-    table : mapping of the keys above
-    where : name of the file, for the messages
-
-    Raises
-    ------
-    InputError
-        A key that is unknown, a value out of its range.
-    """
-    if odd := sorted(set(table) - set(GuideCamera.SETTINGS)):
-        raise InputError(
-            f"{where}: keys of camera must be among {', '.join(GuideCamera.SETTINGS)}, got {', '.join(odd)}"
-        )
-    try:
-        return GuideCamera.of_table(table)
-    except Refused as error:
-        raise InputError(f"{where}: camera.{error}") from None
 
 
 def collecting_area(optics: Optics) -> float:

@@ -21,12 +21,12 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
@@ -92,7 +92,7 @@ class Optics(ImageOptics):
     (75.6, 0.995)
     """
 
-    pupil_file: bytes = field(default=b"", repr=False)
+    pupil_file: bytes = Field(default=b"", repr=False, exclude=True)
 
     @property
     def pixel(self) -> float:
@@ -178,14 +178,13 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: optics must be a table, got {type(table).__name__}")
-    if odd := sorted(set(table) - {*Optics.SETTINGS, *LAYOUT}):
-        raise InputError(f"{where}: keys of optics must be among {', '.join(Optics.SETTINGS)}, got {', '.join(odd)}")
+    own = {key: value for key, value in table.items() if key not in LAYOUT}
     try:
-        optics = Optics.of_table(table, pupil_file=pupil_file if table.get("pupil") else b"")
+        optics = Optics.of_table(own, pupil_file=pupil_file if own.get("pupil") else b"")
         if not math.isfinite(optics.cutoff):
             raise InputError("aperture over wavelength must be finite")
     except Refused as error:
-        raise InputError(f"{where}: optics{'.' if error.key else ' '}{error}") from None
+        raise InputError(f"{where}: {error.within('optics')}") from None
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     return optics

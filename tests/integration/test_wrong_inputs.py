@@ -193,12 +193,15 @@ SOURCE: dict[str, Row] = {
     "no harmonics": (table("cooler", "frequency = 47; harmonics = []"), "harmonics must be tables"),
     "an order alone": (table("cooler", "frequency = 47; harmonics = [{ order = 1 }]"), "force or torque|order"),
     "pulses of nothing": (table("pulses", "period = 1; width = 0.1"), "force or torque|period, width"),
-    "no frequency": (table("cooler", PUSH), "frequency must be a number above 0|None"),
+    "no frequency": (table("cooler", PUSH), "disturbance 'c': has no 'frequency'"),
     "a frequency with its unit": (table("cooler", f'frequency = "47 Hz"; {PUSH}'), "frequency|'47 Hz'"),
-    "two axes": (table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"), "force|three numbers|[1, 0]"),
+    "two axes": (
+        table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"),
+        "harmonics[0].force|3 numbers|2",
+    ),
     "an unknown place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "place|payload|wheel_1|'moon'"),
     "an unknown kind": (table("colder"), "kind must be one of|cooler|'colder'"),
-    "an unknown key": (table("pulses", "force = [1, 0, 0]; periode = 1"), "keys must be among|periode"),
+    "an unknown key": (table("pulses", "force = [1, 0, 0]; periode = 1"), "unknown parameter|periode|period"),
     "no table": ("[disturbance]\n", "[[disturbance]]"),
     "two of one name": (2 * table("cooler", f"frequency = 47; {PUSH}"), "different names|c, c"),
 }

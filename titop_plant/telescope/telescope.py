@@ -158,7 +158,7 @@ class Telescope:
     @cached_property
     def image_optics(self) -> ImageOptics:
         """Parameters of images, from the table ``optics``: in no plant and no design, so not in the hash."""
-        return ImageOptics.of_table(self._tables["optics"])
+        return ImageOptics.of_part(self._tables["optics"])
 
     @cached_property
     def isolator(self) -> IsolatorTable:
@@ -203,7 +203,7 @@ class Telescope:
     @cached_property
     def camera(self) -> GuideCamera:
         """Guide star and detector."""
-        return GuideCamera.of_table(self._tables["camera"])
+        return GuideCamera.of_part(self._tables["camera"])
 
     @cached_property
     def plant(self) -> System | None:

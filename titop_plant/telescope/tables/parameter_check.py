@@ -126,7 +126,7 @@ class ParameterFile:
         return InputError(f"{self.path}{f', line {line}' if line else ''}: {about}")
 
     def made(self, kind: type[T], name: str, table: Mapping[str, Any], **parts: Any) -> T:
-        """The object of a table of the file, made by its class, with parts that are made already.
+        """The object of a table of the file, made by its class, with parts that are made already; others read the rest.
 
         Raises
         ------
@@ -134,9 +134,13 @@ class ParameterFile:
             A value that does not fit; the message names the file, the line and the key.
         """
         try:
-            return kind.of_table(table, **parts)
+            return kind.of_part(table, **parts)
         except Refused as error:
-            raise self.error(f"{name}.{error.key}" if error.key else name, error.problem) from None
+            raise self.refused(error.within(name)) from None
+
+    def refused(self, error: Refused) -> InputError:
+        """A ValueError that names the file, the line and the key of a refused value."""
+        return self.error(error.key, error.problem)
 
     def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         """The reference's table, its values replaced by the user's.
