@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
 from types import MappingProxyType
@@ -31,8 +32,8 @@ PLAIN_ABSENT: Mapping[type, Any] = MappingProxyType({str: "", float: 0.0, int: -
 
 KINDS = MappingProxyType({bool: "true or false", int: "a whole number", float: "a number", str: "a text"})
 
-ANY = -1
-"""Length of a list of any length, 1 or more."""
+ANY, ANY_OR_NONE = -1, -2
+"""Length of a list of any length, 1 or more; also none."""
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 """Checks of a class of settings: neither a truth value nor a text is a number, and numbers are finite."""
@@ -57,11 +58,15 @@ class Refused(InputError):
 
     def __str__(self) -> str:
         unknown_key = f"unknown parameter {self.key!r}, {self.problem}"
-        return unknown_key if self.problem.startswith("expected") else f"{self.key} {self.problem}".lstrip()
+        return unknown_key if self.problem.startswith("expected") else f"{self.key or 'table'} {self.problem}"
 
     def within(self, outer: str) -> Refused:
         """The same of a table in another one, or of a list in a table."""
         return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem)
+
+
+class Missing(Refused):
+    """No value of a key that must be given."""
 
 
 def setting(
@@ -91,6 +96,7 @@ def setting(
         All values that a text may have; empty for any text.
     length : int or tuple of int, optional
         How many numbers a list holds, or how many lists, and how many numbers each of them; `ANY` for 1 or more.
+        Default: of any length, also empty.
     """
     lengths = (length,) if isinstance(length, int) else length or ()
     extra: Any = {"unit": unit, "low": low, "high": high, "absent": absent}
@@ -108,13 +114,13 @@ def grouped(group: str, field: Any) -> Any:
 class Setting:
     """Field of a class of settings: arguments of :func:`setting`, its name, and its type.
 
-    `kind` is ``bool``, ``int``, ``float``, ``str`` or ``tuple``, `item` that of the items of a list; `optional` says
-    whether it may be absent.
+    `kind` is ``bool``, ``int``, ``float``, ``str``, ``tuple``, a mapping by names or the class of a table, `item` that
+    of the items of a list or mapping; `optional` says whether it may be absent.
     """
 
     name: str
     kind: type
-    item: type
+    item: Any
     optional: bool
     default: Any
     description: str
@@ -125,18 +131,19 @@ class Setting:
     choices: tuple[str, ...]
     lengths: tuple[int, ...]
     group: str
+    depth: int
 
     @classmethod
     def of(cls, name: str, field: FieldInfo) -> Setting:
         """Of a field of a class of settings."""
         optional = type(None) in get_args(field.annotation)
         annotation: Any = get_args(field.annotation)[0] if optional else field.annotation
-        item = annotation
-        while get_origin(item) is tuple:
-            item = get_args(item)[0]
+        item, depth = annotation, 0
+        while origin := get_origin(item):
+            item, depth = get_args(item)[origin is not tuple], depth + (origin is tuple)
         arguments: Any = field.json_schema_extra or setting(..., "").json_schema_extra
         kind = get_origin(annotation) or annotation
-        return cls(name, kind, item, optional, field.default, field.description or "", **arguments)
+        return cls(name, kind, item, optional, field.default, field.description or "", depth=depth, **arguments)
 
     @property
     def text(self) -> str:
@@ -163,23 +170,43 @@ class Setting:
 
     def read(self, value: Any) -> Any:
         """The value in the type of the setting where that is the same value."""
+        if isinstance(self.item, type) and issubclass(self.item, CheckedTable):
+            return None if value is None else self._tables(value, self.name, self.kind is not self.item)
         if isinstance(value, (list, tuple)):
             return tuple(map(self.read, value))
+        if isinstance(value, Mapping):
+            return {name: self.read(entry) for name, entry in value.items()}
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             return value
         if self.item is float and isinstance(value, int):
             return _as_float(value)
         return int(value) if self.item is int and isinstance(value, float) and value.is_integer() else value
 
+    def _tables(self, value: Any, place: str, many: bool = False) -> Any:
+        """Objects of a table, of a list of tables or, by their names, of tables in a table."""
+        if many and self.kind is tuple and isinstance(value, (list, tuple)):
+            return tuple(self._tables(table, f"{place}[{i}]") for i, table in enumerate(value))
+        if many and self.kind is not tuple and isinstance(value, Mapping):
+            return {name: self._tables(table, f"{place}.{name}") for name, table in value.items()}
+        if many or not isinstance(value, (Mapping, self.item)):
+            raise Refused(place, f"must be {'tables' if many else 'a table'}, got {value!r}")
+        try:
+            return self.item.of_table(value) if isinstance(value, Mapping) else value
+        except Refused as error:
+            raise error.within(place) from None
+
     def check(self, value: Any, name: str = "", depth: int = 0) -> None:
         """Refuse a value out of its range, also in a list, and a list of another length."""
         name = name or self.name
         if isinstance(value, tuple):
-            length = self.lengths[depth] if depth < len(self.lengths) else None
-            if length is not None and not (value if length == ANY else len(value) == length):
+            length = self._length(depth)
+            if length not in (ANY_OR_NONE, len(value)) and not (length == ANY and value):
                 raise Refused(name, f"must hold {self._list(depth)}, got {len(value)}")
             for i, item in enumerate(value):
                 self.check(item, f"{name}[{i}]", depth + 1)
+        elif isinstance(value, Mapping):
+            for key, item in value.items():
+                self.check(item, f"{name}.{key}", depth)
         elif self.choices and value is not None and value not in self.choices:
             raise Refused(name, f"must be {self.range}, got {value!r}")
         elif isinstance(value, (int, float)) and not self._holds(value):
@@ -193,9 +220,13 @@ class Setting:
 
     def _list(self, depth: int) -> str:
         """What a list holds, in words."""
-        count = self.lengths[depth] if depth < len(self.lengths) else None
-        inner = f"lists of {self._list(depth + 1)}" if depth + 1 < len(self.lengths) else f"{self._items}s"
-        return inner if count is None else f"1 {inner[:-1]} or more" if count == ANY else f"{count} {inner}"
+        count = self._length(depth)
+        inner = f"lists of {self._list(depth + 1)}" if depth + 1 < self.depth else f"{self._items}s"
+        return inner if count == ANY_OR_NONE else f"1 {inner[:-1]} or more" if count == ANY else f"{count} {inner}"
+
+    def _length(self, depth: int) -> int:
+        """Length of a list in so many others."""
+        return self.lengths[depth] if depth < len(self.lengths) else ANY_OR_NONE
 
     @property
     def _items(self) -> str:
@@ -203,16 +234,17 @@ class Setting:
 
     def mistake(self, place: tuple[int | str, ...], kind: str, value: Any) -> Refused:
         """What is wrong with a value at a place of the field; `kind` is what pydantic calls the mistake."""
-        name = self.name + "".join(f"[{i}]" for i in place)
+        name = self.name + "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place)
         if kind == "missing":
-            return Refused("", f"has no {self.name!r}")
+            return Missing("", f"has no {self.name!r}")
         if kind == "finite_number":
             both = self.low is not None and self.high is not None
             return Refused(
                 name, f"must be {self.range if both else self._needed('a finite number')}, got {_as_float(value):g}"
             )
-        if self.kind is tuple and (not place or isinstance(value, tuple)):
-            needed = f"a list of {self._list(len(place))}"
+        depth = len([i for i in place if isinstance(i, int)])
+        if depth < self.depth or isinstance(value, tuple):
+            needed = f"a list of {self._list(depth)}"
         else:
             needed = self._needed(KINDS[self.item])
         return Refused(name, f"must be {self.range if self.choices else needed}, got {value!r}")
@@ -247,14 +279,14 @@ def settings_class(kind: type[T]) -> type[T]:
     check: Callable[..., None] = made.__init__
 
     @wraps(check)
-    def __init__(self: Any, **values: Any) -> None:  # noqa: N807 (it replaces the one of the class)
+    def __init__(self: Any, *in_order: Any, **values: Any) -> None:  # noqa: N807 (it replaces the one of the class)
         for name in values:
             if name not in made.__pydantic_fields__:
                 raise InputError(unknown(name, known))
         try:
-            check(self, **values)
+            check(self, *in_order, **values)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
+            first = min(error.errors(include_url=False), key=lambda one: one["type"] == "missing")
             if first["type"] == "value_error":  # of a check of the class
                 raise first["ctx"]["error"] from None
             raise known[str(first["loc"][0])].mistake(first["loc"][1:], first["type"], first["input"]) from None
@@ -270,6 +302,9 @@ class CheckedTable:
 
     SETTINGS: ClassVar[Mapping[str, Setting]]
     """The settings by name, those that a class adds before those that it inherits."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that do not fit together."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -302,6 +337,12 @@ class CheckedTable:
     def of_part(cls, table: Mapping[str, Any], **parts: Any) -> Self:
         """The same of a table with further keys, which others read."""
         return cls(**{**{key: value for key, value in table.items() if key in cls.SETTINGS}, **parts})
+
+    @classmethod
+    def check_given(cls, table: Mapping[str, Any]) -> None:
+        """Refuse an unknown key or a value that does not fit; what is missing comes from elsewhere."""
+        with suppress(Missing):
+            cls.of_table(table)
 
     def to_mapping(self) -> dict[str, Any]:
         """Names and values; an absent one is ``None``, a list of numbers a list."""

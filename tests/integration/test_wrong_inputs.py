@@ -193,7 +193,7 @@ SOURCE: dict[str, Row] = {
     "no harmonics": (table("cooler", "frequency = 47; harmonics = []"), "harmonics must be tables"),
     "an order alone": (table("cooler", "frequency = 47; harmonics = [{ order = 1 }]"), "force or torque|order"),
     "pulses of nothing": (table("pulses", "period = 1; width = 0.1"), "force or torque|period, width"),
-    "no frequency": (table("cooler", PUSH), "disturbance 'c': has no 'frequency'"),
+    "no frequency": (table("cooler", PUSH), "disturbance 'c'|has no 'frequency'"),
     "a frequency with its unit": (table("cooler", f'frequency = "47 Hz"; {PUSH}'), "frequency|'47 Hz'"),
     "two axes": (
         table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"),
@@ -231,7 +231,7 @@ ARRAY = "[[solar_array]]\nname = 'wing'\npoint = 'A1'\nlike = 'reference'\n"
 TELESCOPE: dict[str, Row] = {
     "an unknown table": ("[isolater]\n", "line 1|isolater|isolator"),
     "an unknown key": ("[isolator]\nstifness = 1\n", "line 2|isolator.stifness|stiffness"),
-    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|-1.0"),
+    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|above 0|-1"),
     "a damping above one": (ARRAY + "damping = 1.5\n", "line 1|solar_array[0]|damping|1.5"),
     "modes heavier than the body": (ARRAY + "mass = 2.0\n", "line 1|solar_array[0]|residual mass"),
     "a point elsewhere": (ARRAY.replace("A1", "Z9"), "line 3|solar_array[0].point|A1|'Z9'"),

@@ -24,14 +24,20 @@ stiffness that depends on speed or load, the motor's torque on a tilted axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
-from lftkit import Port, RealParameter, System
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from lftkit.systems.ports import Port
+from lftkit.uncertainty.parameters import RealParameter
+from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Refused, setting, settings_class
 from titop_plant import ports
+
+if TYPE_CHECKING:
+    from lftkit import System
 
 DIRECTIONS = ("radial", "radial", "axial", "rocking", "rocking")
 """Kind of each direction of the rotor in the housing: translation x, y, z and rotation x, y."""
@@ -41,24 +47,10 @@ LATERAL = (3, 4)
 """Places of the rotations x, y among the directions."""
 
 
-@dataclass(frozen=True)
-class WheelBearing:
-    """Rotor of a wheel and the bearings that carry it in its housing.
-
-    Parameters
-    ----------
-    rotor_mass : float
-        m_r, part of the wheel's mass [kg].
-    rotor_radial_inertia : float
-        J_t, part of the wheel's radial inertia [kg m2].
-    radial_stiffness, axial_stiffness : float, optional
-        k_r, k_a [N/m]; None: rigid.
-    rocking_stiffness : float, optional
-        k_t [Nm/rad]; None: rigid.
-    radial_damping, axial_damping : float
-        d_r, d_a [N s/m].
-    rocking_damping : float
-        d_t [Nm s/rad].
+@settings_class
+@dataclass(frozen=True, config=STRICT)
+class WheelBearing(CheckedTable):
+    """Rotor of a wheel and the bearings that carry it in its housing: m_r, J_t, k_r, k_a, k_t, d_r, d_a, d_t.
 
     Raises
     ------
@@ -67,29 +59,24 @@ class WheelBearing:
         stiffness at all.
     """
 
-    rotor_mass: float
-    rotor_radial_inertia: float
-    radial_stiffness: float | None = None
-    axial_stiffness: float | None = None
-    rocking_stiffness: float | None = None
-    radial_damping: float = 0.0
-    axial_damping: float = 0.0
-    rocking_damping: float = 0.0
+    rotor_mass: float = setting(..., "part of the wheel's mass", "kg", POSITIVE)
+    rotor_radial_inertia: float = setting(..., "part of the wheel's radial inertia", "kg m2", POSITIVE)
+    radial_stiffness: float | None = setting(None, "radial stiffness", "N/m", POSITIVE, absent="rigid")
+    axial_stiffness: float | None = setting(None, "axial stiffness", "N/m", POSITIVE, absent="rigid")
+    rocking_stiffness: float | None = setting(None, "rocking stiffness", "Nm/rad", POSITIVE, absent="rigid")
+    radial_damping: float = setting(0.0, "radial damping", "N s/m", 0.0)
+    axial_damping: float = setting(0.0, "axial damping", "N s/m", 0.0)
+    rocking_damping: float = setting(0.0, "rocking damping", "Nm s/rad", 0.0)
 
     def __post_init__(self) -> None:
-        positive = ("rotor_mass", "rotor_radial_inertia")
-        given = [f"{kind}_stiffness" for kind in dict.fromkeys(DIRECTIONS)]
-        for name in (*positive, *(name for name in given if getattr(self, name) is not None)):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        if all(getattr(self, name) is None for name in given):
-            raise InputError(f"bearing must have one of {', '.join(given)}, got none")
-        for kind in dict.fromkeys(DIRECTIONS):
-            damping, stiffness = getattr(self, f"{kind}_damping"), getattr(self, f"{kind}_stiffness")
-            if not damping >= 0.0:
-                raise InputError(f"{kind}_damping must not be negative, got {damping}")
-            if damping and stiffness is None:
-                raise InputError(f"{kind}_damping must be absent without {kind}_stiffness, got {damping}")
+        kinds = dict.fromkeys(DIRECTIONS)
+        if not self.flexible:
+            given = ", ".join(f"{kind}_stiffness" for kind in kinds)
+            raise Refused("", f"must have one of {given}, got none")
+        for kind in kinds:
+            damping = getattr(self, f"{kind}_damping")
+            if damping and getattr(self, f"{kind}_stiffness") is None:
+                raise Refused(f"{kind}_damping", f"must be absent without {kind}_stiffness, got {damping}")
 
     @property
     def flexible(self) -> tuple[int, ...]:
@@ -147,6 +134,8 @@ def wheel_on_bearings(
     >>> np.unique(modes.round(1)).tolist(), round(float(np.sqrt(modes.prod())))
     ([283.1, 883.1], 250000)
     """
+    from lftkit import System  # loads scipy, which the tables of a telescope need not
+
     _check_part("rotor_mass", bearing.rotor_mass, mass)
     _check_part("rotor_radial_inertia", bearing.rotor_radial_inertia, radial_inertia)
     inputs = [

@@ -259,7 +259,7 @@ class Wrench(CheckedTable):
     def __post_init__(self) -> None:
         if self.force is None and self.torque is None:
             others = [name for name, value in self.to_mapping().items() if value is not None]
-            raise Refused("", f"force or torque must be given, got {', '.join(others)}")
+            raise Refused("", f"must have force or torque, got {', '.join(others)}")
 
     @property
     def values(self) -> FloatArray:

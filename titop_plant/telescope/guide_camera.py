@@ -159,9 +159,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
         ticks = whole_ticks(value := tables[TABLE][key])
         if ticks is None or ticks < (key == "exposure"):
             raise file.error(f"{TABLE}.{key}", f"must be whole milliseconds, got {value!r} s")
-    camera = star_camera(
-        file.made(ImageOptics, "optics", tables["optics"]), file.made(GuideCamera, TABLE, tables[TABLE]), file.path
-    )
+    camera = star_camera(ImageOptics.of_part(tables["optics"]), GuideCamera.of_part(tables[TABLE]), file.path)
     if kind == VECTOR:
         return tables
     for key in FOLLOWING:

@@ -25,9 +25,10 @@ from typing import Any
 from lftkit.errors import InputError
 from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.telescope.sections import LimitsTable
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
-LIMITS = ("ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window")
+LIMITS = tuple(LimitsTable.SETTINGS)
 """Values of the table ``weights`` that are made of the requirements."""
 
 
@@ -55,8 +56,8 @@ def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
     if not isinstance(table, dict):
         return {}
     given = {key: table[key] for key in LIMITS if key in table}
-    for key, value in given.items():
-        file.check(f"weights.{key}", key, 1.0, value)
+    with file.refusals("weights"):
+        LimitsTable.check_given(given)
     own["weights"] = {key: value for key, value in table.items() if key not in given}
     return {key: float(value) for key, value in given.items()}
 
@@ -94,9 +95,9 @@ def with_limits(
         for loop in found[-1].loops:
             if loop not in STAGES:
                 raise file.error(f"{key}.loop", f"must be among {', '.join(STAGES)}, got {loop!r}")
-    for name in names:
-        if names.count(name) > 1:
-            raise file.error("requirement", f"must have each name once, got {name!r} twice")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise file.error(f"requirement[{i}].name", f"must be given once, got {name!r} twice")
     try:
         limits, defining = design_limits(found)
     except ValueError as error:

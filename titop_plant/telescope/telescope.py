@@ -49,8 +49,6 @@ from titop_plant.telescope.sections import (
     PayloadTable,
     ProofMassTable,
     WeightTable,
-    made,
-    structure,
 )
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
 from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
@@ -138,22 +136,22 @@ class Telescope:
     @cached_property
     def materials(self) -> Mapping[str, Material]:
         """Materials of the structures by name."""
-        return {name: made(Material, table) for name, table in self._tables["materials"].items()}
+        return {name: Material.of_part(table) for name, table in self._tables["materials"].items()}
 
     @cached_property
     def body(self) -> BodyTable:
         """The central body."""
-        return structure(BodyTable, self._tables["body"])
+        return BodyTable.of_part(self._tables["body"])
 
     @cached_property
     def payload(self) -> PayloadTable:
         """The telescope payload."""
-        return structure(PayloadTable, self._tables["payload"])
+        return PayloadTable.of_part(self._tables["payload"])
 
     @cached_property
     def optics(self) -> OpticsTable:
         """Paraxial data of the optics."""
-        return made(OpticsTable, self._tables["optics"])
+        return OpticsTable.of_part(self._tables["optics"])
 
     @cached_property
     def image_optics(self) -> ImageOptics:
@@ -163,42 +161,42 @@ class Telescope:
     @cached_property
     def isolator(self) -> IsolatorTable:
         """Isolator."""
-        return made(IsolatorTable, self._tables["isolator"])
+        return IsolatorTable.of_part(self._tables["isolator"])
 
     @cached_property
     def fsm(self) -> MirrorTable:
         """Fast steering mirror."""
-        return made(MirrorTable, self._tables["fsm"])
+        return MirrorTable.of_part(self._tables["fsm"])
 
     @cached_property
     def pma(self) -> ProofMassTable:
         """Proof-mass actuators."""
-        return made(ProofMassTable, self._tables["pma"])
+        return ProofMassTable.of_part(self._tables["pma"])
 
     @cached_property
     def attitude_control(self) -> AttitudeTable:
         """Attitude control."""
-        return made(AttitudeTable, self._tables["attitude_control"])
+        return AttitudeTable.of_part(self._tables["attitude_control"])
 
     @cached_property
     def sadm(self) -> DriveTable:
         """Drives of the solar arrays without their own tables."""
-        return made(DriveTable, self._tables["sadm"])
+        return DriveTable.of_part(self._tables["sadm"])
 
     @cached_property
     def imbalance(self) -> ImbalanceTable:
         """Imbalance of a wheel."""
-        return made(ImbalanceTable, self._tables["imbalance"])
+        return ImbalanceTable.of_part(self._tables["imbalance"])
 
     @cached_property
     def design_scenario(self) -> DesignScenarioTable:
         """Tones of the scenario design."""
-        return made(DesignScenarioTable, self._tables["design_scenario"])
+        return DesignScenarioTable.of_part(self._tables["design_scenario"])
 
     @cached_property
     def weights(self) -> WeightTable:
         """Weights of the synthesis, with the limits that are made of the requirements."""
-        return made(WeightTable, self._tables["weights"])
+        return WeightTable.of_part(self._tables["weights"])
 
     @cached_property
     def camera(self) -> GuideCamera:
