@@ -189,7 +189,7 @@ PUSH = "harmonics = [{ order = 1, force = [1, 0, 0] }]"
 SOURCE: dict[str, Row] = {
     "a file that is missing": (table("series", 'file = "x.csv"'), "disturbance 'c'|file|x.csv|no such file"),
     "a file of another kind": (table("psd", 'file = "data.toml"'), "disturbance 'c'|data.toml|without numbers"),
-    "neither list nor file": (table("cooler", "frequency = 47"), "harmonics or file|neither"),
+    "neither list nor file": (table("cooler", "frequency = 47"), "harmonics must be tables or in a file|neither"),
     "no harmonics": (table("cooler", "frequency = 47; harmonics = []"), "harmonics must be tables"),
     "an order alone": (table("cooler", "frequency = 47; harmonics = [{ order = 1 }]"), "force or torque|order"),
     "pulses of nothing": (table("pulses", "period = 1; width = 0.1"), "force or torque|period, width"),

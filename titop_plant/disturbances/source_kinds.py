@@ -76,14 +76,12 @@ class DisturbanceTable:
         """A ValueError that names file and source."""
         return InputError(f"{self.where}, disturbance {self.table.get('name', '?')!r}: {text}")
 
-    def made(self, kind: type[T], table: Mapping[str, Any], place: str = "") -> T:
-        """The object of this table, or of one at a place in it."""
+    def made(self, kind: type[T]) -> T:
+        """The object of the table."""
         try:
-            if not isinstance(table, Mapping):
-                raise Refused("", f"must be a table, got {table!r}")
-            return kind.of_table(table)
+            return kind.of_table(self.table)
         except Refused as error:
-            raise self.error(str(error.within(place) if place else error)) from None
+            raise self.error(str(error)) from None
 
     def file(self, name: str) -> Table:
         """Table of values."""
@@ -281,7 +279,7 @@ class HarmonicsTable(SourceTable):
     """Keys of a source with harmonics, which are in the table itself or in a file."""
 
     file: str | None = setting(None, "file of the harmonics")
-    harmonics: Any = setting(None, "tables with order, force and torque")
+    harmonics: tuple[Harmonic, ...] | None = setting(None, "tables with order, force and torque")
 
     def rows(self, entry: DisturbanceTable, units: WrenchUnits) -> list[tuple[float, FloatArray]]:
         """Order and amplitudes (6,) of each harmonic."""
@@ -293,12 +291,9 @@ class HarmonicsTable(SourceTable):
             for wrong in order[~((order > 0) & (order < math.inf))]:
                 raise entry.error(f"order of a harmonic must be a number above 0, got {wrong}")
             return list(zip(order.tolist(), _axes(entry, table, len(order), units)))
-        if self.harmonics is None:
-            raise entry.error("harmonics or file must be given, got neither")
-        if not isinstance(self.harmonics, (list, tuple)) or not self.harmonics:
-            raise entry.error(f"harmonics must be tables with order, force and torque, got {self.harmonics!r}")
-        found = [entry.made(Harmonic, table, f"harmonics[{i}]") for i, table in enumerate(self.harmonics)]
-        return [(harmonic.order, harmonic.values) for harmonic in found]
+        if not self.harmonics:
+            raise entry.error("harmonics must be tables or in a file, got neither")
+        return [(harmonic.order, harmonic.values) for harmonic in self.harmonics]
 
 
 @settings_class

@@ -196,7 +196,7 @@ def _assembled(telescope: Telescope, isolated: bool) -> AssembledTelescope:
 
 def line_of_sight(telescope: Telescope) -> System:
     """``los`` from the rotation of the payload's base and the elastic deflections of the optics."""
-    optics = component.optics_component(telescope)
+    optics = telescope.optics
     rotation = np.hstack([np.eye(2), np.zeros((2, 1))])
     mirror = telescope.fsm.los_sensitivity * np.hstack([np.zeros((2, 3)), rotation])
     gain = np.hstack([rotation, *(optics.sensitivity(e) for e in ("M1", "M2", "DET")), mirror])

@@ -29,7 +29,6 @@ from titop_plant.structures.residual_mass import (
     repair_residual_mass,
 )
 from titop_plant.telescope.layout import ANGLE, MountedBody
-from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.telescope import Telescope
 
 _ROUNDING = 1e-3
@@ -163,9 +162,3 @@ def mirror_component(telescope: Telescope) -> FastSteeringMirror:
     """The fast steering mirror at I_f."""
     table = telescope.fsm
     return FastSteeringMirror(table.mass, np.diag(table.inertia), table.stiffness, table.damping)
-
-
-def optics_component(telescope: Telescope) -> TwoMirrorTelescope:
-    """Paraxial data of the telescope."""
-    table = telescope.optics
-    return TwoMirrorTelescope(table.primary_focal_length, table.mirror_distance, table.back_focal_distance)

@@ -28,8 +28,9 @@ from pointing_analysis.files.settings import (
 from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.optics import ImageOptics
 from titop_plant.blocks.stepper import Stepper
-from titop_plant.blocks.wheel_bearing import WheelBearing
+from titop_plant.blocks.wheel_bearing import ReactionWheel
 from titop_plant.ports import AXES
+from titop_plant.telescope.optics import TwoMirrorTelescope
 
 Vector = tuple[float, ...]
 Matrix = tuple[Vector, ...]
@@ -344,20 +345,11 @@ class Broadband(CheckedTable):
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class WheelKind(CheckedTable):
+class WheelKind(ReactionWheel):
     """A kind of reaction wheel."""
 
-    mass: float = setting(..., "mass", "kg", POSITIVE)
-    axial_inertia: float = setting(..., "inertia about the spin axis", "kg m2", POSITIVE)
-    radial_inertia: float = setting(..., "inertia across the spin axis", "kg m2", POSITIVE)
     maximum_speed: float = setting(..., "largest speed", "rad/s", POSITIVE)
-    bearing: WheelBearing | None = setting(None, "compliant bearing of the rotor", absent="rigid")
     broadband: Broadband | None = setting(None, "broadband noise", absent="none")
-
-    def __post_init__(self) -> None:
-        for key, whole in (("rotor_mass", self.mass), ("rotor_radial_inertia", self.radial_inertia)):
-            if self.bearing is not None and (part := getattr(self.bearing, key)) > whole:
-                raise Refused(f"bearing.{key}", f"must be at most {whole:g} of the wheel, got {part:g}")
 
 
 @settings_class
@@ -440,16 +432,6 @@ class WeightTable(LimitsTable):
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class OpticsTable(CheckedTable):
-    """Paraxial data of the two mirrors."""
-
-    primary_focal_length: float = setting(..., "focal length of M1", "m", POSITIVE)
-    mirror_distance: float = setting(..., "from the vertex of M1 to that of M2", "m", POSITIVE)
-    back_focal_distance: float = setting(..., "from the vertex of M1 to the focus behind it", "m", POSITIVE)
-
-
-@settings_class
-@dataclass(frozen=True, kw_only=True, config=STRICT)
 class RequirementTable(CheckedTable):
     """A pointing requirement."""
 
@@ -464,7 +446,7 @@ class RequirementTable(CheckedTable):
 
 
 TABLES: Mapping[str, tuple[type[CheckedTable], ...]] = {
-    "optics": (OpticsTable, ImageOptics),
+    "optics": (TwoMirrorTelescope, ImageOptics),
     "body": (BodyTable,),
     "payload": (PayloadTable,),
     "solar_array": (ArraysTable,),

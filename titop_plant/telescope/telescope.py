@@ -33,6 +33,7 @@ from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.plant_file import FILE, PLANT, plant_parameters, plant_system
 from titop_plant.telescope.sections import (
@@ -45,7 +46,6 @@ from titop_plant.telescope.sections import (
     IsolatorTable,
     Material,
     MirrorTable,
-    OpticsTable,
     PayloadTable,
     ProofMassTable,
     WeightTable,
@@ -149,9 +149,9 @@ class Telescope:
         return PayloadTable.of_part(self._tables["payload"])
 
     @cached_property
-    def optics(self) -> OpticsTable:
+    def optics(self) -> TwoMirrorTelescope:
         """Paraxial data of the optics."""
-        return OpticsTable.of_part(self._tables["optics"])
+        return TwoMirrorTelescope.of_part(self._tables["optics"])
 
     @cached_property
     def image_optics(self) -> ImageOptics:

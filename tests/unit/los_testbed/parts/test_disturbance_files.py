@@ -162,7 +162,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('kind = "harmonics"\nharmonics = [{order = 1}]', "speed must be given"),
+        ('kind = "harmonics"\nharmonics = [{order = 1, force = [1.0, 0.0, 0.0]}]', "speed must be given"),
         ('kind = "series"\nfile = "timed.csv"\nkeep_mean = "false"', "keep_mean must be true or false, got 'false'"),
         (
             'kind = "series"\nfile = "timed.csv"\nrate = 500.0\nrepeat = true',

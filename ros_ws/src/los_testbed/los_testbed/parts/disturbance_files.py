@@ -129,7 +129,7 @@ def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -
     if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     entry = replace(entry)  # without the remarks of an earlier run
-    source = entry.made(KINDS[kind], entry.table)
+    source = entry.made(KINDS[kind])
     place, offset = source.place, None if source.offset is None else np.array(source.offset)
     try:
         matrix = place_matrix(place, telescope, _frame(source.frame), offset)
