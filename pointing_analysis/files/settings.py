@@ -221,16 +221,16 @@ class Setting:
     def _list(self, depth: int) -> str:
         """What a list holds, in words."""
         count = self._length(depth)
-        inner = f"lists of {self._list(depth + 1)}" if depth + 1 < self.depth else f"{self._items}s"
+        inner = (
+            f"lists of {self._list(depth + 1)}"
+            if depth + 1 < self.depth
+            else f"{'number' if self.item in (int, float) else 'text'}s"
+        )
         return inner if count == ANY_OR_NONE else f"1 {inner[:-1]} or more" if count == ANY else f"{count} {inner}"
 
     def _length(self, depth: int) -> int:
         """Length of a list in so many others."""
         return self.lengths[depth] if depth < len(self.lengths) else ANY_OR_NONE
-
-    @property
-    def _items(self) -> str:
-        return "number" if self.item in (int, float) else "text"
 
     def mistake(self, place: tuple[int | str, ...], kind: str, value: Any) -> Refused:
         """What is wrong with a value at a place of the field; `kind` is what pydantic calls the mistake."""

@@ -193,10 +193,6 @@ def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, given: floa
     return 1.0 / grid.period
 
 
-def _listed(values: FloatArray) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
-
-
 def _phased(amplitude: FloatArray, sense: float, rng: np.random.Generator) -> ComplexArray:
     """Amplitudes with random phases; radial ones turn with the rotor, **x leads y by a quarter turn for sense > 0**."""
     force, axial, torque, about = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 4))
@@ -318,7 +314,9 @@ class MeasuredSeries(SourceTable):
             mean = values.mean(axis=0)
             values = values - mean
             if np.abs(mean).max() > 0.01 * values.std():
-                remarks.append(f"mean {_listed(mean)} removed (keep_mean = true keeps it)")
+                remarks.append(
+                    f"mean {', '.join(f'{value:.3g}' for value in mean)} removed (keep_mean = true keeps it)"
+                )
         if length < run.duration:
             if not self.repeat:
                 raise entry.error(

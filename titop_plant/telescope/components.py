@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
 from titop_plant.blocks.flexible_body import flexible_body
-from titop_plant.blocks.isolator import Isolator, MountedActuator
+from titop_plant.blocks.isolator import MountedActuator
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
@@ -92,7 +91,7 @@ def array_block(telescope: Telescope, array: MountedBody) -> System:
     if not array.turns and fixed:
         dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
     if drive is None:
-        return _clamped(body_modes(array), array.point, dcm, frequencies)
+        return clamped(body_modes(array), array.point, dcm, frequencies)
     rotor = drive_rotor(array)
     data = SolarArray(body_modes(array), axis, dcm, drive.gearbox_stiffness, drive.gearbox_damping, rotor)
     tau = telescope.uncertain[ANGLE] if array.turns else None
@@ -107,12 +106,8 @@ def drive_rotor(array: MountedBody) -> DriveRotor | None:
     return DriveRotor(motor.rotor_inertia, motor.gear_ratio, motor.stiffness, motor.motor_damping)
 
 
-def appendage_block(telescope: Telescope, body: MountedBody) -> System:
-    """Flexible appendage, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
-    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, telescope))
-
-
-def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
+def clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
+    """Flexible body, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
     return mounted(flexible_body(modes, frequencies=frequencies), modes.parent, point, dcm=dcm)
 
 
@@ -130,12 +125,6 @@ def platform_mass(telescope: Telescope) -> FloatArray:
     """Mass matrix of the isolator's platform at I_p, shape (6, 6)."""
     table = telescope.isolator
     return from_inertia(table.mass, table.inertia_at_cg, table.center_of_mass, "isolator platform")
-
-
-def isolator_component(telescope: Telescope) -> Isolator:
-    """The 6-dof isolator."""
-    table = telescope.isolator
-    return Isolator(platform_mass(telescope), np.diag(table.stiffness), np.diag(table.damping))
 
 
 def actuator_components(telescope: Telescope) -> list[MountedActuator]:
@@ -156,9 +145,3 @@ def actuator_components(telescope: Telescope) -> list[MountedActuator]:
         result.append(MountedActuator(actuator, position, np.vstack([radial, tangent, up])))
         result.append(MountedActuator(actuator, position, np.vstack([up, radial, tangent])))
     return result
-
-
-def mirror_component(telescope: Telescope) -> FastSteeringMirror:
-    """The fast steering mirror at I_f."""
-    table = telescope.fsm
-    return FastSteeringMirror(table.mass, np.diag(table.inertia), table.stiffness, table.damping)

@@ -16,7 +16,7 @@ The rest of the project asks :class:`titop_plant.telescope.telescope.Telescope`,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -271,38 +271,34 @@ def imbalance_port(wheels: int) -> Port:
 
 def without_bearings(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with rigid wheels."""
-    given = tables[WHEELS]
-    wheels = [given] if isinstance(given, Mapping) else given
-    rigid = [{key: value for key, value in wheel.items() if key != BEARING} for wheel in wheels]
-    return {**tables, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
+    return _with_each(tables, (WHEELS,), lambda table: _without(table, BEARING))
 
 
 def without_steppers(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with drives whose gearbox ends at the body, with fixed harmonics."""
-
-    def stripped(table: Any) -> Any:
-        if isinstance(table, (list, tuple)):
-            return [stripped(entry) for entry in table]
-        return {key: value for key, value in table.items() if key != STEPPER}
-
-    return {**tables, **{name: stripped(tables[name]) for name in ("sadm", ARRAYS) if name in tables}}
+    return _with_each(tables, (DRIVES, ARRAYS), lambda table: _without(table, STEPPER))
 
 
 def without_sources(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables without what only makes disturbances: broadband noise of wheels, torques of steppers."""
 
-    def stripped(table: Any) -> Any:
-        if isinstance(table, (list, tuple)):
-            return [stripped(entry) for entry in table]
-        if not isinstance(table, Mapping) or not {BROADBAND, STEPPER} & set(table):
-            return table
-        kept = {key: value for key, value in table.items() if key != BROADBAND}
-        if STEPPER in kept:
-            kept[STEPPER] = {key: value for key, value in kept[STEPPER].items() if key not in SOURCE_OF_STEPPER}
-        return kept
+    def silent(table: Mapping[str, Any]) -> dict[str, Any]:
+        motor = {STEPPER: _without(table[STEPPER], *SOURCE_OF_STEPPER)} if STEPPER in table else {}
+        return {**_without(table, BROADBAND), **motor}
 
-    names = (ARRAYS, WHEELS, "sadm")
-    return {key: stripped(value) if key in names else value for key, value in tables.items()}
+    return _with_each(tables, (ARRAYS, WHEELS, DRIVES), silent)
+
+
+def _with_each(
+    tables: Mapping[str, Any], names: Sequence[str], change: Callable[[Mapping[str, Any]], dict[str, Any]]
+) -> dict[str, Any]:
+    """The tables, those of these names changed, alone or in lists."""
+    changed = {name: tables[name] for name in names if name in tables}
+    return {**tables, **{k: change(v) if isinstance(v, Mapping) else list(map(change, v)) for k, v in changed.items()}}
+
+
+def _without(table: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}
 
 
 def present(names: Sequence[str], available: Sequence[Port]) -> tuple[str, ...]:

@@ -73,20 +73,15 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
     merged = with_limits(file.merged(reference, own), own, limits, file)
     file.check_tables(merged)
-    if merged["optics"]["pupil"]:
-        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
-    if merged["camera"]["noise_curve"]:
-        merged["camera"] = {
-            **merged["camera"],
-            "noise_curve": str(Path(path).parent / merged["camera"]["noise_curve"]),
-        }
+    for name, key in (("optics", "pupil"), ("camera", "noise_curve"), *((body, "modal_data") for body in OWN_BODIES)):
+        if beside := merged[name][key]:
+            merged[name] = {**merged[name], key: str(Path(path).parent / beside)}
     merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
     if spreads:
         merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
     for name in OWN_BODIES:
-        if modal_data := merged[name]["modal_data"]:
-            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / modal_data)}
+        if merged[name]["modal_data"]:
             check_modal_file(name, merged[name], file)
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]

@@ -22,6 +22,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from lftkit.errors import InputError
 from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
@@ -106,10 +108,11 @@ def with_limits(
         for i in defining[key]:
             requirement = found[i]
             changed = replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
-            if found[i].name in names and not _same(found[i], changed):
+            same = np.allclose([requirement.limit, *requirement.times], [changed.limit, *changed.times], 1e-6, 0.0)
+            if requirement.name in names and not same:
                 raise file.error(
                     f"weights.{key}",
-                    f"must agree with the requirement {found[i].name!r}, {found[i].exact_text}, got {value:g}",
+                    f"must agree with the requirement {requirement.name!r}, {requirement.exact_text}, got {value:g}",
                 )
             found[i] = changed
     return {**content, "requirement": entries(found), "weights": {**content["weights"], **limits, **given}}
@@ -217,9 +220,3 @@ def _strictest(requirements: Sequence[Requirement], wanted: Any) -> int | None:
     """Place of the smallest limit, both axes together, of the requirements that are wanted."""
     places = [i for i, r in enumerate(requirements) if not r.axis and wanted(r)]
     return min(places, key=lambda i: requirements[i].limit, default=None)
-
-
-def _same(one: Requirement, other: Requirement) -> bool:
-    return math.isclose(one.limit, other.limit, rel_tol=1e-6) and all(
-        math.isclose(a, b, rel_tol=1e-6) for a, b in zip(one.times, other.times)
-    )

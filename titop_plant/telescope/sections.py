@@ -462,8 +462,3 @@ TABLES: Mapping[str, tuple[type[CheckedTable], ...]] = {
     "weights": (WeightTable,),
 }
 """Classes of the tables of a parameter file: those of which it has one."""
-
-
-def frozen(value: Any) -> Any:
-    """A value of a file with tuples instead of lists."""
-    return tuple(frozen(item) for item in value) if isinstance(value, list) else value
