@@ -219,12 +219,7 @@ def _driven_at_G(
         "body": _flexible(telescope, "body", body, {child.name for child in body.children} - used, motion=True),
         "wheels": wheel_assembly(component.wheel_components(telescope), "I_w"),
         **{one.name: _array(telescope, one, outside) for one in arrays},
-        **{
-            one.name: component.clamped(
-                component.body_modes(one), one.point, one.dcm, component.uncertain_modes(one, telescope)
-            )
-            for one in others
-        },
+        **{one.name: component.appendage_block(telescope, one) for one in others},
         "platform": _platform(telescope, isolated),
         "payload": _flexible(telescope, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
         "fsm": fast_steering_mirror(

@@ -91,7 +91,7 @@ def array_block(telescope: Telescope, array: MountedBody) -> System:
     if not array.turns and fixed:
         dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
     if drive is None:
-        return clamped(body_modes(array), array.point, dcm, frequencies)
+        return _clamped(body_modes(array), array.point, dcm, frequencies)
     rotor = drive_rotor(array)
     data = SolarArray(body_modes(array), axis, dcm, drive.gearbox_stiffness, drive.gearbox_damping, rotor)
     tau = telescope.uncertain[ANGLE] if array.turns else None
@@ -106,8 +106,12 @@ def drive_rotor(array: MountedBody) -> DriveRotor | None:
     return DriveRotor(motor.rotor_inertia, motor.gear_ratio, motor.stiffness, motor.motor_damping)
 
 
-def clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
-    """Flexible body, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
+def appendage_block(telescope: Telescope, body: MountedBody) -> System:
+    """Flexible appendage, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
+    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, telescope))
+
+
+def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
     return mounted(flexible_body(modes, frequencies=frequencies), modes.parent, point, dcm=dcm)
 
 
