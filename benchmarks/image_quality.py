@@ -26,7 +26,10 @@ def main() -> None:
     parser.add_argument("--frequencies", type=int, default=64)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    rng, optics = np.random.default_rng(0), Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3)
+    rng, optics = (
+        np.random.default_rng(0),
+        Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3),
+    )
     steps = rng.standard_normal((options.exposures, SEGMENTS + 1, 2))
     paths = 2 * RAD_PER_MAS * np.cumsum(steps, axis=1)
     frequencies = optics.cutoff * rng.uniform(-0.7, 0.7, (options.frequencies, 2))

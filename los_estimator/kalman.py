@@ -42,7 +42,6 @@ from titop_plant.ports import accel
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.assembly import assembled_telescope
-from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.control_plant import disturbances_of
 from titop_plant.telescope.telescope import Telescope
 
@@ -82,7 +81,7 @@ def acceleration_sensitivity(telescope: Telescope, payload: ModalData) -> FloatA
     >>> np.round(C_a @ everywhere, 12).tolist()
     [1.0, 0.0]
     """
-    optics = optics_component(telescope)
+    optics = telescope.optics
     rotation = np.hstack([np.zeros((2, 3)), np.eye(2), np.zeros((2, 1))])
     base, mirrors = rotation, []
     for name in ("M1", "M2"):

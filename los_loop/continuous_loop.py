@@ -41,11 +41,12 @@ PROOF_MASSES_TO = 350.0
 """Frequency [rad/s] above which K_PMA adds little: behind the isolator's modes."""
 
 
-def _fine_limit(telescope: Telescope, stage: str) -> float:
-    return telescope.weights.rpe_limit_fine
-
-
-FINE = replace(figure("RPE"), name="RPE, fine", limit=_fine_limit, band=(PROOF_MASSES_TO, math.inf))
+FINE = replace(
+    figure("RPE"),
+    name="RPE, fine",
+    limit=lambda telescope, _: telescope.weights.rpe_limit_fine,
+    band=(PROOF_MASSES_TO, math.inf),
+)
 """What a robust K_FSM is asked for, too: the limit of both controllers, where the proof masses do not act."""
 
 

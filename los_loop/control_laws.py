@@ -6,7 +6,8 @@ its next one. The frequency response has the delay, and of the hold its fundamen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -74,11 +75,6 @@ class ControlLaws:
         Rows that the loop has; default: those of the reference. A controller has the further sensors that it uses
         behind its other inputs, in this order, and K_PMA the further actuators behind its other outputs.
 
-    Attributes
-    ----------
-    laws : tuple of Law
-        K_FSM and K_PMA between columns of the measurement and of the command.
-
     Raises
     ------
     ValueError
@@ -90,12 +86,13 @@ class ControlLaws:
     stage: str
     los_sensitivity: float | None = None
     ports: LoopPorts = REFERENCE_PORTS
-    laws: tuple[Law, Law] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "laws", self._laws())
+        _ = self.laws  # refused here where nothing says a sensitivity
 
-    def _laws(self) -> tuple[Law, Law]:
+    @cached_property
+    def laws(self) -> tuple[Law, Law]:
+        """K_FSM and K_PMA between columns of the measurement and of the command."""
         k_fsm, k_pma, ports, mirror = self.k_fsm, self.k_pma, self.ports, 0.0
         if self.stage in MIRROR_STAGES:
             basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)

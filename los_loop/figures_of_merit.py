@@ -35,7 +35,6 @@ from titop_plant.telescope.error_budget import (
     MAX_SENSITIVITY,
     TUNED_FORCE_SENSITIVITY,
     TUNED_SENSITIVITY,
-    ErrorBudget,
     band_edge,
     error_budget,
 )
@@ -146,26 +145,18 @@ def _ape(telescope: Telescope, stage: str) -> float:
     return telescope.weights.ape_limit
 
 
-def _rpe(telescope: Telescope, stage: str) -> float:
-    return telescope.weights.rpe_limit_fine if stage in FORCE_STAGES else telescope.weights.rpe_limit
-
-
 def _authority(table: str) -> Limit:
     return lambda telescope, stage: getattr(telescope, table).authority
 
 
-def _share(alone: Callable[[ErrorBudget], float], both: Callable[[ErrorBudget], float]) -> Limit:
-    """Share of the budget of the relative error: of the mirror alone, of both controllers."""
-    return lambda telescope, stage: (both if stage in FORCE_STAGES else alone)(error_budget(telescope))
+def _of_stage(alone: Callable[[Telescope], float], both: Callable[[Telescope], float]) -> Limit:
+    """Limit or share of the budget of the relative error: of the mirror alone, of both controllers."""
+    return lambda telescope, stage: (both if stage in FORCE_STAGES else alone)(telescope)
 
 
 def _absolute_tone(telescope: Telescope, stage: str) -> float:
     """What a tone may take of the absolute error where noise acts, too; all of it in stages without fine control."""
     return error_budget(telescope).ape_tone if stage in MIRROR_STAGES else _ape(telescope, stage)
-
-
-def _absolute_noise(telescope: Telescope, stage: str) -> float:
-    return error_budget(telescope).ape_noise
 
 
 def _part(part: float, limit: Limit) -> Limit:
@@ -177,9 +168,16 @@ def _always(value: float) -> Limit:
 
 
 _MIRROR, _FORCE = COMMANDED
-_NOISE = _share(lambda budget: budget.noise, lambda budget: budget.total_noise)
+_NOISE = _of_stage(lambda t: error_budget(t).noise, lambda t: error_budget(t).total_noise)
 _APE = FigureOfMerit("APE", LINE_OF_SIGHT, (DISTURBANCE,), _ape, STAGES, MIRROR_STAGES, target=_absolute_tone)
-_RPE = replace(_APE, name="RPE", limit=_rpe, stages=(), target=None, relative=True)
+_RPE = replace(
+    _APE,
+    name="RPE",
+    limit=_of_stage(lambda t: t.weights.rpe_limit, lambda t: t.weights.rpe_limit_fine),
+    stages=(),
+    target=None,
+    relative=True,
+)
 
 FIGURES = (
     _APE,
@@ -190,7 +188,7 @@ FIGURES = (
         stages=STAGES,
         paper=(),
         band=(0.0, band_edge),
-        target=_share(lambda budget: budget.slow, lambda budget: budget.tone),
+        target=_of_stage(lambda t: error_budget(t).slow, lambda t: error_budget(t).tone),
     ),
     replace(
         _RPE,
@@ -198,10 +196,10 @@ FIGURES = (
         stages=STAGES,
         paper=(),
         band=(band_edge, math.inf),
-        target=_share(lambda budget: budget.fast_mirror, lambda budget: budget.fast),
+        target=_of_stage(lambda t: error_budget(t).fast_mirror, lambda t: error_budget(t).fast),
     ),
     FigureOfMerit("noise -> APE", LINE_OF_SIGHT, MEASURED[:1], _ape, paper=FORCE_STAGES),
-    FigureOfMerit("all noise -> APE", LINE_OF_SIGHT, MEASURED, _absolute_noise, MIRROR_STAGES),
+    FigureOfMerit("all noise -> APE", LINE_OF_SIGHT, MEASURED, lambda t, _: error_budget(t).ape_noise, MIRROR_STAGES),
     FigureOfMerit("noise -> RPE", LINE_OF_SIGHT, MEASURED, _NOISE, MIRROR_STAGES, relative=True),
     FigureOfMerit(
         "mirror",

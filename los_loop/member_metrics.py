@@ -201,11 +201,9 @@ class MemberMetrics:
         """
         turn = omega * self.telescope.weights.rpe_window
         in_windows = tone * float(window_ratio(turn))
-        return combined_level(in_windows, self._window_noise.changed(noise), self._probability, turn, least=least)
-
-    @cached_property
-    def _probability(self) -> float:
-        return self.telescope.window_probability
+        return combined_level(
+            in_windows, self._window_noise.changed(noise), self.telescope.window_probability, turn, least=least
+        )
 
     @cached_property
     def _window_noise(self) -> WindowNoise:

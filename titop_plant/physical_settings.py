@@ -34,7 +34,7 @@ class PhysicalSettings(Settings):
     >>> PhysicalSettings(omega_1=-1.0)
     Traceback (most recent call last):
         ...
-    lftkit.errors.InputError: omega_1 must be between 0 and 1000 rad/s, got -1
+    pointing_analysis.files.settings.Refused: omega_1 must be between 0 and 1000 rad/s, got -1
     """
 
     scenario: str | None = setting(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,11 @@ from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number, load_json, read_text
 from pointing_analysis.image.centroid import centroid, noise_equivalent_angle
-from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.units import RAD_PER_MAS
 
-NOT_OF_THE_NOISE = ("magnitude", "readout_delay")
-"""Values of a camera that a curve is not tied to."""
+NOT_OF_THE_NOISE = ("magnitude", "readout_delay", "second_offset_mas", "noise_curve")
+"""Values of a camera that a curve is not tied to; the offset of the other star is an angle in rad there."""
 KEPT = 0.5
 """Part of the frames that must have angles: of fainter stars there is no noise to be had."""
 COLUMNS = ("magnitude", "noise_mas", "bound_mas", "without_angles")
@@ -37,19 +36,21 @@ def detector_of(camera: StarCamera) -> dict[str, Any]:
 
     Examples
     --------
+    >>> from pointing_analysis.image.guide_camera import GuideCamera
     >>> from pointing_analysis.image.optics import Optics
-    >>> optics = Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3)
-    >>> one, two, three = (StarCamera(optics, GuideCamera(m, dark=d)) for m, d in ((12.0, 10.0), (14.0, 10.0), (14, 0)))
-    >>> detector_of(one) == detector_of(two), detector_of(two) == detector_of(three)
+    >>> optics = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
+    >>> stars = ((12.0, 10.0), (14.0, 10.0), (14.0, 0.0))
+    >>> one, two, three = (detector_of(StarCamera(optics, GuideCamera(magnitude=m, dark=d))) for m, d in stars)
+    >>> one == two, two == three
     (True, False)
     """
-    optics, star = camera.optics, camera.camera
+    optics, star = camera.optics, camera.camera.to_mapping()
     pupil = hashlib.sha256(optics.pupil_file).hexdigest() if optics.pupil_file else ""
-    lens = {"wavelength": optics.wavelength, "pixel": optics.pixel, "diameter": optics.diameter}
-    lens |= {"obscuration": optics.obscuration, "vanes": optics.vanes, "vane_width": optics.vane_width}
-    names = (entry.name for entry in fields(GuideCamera) if entry.name not in NOT_OF_THE_NOISE)
-    values = {name: getattr(star, name) for name in names}
-    return {**lens, "pupil_sha256": pupil, **values, "second_offset": list(star.second_offset)}
+    lens: dict[str, Any] = {"wavelength": optics.wavelength, "pixel": optics.pixel}
+    lens |= {"diameter": 0.0 if pupil else optics.aperture_diameter, "obscuration": optics.obscuration}
+    lens |= {"vanes": optics.spider_vanes, "vane_width": optics.spider_width, "pupil_sha256": pupil}
+    values = {name: value for name, value in star.items() if name not in NOT_OF_THE_NOISE}
+    return {**lens, **values, "second_offset": list(camera.camera.second_offset)}
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,10 @@ def measure(camera: StarCamera, frames: int, seed: int) -> NoisePoint:
 
     Examples
     --------
+    >>> from pointing_analysis.image.guide_camera import GuideCamera
     >>> from pointing_analysis.image.optics import Optics
-    >>> point = measure(StarCamera(Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3), GuideCamera(12.0)), 100, seed=1)
+    >>> optics = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
+    >>> point = measure(StarCamera(optics, GuideCamera(magnitude=12.0)), 100, seed=1)
     >>> 0.85 < point.noise / point.bound < 1.15, point.without
     (True, 0.0)
     """

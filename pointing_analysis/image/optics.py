@@ -21,18 +21,20 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import ComplexArray, FloatArray
-from pointing_analysis.files.structured_text import is_number, load_toml, read_text
+from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Excluded, Refused, setting, settings_class
+from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.image.pupil import AnnularPupil, Pupil, with_spider
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.units import RAD_PER_MAS
@@ -47,62 +49,89 @@ MAX_VANES = 64
 NONE_KNOWN = "no optics are known for this recording (give --optics FILE)"
 
 
-@dataclass(frozen=True)
-class Optics:
-    """Aperture, wavelength and detector.
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ImageOptics(CheckedTable):
+    """The keys of the table.
 
-    Parameters
-    ----------
-    wavelength : [m]
-    pixel : width of a pixel on the sky [rad]
-    diameter : of the aperture [m]; 0 where a pupil is given
-    obscuration : its diameter over that of the aperture
-    vanes, vane_width : of the spider; [m]
-    weight : sigma of the Gaussian weight of the second moments [rad]; 0 for wavelength / aperture
-    pupil_file : content of a FITS file in place of the circular aperture, or empty
+    Raises
+    ------
+    InputError
+        A number out of its range, no aperture.
+    """
+
+    aperture_diameter: float | None = setting(None, "diameter of the aperture", "m", POSITIVE)
+    obscuration: float = setting(0.0, "diameter of the obscuration over that of the aperture", "", 0.0, Excluded(1.0))
+    spider_vanes: int = setting(0, "vanes of the spider", "", 0, MAX_VANES)
+    spider_width: float = setting(0.0, "width of a vane", "m", 0.0)
+    wavelength: float = setting(..., "wavelength", "m", POSITIVE, Excluded(1.0))
+    pixel_mas: float = setting(..., "width of a pixel on the sky", "mas", POSITIVE)
+    weight_mas: float | None = setting(
+        None,
+        "sigma of the Gaussian weight of the second moments",
+        "mas",
+        POSITIVE,
+        absent="wavelength over aperture",
+    )
+    pupil: str = setting("", "FITS file in place of the circular aperture")
+
+    def __post_init__(self) -> None:
+        if self.aperture_diameter is None and not self.pupil:
+            raise Refused("", "has no 'aperture_diameter'")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Optics(ImageOptics):
+    """Aperture, wavelength and detector: the keys of the table, and the content of the file that `pupil` names.
 
     Examples
     --------
-    >>> optics = Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3)
+    >>> optics = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
     >>> round(optics.resolution / RAD_PER_MAS, 1), round(optics.nyquist / optics.cutoff, 3)
     (75.6, 0.995)
     """
 
-    wavelength: float
-    pixel: float
-    diameter: float = 0.0
-    obscuration: float = 0.0
-    vanes: int = 0
-    vane_width: float = 0.0
-    weight: float = 0.0
-    pupil_file: bytes = field(default=b"", repr=False)
+    pupil_file: bytes = Field(default=b"", repr=False, exclude=True)
+
+    @property
+    def pixel(self) -> float:
+        """Width of a pixel on the sky [rad]."""
+        return self.pixel_mas * RAD_PER_MAS
+
+    @property
+    def has_spider(self) -> bool:
+        """Whether vanes cover a part of the circular aperture."""
+        return bool(self.spider_vanes and self.spider_width and not self.pupil_file)
 
     @cached_property
-    def pupil(self) -> Pupil:
+    def aperture(self) -> Pupil:
         """The aperture.
 
         Raises
         ------
         InputError
-            A pupil file that cannot be used.
+            A pupil file that cannot be used, or is not there.
         """
         if self.pupil_file:
             from pointing_analysis.image.fits_files import read_pupil
 
             return read_pupil(self.pupil_file, self.wavelength)
-        if self.vanes and self.vane_width:
-            return with_spider(self.diameter, self.obscuration, self.vanes, self.vane_width)
-        return AnnularPupil(self.diameter, self.obscuration)
+        if self.pupil or self.aperture_diameter is None:
+            raise Refused("pupil", f"must be a FITS file, got {self.pupil!r} without its content")
+        if self.has_spider:
+            return with_spider(self.aperture_diameter, self.obscuration, self.spider_vanes, self.spider_width)
+        return AnnularPupil(self.aperture_diameter, self.obscuration)
 
     @property
     def cutoff(self) -> float:
         """Largest spatial frequency of the aperture [cycles/rad]."""
-        return self.pupil.extent / self.wavelength
+        return self.aperture.extent / self.wavelength
 
     @property
     def resolution(self) -> float:
         """Wavelength over aperture [rad]."""
-        return self.wavelength / self.pupil.extent
+        return self.wavelength / self.aperture.extent
 
     @property
     def nyquist(self) -> float:
@@ -112,11 +141,11 @@ class Optics:
     @property
     def moment_weight(self) -> float:
         """Sigma of the Gaussian weight of the second moments [rad]."""
-        return self.weight or self.resolution
+        return self.resolution if self.weight_mas is None else self.weight_mas * RAD_PER_MAS
 
     def diffraction(self, frequencies: FloatArray) -> ComplexArray:
         """Optical transfer function of the aperture: (..., 2) [cycles/rad] -> (...)."""
-        return self.pupil.autocorrelation(self.wavelength * frequencies)
+        return self.aperture.autocorrelation(self.wavelength * frequencies)
 
     def detector(self, frequencies: FloatArray) -> FloatArray:
         """Transfer function of a square pixel: (..., 2) [cycles/rad] -> (...)."""
@@ -125,25 +154,12 @@ class Optics:
     @property
     def text(self) -> str:
         """One line for tables and captions."""
-        aperture = "pupil of a FITS file" if self.pupil_file else f"aperture {self.diameter:g} m"
+        aperture = "pupil of a FITS file" if self.pupil_file else f"aperture {self.aperture_diameter:g} m"
         if self.obscuration and not self.pupil_file:
             aperture += f", obscuration {self.obscuration:g}"
-        if self.vanes and self.vane_width and not self.pupil_file:
-            aperture += f", {self.vanes} vanes of {1e3 * self.vane_width:g} mm"
-        return f"{aperture}, {1e9 * self.wavelength:g} nm, pixel {self.pixel / RAD_PER_MAS:g} mas"
-
-
-NUMBERS = {
-    "aperture_diameter": (0.0, math.inf, "above 0 m"),
-    "obscuration": (-1e-300, 1.0, "at least 0 and below 1"),
-    "spider_vanes": (-1e-300, MAX_VANES + 1, f"a whole number from 0 to {MAX_VANES}"),
-    "spider_width": (-1e-300, math.inf, "0 m or more"),
-    "wavelength": (0.0, 1.0, "above 0 m and below 1 m"),
-    "pixel_mas": (0.0, math.inf, "above 0 mas"),
-    "weight_mas": (0.0, math.inf, "above 0 mas"),
-}
-"""Range of each number (both ends excluded), and the range in words."""
-NEEDED = ("wavelength", "pixel_mas")
+        if self.has_spider:
+            aperture += f", {self.spider_vanes} vanes of {1e3 * self.spider_width:g} mm"
+        return f"{aperture}, {1e9 * self.wavelength:g} nm, pixel {self.pixel_mas:g} mas"
 
 
 def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
@@ -162,44 +178,16 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: optics must be a table, got {type(table).__name__}")
-    unknown = set(table) - {*NUMBERS, "pupil", *LAYOUT}
-    if unknown:
-        raise InputError(
-            f"{where}: keys of optics must be among {', '.join([*NUMBERS, 'pupil'])}, got {sorted(unknown)}"
-        )
-    pupil = table.get("pupil", "")
-    if not isinstance(pupil, str):
-        raise InputError(f"{where}: optics.pupil must be the name of a FITS file, got {pupil!r}")
-    if pupil and not pupil_file:
-        raise InputError(f"{where}: optics.pupil must be a FITS file, got {pupil!r} without its content")
-    numbers = {key: _number(table, key, where) for key in NUMBERS if key in table}
-    for key in (*NEEDED, *(() if pupil else ("aperture_diameter",))):
-        if key not in numbers:
-            raise InputError(f"{where}: optics must have {key}, got {', '.join(table) or 'nothing'}")
-    found = Optics(
-        numbers["wavelength"],
-        numbers["pixel_mas"] * RAD_PER_MAS,
-        0.0 if pupil else numbers["aperture_diameter"],
-        numbers.get("obscuration", 0.0),
-        int(numbers.get("spider_vanes", 0)),
-        numbers.get("spider_width", 0.0),
-        numbers.get("weight_mas", 0.0) * RAD_PER_MAS,
-        pupil_file if pupil else b"",
-    )
+    own = {key: value for key, value in table.items() if key not in LAYOUT}
     try:
-        if not math.isfinite(found.cutoff):
+        optics = Optics.of_table(own, pupil_file=pupil_file if own.get("pupil") else b"")
+        if not math.isfinite(optics.cutoff):
             raise InputError("aperture over wavelength must be finite")
-    except ValueError as error:
+    except Refused as error:
+        raise InputError(f"{where}: {error.within('optics')}") from None
+    except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    return found
-
-
-def _number(table: Mapping[str, Any], key: str, where: str) -> float:
-    value, (low, high, words) = table[key], NUMBERS[key]
-    whole = key != "spider_vanes" or isinstance(value, int)
-    if not is_number(value) or not low < value < high or not whole:
-        raise InputError(f"{where}: optics.{key} must be {words}, got {value!r}")
-    return float(value)
+    return optics
 
 
 def load_optics(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:

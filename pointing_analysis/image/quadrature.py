@@ -57,10 +57,10 @@ class Quadrature:
     def of(cls, optics: Optics, phase: float = 0.0) -> Quadrature:
         """For optics, and motion whose phases at the cutoff reach `phase` [rad]."""
         points = POINTS + math.ceil(POINTS_PER_PHASE * phase)
-        count = 4 * math.ceil((optics.pupil.angles + ANGLES_PER_PHASE * phase) / 4)  # the same along x and y
+        count = 4 * math.ceil((optics.aperture.angles + ANGLES_PER_PHASE * phase) / 4)  # the same along x and y
         node, weight = np.polynomial.legendre.leggauss(points)
         turn, part = 0.5 * math.pi * (node + 1), 0.5 * math.pi * weight
-        ends = optics.cutoff * np.array([0.0, *optics.pupil.breaks])
+        ends = optics.cutoff * np.array([0.0, *optics.aperture.breaks])
         middle, half = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / 2
         radii = (middle[:, None] - half[:, None] * np.cos(turn)).ravel()
         steps = (half[:, None] * np.sin(turn) * part).ravel()

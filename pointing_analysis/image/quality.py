@@ -162,7 +162,7 @@ def _peaks(optics: Optics, q: Quadrature, x: FloatArray, transfer: ComplexArray)
 
 def _still_peak(optics: Optics, q: Quadrature) -> FloatArray:
     """Approximate peak of the image without motion: with aberrations it may be off the axis."""
-    if optics.pupil.in_phase:
+    if optics.aperture.in_phase:
         return np.zeros((1, 2))
     line = optics.resolution * np.arange(-8.0, 8.25, 0.25)
     places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -62,7 +62,8 @@ class StarCamera:
     Examples
     --------
     >>> from pointing_analysis.units import RAD_PER_MAS
-    >>> camera = StarCamera(Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3), GuideCamera(magnitude=14.0))
+    >>> optics = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
+    >>> camera = StarCamera(optics, GuideCamera(magnitude=14.0))
     >>> still = camera.expected(np.zeros((2, 2)))
     >>> round(float(still.sum())), round(float(still.max()))
     (376, 58)

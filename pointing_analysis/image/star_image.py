@@ -92,7 +92,7 @@ def star_image(
     Examples
     --------
     >>> from pointing_analysis.units import RAD_PER_MAS
-    >>> optics = Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3)
+    >>> optics = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
     >>> still = star_image(np.zeros((1, 2, 2)), optics, half=20)
     >>> float(still.sum().round(2)), float(still.max().round(2))
     (0.98, 0.16)
@@ -134,7 +134,7 @@ def widths(paths: FloatArray, optics: Optics, directions: int = 36) -> tuple[flo
     --------
     A circular aperture has 1.029 times wavelength over aperture:
 
-    >>> small, large = widths(np.zeros((1, 2, 2)), Optics(550e-9, 1e-12, 1.5))
+    >>> small, large = widths(np.zeros((1, 2, 2)), Optics(wavelength=550e-9, pixel_mas=1e-3, aperture_diameter=1.5))
     >>> round(large / (550e-9 / 1.5), 3)
     1.029
     """

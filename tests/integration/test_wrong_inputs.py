@@ -189,16 +189,19 @@ PUSH = "harmonics = [{ order = 1, force = [1, 0, 0] }]"
 SOURCE: dict[str, Row] = {
     "a file that is missing": (table("series", 'file = "x.csv"'), "disturbance 'c'|file|x.csv|no such file"),
     "a file of another kind": (table("psd", 'file = "data.toml"'), "disturbance 'c'|data.toml|without numbers"),
-    "neither list nor file": (table("cooler", "frequency = 47"), "harmonics or file|neither"),
+    "neither list nor file": (table("cooler", "frequency = 47"), "harmonics must be tables or in a file|neither"),
     "no harmonics": (table("cooler", "frequency = 47; harmonics = []"), "harmonics must be tables"),
     "an order alone": (table("cooler", "frequency = 47; harmonics = [{ order = 1 }]"), "force or torque|order"),
     "pulses of nothing": (table("pulses", "period = 1; width = 0.1"), "force or torque|period, width"),
-    "no frequency": (table("cooler", PUSH), "frequency must be a number above 0|None"),
+    "no frequency": (table("cooler", PUSH), "disturbance 'c'|has no 'frequency'"),
     "a frequency with its unit": (table("cooler", f'frequency = "47 Hz"; {PUSH}'), "frequency|'47 Hz'"),
-    "two axes": (table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"), "force|three numbers|[1, 0]"),
+    "two axes": (
+        table("cooler", f"frequency = 47; {PUSH}").replace("1, 0, 0", "1, 0"),
+        "harmonics[0].force|3 numbers|2",
+    ),
     "an unknown place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "place|payload|wheel_1|'moon'"),
     "an unknown kind": (table("colder"), "kind must be one of|cooler|'colder'"),
-    "an unknown key": (table("pulses", "force = [1, 0, 0]; periode = 1"), "keys must be among|periode"),
+    "an unknown key": (table("pulses", "force = [1, 0, 0]; periode = 1"), "unknown parameter|periode|period"),
     "no table": ("[disturbance]\n", "[[disturbance]]"),
     "two of one name": (2 * table("cooler", f"frequency = 47; {PUSH}"), "different names|c, c"),
 }
@@ -228,7 +231,7 @@ ARRAY = "[[solar_array]]\nname = 'wing'\npoint = 'A1'\nlike = 'reference'\n"
 TELESCOPE: dict[str, Row] = {
     "an unknown table": ("[isolater]\n", "line 1|isolater|isolator"),
     "an unknown key": ("[isolator]\nstifness = 1\n", "line 2|isolator.stifness|stiffness"),
-    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|-1.0"),
+    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|above 0|-1"),
     "a damping above one": (ARRAY + "damping = 1.5\n", "line 1|solar_array[0]|damping|1.5"),
     "modes heavier than the body": (ARRAY + "mass = 2.0\n", "line 1|solar_array[0]|residual mass"),
     "a point elsewhere": (ARRAY.replace("A1", "Z9"), "line 3|solar_array[0].point|A1|'Z9'"),

@@ -36,36 +36,10 @@ from numpy.typing import ArrayLike
 
 from lftkit import Connection, Port, RealParameter, System, connect, static_gain
 from lftkit.arrays import FloatArray
-from lftkit.errors import InputError
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.rotation import _unit
-from titop_plant.blocks.wheel_bearing import WheelBearing, wheel_on_bearings
-
-
-@dataclass(frozen=True)
-class ReactionWheel:
-    """Data of a reaction wheel.
-
-    Parameters
-    ----------
-    mass : float
-        kg.
-    axial_inertia, radial_inertia : float
-        J_w about the spin axis, J_r across it [kg m2]. A thin disc has J_w = 2 J_r.
-    bearing : WheelBearing, optional
-        Compliance of the bearings; None: rigid.
-    """
-
-    mass: float
-    axial_inertia: float
-    radial_inertia: float
-    bearing: WheelBearing | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "axial_inertia", "radial_inertia"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"reaction wheel: {name} must be positive, got {getattr(self, name)}")
+from titop_plant.blocks.wheel_bearing import ReactionWheel, wheel_on_bearings
 
 
 @dataclass(frozen=True)
@@ -103,7 +77,7 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
     """
     Jw = data.axial_inertia
     if data.bearing is not None:
-        return wheel_on_bearings(data.mass, Jw, data.radial_inertia, data.bearing, speed, point)
+        return wheel_on_bearings(data, data.bearing, speed, point)
     inputs = [
         ports.accel(point),
         ports.rate(point),
@@ -180,3 +154,6 @@ def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> System:
         inputs=[ports.accel(point), ports.rate(point), torque, imbalance],
         outputs={wrench: tuple(f"wheel{i}.{wrench}" for i in range(n)), spin.name: "spins.wheel_accel"},
     )
+
+
+__all__ = ["MountedWheel", "ReactionWheel", "reaction_wheel", "wheel_assembly"]

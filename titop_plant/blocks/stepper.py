@@ -23,12 +23,19 @@ et al. (2022) for the drive in the TITOP model. The torques follow from the equa
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.errors import InputError
+from pointing_analysis.files.settings import (
+    POSITIVE,
+    STRICT,
+    CheckedTable,
+    Refused,
+    setting,
+    settings_class,
+)
 
 STEPS_OF_A_CYCLE = 4
 """Full steps of one electrical cycle of a motor with two phases."""
@@ -37,34 +44,10 @@ SMALLEST = 1e-6
 """Part of the holding and the detent torque below which a harmonic is left out."""
 
 
-@dataclass(frozen=True)
-class Stepper:
-    """Data of the motor and the gears of an array drive.
-
-    Parameters
-    ----------
-    rotor_inertia : float
-        J about its shaft [kg m2].
-    gear_ratio : float
-        Turns of the shaft for one turn of the array.
-    full_steps : int
-        Full steps for one turn of the shaft.
-    micro_steps : int
-        Micro-steps for one full step.
-    holding_torque : float
-        T_h at the shaft [Nm].
-    rate : float
-        Of the array while it tracks [rad/s], not zero.
-    motor_damping : float
-        At the shaft [Nm s/rad].
-    detent_torque : float
-        T_d at the shaft [Nm].
-    current_offset, gain_mismatch, third_harmonic : float
-        o, g, h, parts of the current.
-    quadrature_error : float
-        e [rad].
-    gear_errors : tuple of (float, float)
-        Cycles for one turn of the array, and amplitude of the error of the output angle [rad].
+@settings_class
+@dataclass(frozen=True, config=STRICT)
+class Stepper(CheckedTable):
+    """Data of the motor and the gears of an array drive: J, T_h, T_d, o, g, h, e of the equations above.
 
     Raises
     ------
@@ -80,34 +63,30 @@ class Stepper:
     (25.0, 5000.0)
     """
 
-    rotor_inertia: float
-    gear_ratio: float
-    full_steps: int
-    micro_steps: int
-    holding_torque: float
-    rate: float
-    motor_damping: float = 0.0
-    detent_torque: float = 0.0
-    current_offset: float = 0.0
-    gain_mismatch: float = 0.0
-    third_harmonic: float = 0.0
-    quadrature_error: float = 0.0
-    gear_errors: tuple[tuple[float, float], ...] = ()
+    rotor_inertia: float = setting(..., "inertia about the shaft", "kg m2", POSITIVE)
+    gear_ratio: float = setting(..., "turns of the shaft for one turn of the array", "", POSITIVE)
+    full_steps: int = setting(..., "full steps for one turn of the shaft", "", POSITIVE)
+    micro_steps: int = setting(..., "micro-steps for one full step", "", POSITIVE)
+    holding_torque: float = setting(..., "holding torque at the shaft", "Nm", POSITIVE)
+    rate: float = setting(..., "rate of the array while it tracks, not zero", "rad/s")
+    motor_damping: float = setting(0.0, "damping at the shaft", "Nm s/rad", 0.0)
+    detent_torque: float = setting(0.0, "detent torque at the shaft", "Nm", 0.0)
+    current_offset: float = setting(0.0, "offset of the currents, a part of the current")
+    gain_mismatch: float = setting(0.0, "mismatch of their gains, a part of the current")
+    third_harmonic: float = setting(0.0, "third harmonic of the currents, a part of the current")
+    quadrature_error: float = setting(0.0, "error of their quadrature", "rad")
+    gear_errors: tuple[tuple[float, ...], ...] = setting(
+        (), "cycles for one turn of the array, each with the amplitude of the error of the output angle", "1, rad"
+    )
 
     def __post_init__(self) -> None:
-        for name in ("rotor_inertia", "gear_ratio", "full_steps", "micro_steps", "holding_torque"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("motor_damping", "detent_torque"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
         if self.full_steps % STEPS_OF_A_CYCLE:
-            raise InputError(f"full_steps must be a multiple of {STEPS_OF_A_CYCLE}, got {self.full_steps}")
+            raise Refused("full_steps", f"must be a multiple of {STEPS_OF_A_CYCLE}, got {self.full_steps}")
         if self.rate == 0.0:
-            raise InputError("rate must not be zero, got 0")
-        for cycles, angle in self.gear_errors:
-            if not (cycles > 0.0 and angle >= 0.0):
-                raise InputError(f"gear_errors must be positive cycles with an angle each, got {[cycles, angle]}")
+            raise Refused("rate", "must not be zero, got 0")
+        for pair in self.gear_errors:
+            if len(pair) != 2 or not (pair[0] > 0.0 and pair[1] >= 0.0):
+                raise Refused("gear_errors", f"must be a list of [cycles, angle], positive cycles, got {list(pair)}")
 
     @property
     def stiffness(self) -> float:

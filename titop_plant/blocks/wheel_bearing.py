@@ -24,14 +24,19 @@ stiffness that depends on speed or load, the motor's torque on a tilted axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
-from lftkit import Port, RealParameter, System
 from lftkit.arrays import FloatArray
-from lftkit.errors import InputError
+from lftkit.systems.ports import Port
+from lftkit.uncertainty.parameters import RealParameter
+from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Refused, setting, settings_class
 from titop_plant import ports
+
+if TYPE_CHECKING:
+    from lftkit import System
 
 DIRECTIONS = ("radial", "radial", "axial", "rocking", "rocking")
 """Kind of each direction of the rotor in the housing: translation x, y, z and rotation x, y."""
@@ -41,24 +46,10 @@ LATERAL = (3, 4)
 """Places of the rotations x, y among the directions."""
 
 
-@dataclass(frozen=True)
-class WheelBearing:
-    """Rotor of a wheel and the bearings that carry it in its housing.
-
-    Parameters
-    ----------
-    rotor_mass : float
-        m_r, part of the wheel's mass [kg].
-    rotor_radial_inertia : float
-        J_t, part of the wheel's radial inertia [kg m2].
-    radial_stiffness, axial_stiffness : float, optional
-        k_r, k_a [N/m]; None: rigid.
-    rocking_stiffness : float, optional
-        k_t [Nm/rad]; None: rigid.
-    radial_damping, axial_damping : float
-        d_r, d_a [N s/m].
-    rocking_damping : float
-        d_t [Nm s/rad].
+@settings_class
+@dataclass(frozen=True, config=STRICT)
+class WheelBearing(CheckedTable):
+    """Rotor of a wheel and the bearings that carry it in its housing: m_r, J_t, k_r, k_a, k_t, d_r, d_a, d_t.
 
     Raises
     ------
@@ -67,29 +58,24 @@ class WheelBearing:
         stiffness at all.
     """
 
-    rotor_mass: float
-    rotor_radial_inertia: float
-    radial_stiffness: float | None = None
-    axial_stiffness: float | None = None
-    rocking_stiffness: float | None = None
-    radial_damping: float = 0.0
-    axial_damping: float = 0.0
-    rocking_damping: float = 0.0
+    rotor_mass: float = setting(..., "part of the wheel's mass", "kg", POSITIVE)
+    rotor_radial_inertia: float = setting(..., "part of the wheel's radial inertia", "kg m2", POSITIVE)
+    radial_stiffness: float | None = setting(None, "radial stiffness", "N/m", POSITIVE, absent="rigid")
+    axial_stiffness: float | None = setting(None, "axial stiffness", "N/m", POSITIVE, absent="rigid")
+    rocking_stiffness: float | None = setting(None, "rocking stiffness", "Nm/rad", POSITIVE, absent="rigid")
+    radial_damping: float = setting(0.0, "radial damping", "N s/m", 0.0)
+    axial_damping: float = setting(0.0, "axial damping", "N s/m", 0.0)
+    rocking_damping: float = setting(0.0, "rocking damping", "Nm s/rad", 0.0)
 
     def __post_init__(self) -> None:
-        positive = ("rotor_mass", "rotor_radial_inertia")
-        given = [f"{kind}_stiffness" for kind in dict.fromkeys(DIRECTIONS)]
-        for name in (*positive, *(name for name in given if getattr(self, name) is not None)):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        if all(getattr(self, name) is None for name in given):
-            raise InputError(f"bearing must have one of {', '.join(given)}, got none")
-        for kind in dict.fromkeys(DIRECTIONS):
-            damping, stiffness = getattr(self, f"{kind}_damping"), getattr(self, f"{kind}_stiffness")
-            if not damping >= 0.0:
-                raise InputError(f"{kind}_damping must not be negative, got {damping}")
-            if damping and stiffness is None:
-                raise InputError(f"{kind}_damping must be absent without {kind}_stiffness, got {damping}")
+        kinds = dict.fromkeys(DIRECTIONS)
+        if not self.flexible:
+            given = ", ".join(f"{kind}_stiffness" for kind in kinds)
+            raise Refused("", f"must have one of {given}, got none")
+        for kind in kinds:
+            damping = getattr(self, f"{kind}_damping")
+            if damping and getattr(self, f"{kind}_stiffness") is None:
+                raise Refused(f"{kind}_damping", f"must be absent without {kind}_stiffness, got {damping}")
 
     @property
     def flexible(self) -> tuple[int, ...]:
@@ -105,23 +91,37 @@ class WheelBearing:
         return np.array([self.rotor_mass] * TRANSLATIONS + [self.rotor_radial_inertia] * len(LATERAL))
 
 
-def wheel_on_bearings(
-    mass: float,
-    axial_inertia: float,
-    radial_inertia: float,
-    bearing: WheelBearing,
-    speed: RealParameter,
-    point: str = "G",
-) -> System:
+@settings_class
+@dataclass(frozen=True, config=STRICT)
+class ReactionWheel(CheckedTable):
+    """Data of a reaction wheel. A thin disc has an axial inertia of twice the radial one.
+
+    Raises
+    ------
+    ValueError
+        A value that is not positive, a rotor that is more than the whole wheel.
+    """
+
+    mass: float = setting(..., "mass", "kg", POSITIVE)
+    axial_inertia: float = setting(..., "inertia about the spin axis", "kg m2", POSITIVE)
+    radial_inertia: float = setting(..., "inertia across the spin axis", "kg m2", POSITIVE)
+    bearing: WheelBearing | None = setting(None, "compliant bearing of the rotor", absent="rigid")
+
+    def __post_init__(self) -> None:
+        for key, whole in (("rotor_mass", self.mass), ("rotor_radial_inertia", self.radial_inertia)):
+            if self.bearing is not None and (part := getattr(self.bearing, key)) > whole:
+                raise Refused(f"bearing.{key}", f"must be at most {whole:g} of the wheel, got {part:g}")
+
+
+def wheel_on_bearings(wheel: ReactionWheel, bearing: WheelBearing, speed: RealParameter, point: str = "G") -> System:
     """TITOP block of a wheel with a rotor on its bearings; ports as in :mod:`titop_plant.blocks.reaction_wheel`.
 
     Parameters
     ----------
-    mass : float
-        m of the whole wheel [kg].
-    axial_inertia, radial_inertia : float
-        J_w of the rotor, J_r of the whole wheel [kg m2].
+    wheel : ReactionWheel
+        m, J_w and J_r.
     bearing : WheelBearing
+        Of the wheel.
     speed : RealParameter
         Omega [rad/s].
     point : str
@@ -131,24 +131,19 @@ def wheel_on_bearings(
     System
         Ten states where all directions are flexible; the speed occurs twice.
 
-    Raises
-    ------
-    ValueError
-        A rotor that is more than the whole wheel.
-
     Examples
     --------
     At rest both rocking modes are at sqrt(k_t / J_t) = 500 rad/s; at speed one is lower, one higher, and their product
     stays:
 
     >>> bearing = WheelBearing(1.0, 0.04, rocking_stiffness=1e4)
-    >>> wheel = wheel_on_bearings(1.2, 0.08, 0.05, bearing, RealParameter("speed", 0, -1000, 1000))
+    >>> wheel = wheel_on_bearings(ReactionWheel(1.2, 0.08, 0.05), bearing, RealParameter("speed", 0, -1000, 1000))
     >>> modes = np.abs(np.linalg.eigvals(wheel.at({"speed": 300.0}).A))
     >>> np.unique(modes.round(1)).tolist(), round(float(np.sqrt(modes.prod())))
     ([283.1, 883.1], 250000)
     """
-    _check_part("rotor_mass", bearing.rotor_mass, mass)
-    _check_part("rotor_radial_inertia", bearing.rotor_radial_inertia, radial_inertia)
+    from lftkit import System  # loads scipy, which the tables of a telescope need not
+
     inputs = [
         ports.accel(point),
         ports.rate(point),
@@ -156,8 +151,8 @@ def wheel_on_bearings(
         Port("imbalance", 5, ports.IMBALANCE_UNIT),
     ]
     outputs = [ports.wrench(point), Port("wheel_accel", 1, "rad/s2")]
-    whole = np.array([mass] * TRANSLATIONS + [radial_inertia] * len(LATERAL))
-    A, B, C, D = _matrices(whole, axial_inertia, bearing)
+    whole = np.array([wheel.mass] * TRANSLATIONS + [wheel.radial_inertia] * len(LATERAL))
+    A, B, C, D = _matrices(whole, wheel.axial_inertia, bearing)
     gyro, seen = np.vstack([B[:, :2], D[:, :2]]), np.hstack([C[:2], D[:2, 2:]])
     turning = speed.nominal * gyro @ seen  # the torque of the nominal speed; that of a deviation comes through Delta
     n = len(A)
@@ -165,11 +160,6 @@ def wheel_on_bearings(
     B[:, 2:] += turning[:n, n:]
     D[:, 2:] += turning[n:, n:]
     return System(A, B, C, D, tuple(inputs), tuple(outputs), channels=(speed.name,) * 2, elements=(speed,))
-
-
-def _check_part(name: str, part: float, whole: float) -> None:
-    if part > whole:
-        raise InputError(f"{name} must be at most that of the wheel, {whole:g}, got {part:g}")
 
 
 def _matrices(

@@ -94,7 +94,10 @@ def place_matrix(
         raise InputError(f"place must be one of {', '.join(places)}, got {place!r}")
     columns, drives, wheels = port_slices(ports), drive_places(telescope), wheel_places(telescope)
     whole = np.zeros((total_size(ports), 6))
-    turn = np.eye(3) if frame is None else _rotation(frame)
+    turn = np.eye(3) if frame is None else np.asarray(frame, dtype=float)
+    right = turn.shape == (3, 3) and np.allclose(turn.T @ turn, np.eye(3), atol=1e-6)
+    if not right or np.cross(*turn.T[:2]) @ turn.T[2] < 0:
+        raise InputError("frame must be a rotation, three rows of three numbers, got another matrix")
     actuators = actuator_places(telescope)
     if place in drives or place in actuators:
         one, port, axis = ("torque about", SADM_TORQUE, 5) if place in drives else ("force along", ACTUATOR_FORCE, 2)
@@ -126,17 +129,6 @@ def _require_input(name: str, place: str, columns: Mapping[str, slice]) -> None:
     """Refuse a place where a plant from a file has no input."""
     if name not in columns:
         raise InputError(f"the plant must have the input {name} for a source at {place}, got {', '.join(columns)}")
-
-
-def _rotation(frame: FloatArray) -> FloatArray:
-    turn = np.asarray(frame, dtype=float)
-    if (
-        turn.shape != (3, 3)
-        or not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6)
-        or np.cross(*turn.T[:2]) @ turn.T[2] < 0
-    ):
-        raise InputError("frame must be a rotation, three rows of three numbers, got another matrix")
-    return turn
 
 
 def _cross(arm: FloatArray) -> FloatArray:

@@ -1,7 +1,4 @@
-"""Kinds of sources of disturbance: from the table of a source to its signal, with the checks of its keys.
-
-The keys of each kind are listed in :mod:`los_testbed.parts.disturbance_files`.
-"""
+"""Kinds of sources of disturbance: the keys of the table of each, and from the table to its signal."""
 
 from __future__ import annotations
 
@@ -11,13 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from pointing_analysis.files.structured_text import is_number
+from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Refused, setting, settings_class
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit
 from pointing_analysis.read.tables.times import column_stamps, refuse_text_times, time_column
@@ -37,6 +35,8 @@ AXES = (
     ("tz", "mz", "torque_z", "torque.z"),
 )
 """Names of the columns of the six axes, in any case; an array of six columns is ``wrench``."""
+T = TypeVar("T", bound=CheckedTable)
+
 LARGEST = 1e7
 """[N, Nm] Larger values are no force on a spacecraft."""
 SAME_RATE = 1e-3
@@ -76,44 +76,15 @@ class DisturbanceTable:
         """A ValueError that names file and source."""
         return InputError(f"{self.where}, disturbance {self.table.get('name', '?')!r}: {text}")
 
-    def number(self, key: str, default: float | None = None, low: float = -math.inf) -> float:
-        """A finite number, above `low`."""
-        value = self.table.get(key, default)
-        if not is_number(value) or not (math.isfinite(value) or value == default) or not value > low:
-            above = "" if low == -math.inf else f" above {low:g}"
-            raise self.error(f"{key} must be a number{above}, got {value!r}")
-        return float(value)
-
-    def flag(self, key: str, default: bool) -> bool:
-        """True or false."""
-        value = self.table.get(key, default)
-        if not isinstance(value, bool):
-            raise self.error(f"{key} must be true or false, got {value!r}")
-        return value
-
-    def wrench(self, table: Mapping[str, Any] | None = None) -> FloatArray:
-        """Force and torque (6,) of this table or of one in it; one of the two may be missing."""
-        own = self.table if table is None else table
-        if not {"force", "torque"} & set(own):
-            raise self.error(f"force or torque must be given, got {', '.join(own)}")
-        return np.concatenate([self.vector("force", own), self.vector("torque", own)])
-
-    def vector(self, key: str, table: Mapping[str, Any] | None = None) -> FloatArray:
-        """Three numbers, zero where the key is missing."""
-        value = (self.table if table is None else table).get(key, [0.0, 0.0, 0.0])
+    def made(self, kind: type[T]) -> T:
+        """The object of the table."""
         try:
-            found = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            found = np.zeros(0)
-        if found.shape != (3,) or not (np.abs(found) <= LARGEST).all():
-            raise self.error(f"{key} must be three numbers, got {value!r}")
-        return found
+            return kind.of_table(self.table)
+        except Refused as error:
+            raise self.error(str(error)) from None
 
-    def file(self) -> Table:
+    def file(self, name: str) -> Table:
         """Table of values."""
-        name = self.table.get("file")
-        if not isinstance(name, str):
-            raise self.error(f"file must be the name of a file, got {name!r}")
         try:
             table = read_table(self.folder / name)
         except ValueError as error:
@@ -190,46 +161,15 @@ def _column(entry: DisturbanceTable, table: Table, *names: str, units: Units | N
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
 
-Made = tuple["Signal", tuple[str, ...]]
-
-
-def _series(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import SampledSignal, repeated
-
-    keeps_mean, repeats = entry.flag("keep_mean", False), entry.flag("repeat", False)
-    table = entry.file()
-    n = max(len(column) for column in table.columns.values())
-    values, remarks = _axes(entry, table, n), []
-    rate = _rate(entry, table, n)
-    length = n / rate
-    if not keeps_mean:
-        mean = values.mean(axis=0)
-        values = values - mean
-        if np.abs(mean).max() > 0.01 * values.std():
-            remarks.append(f"mean {_listed(mean)} removed (keep_mean = true keeps it)")
-    if length < run.duration:
-        if not repeats:
-            raise entry.error(
-                f"{table.path} must be as long as the run, {run.duration:g} s, got {length:g} s "
-                "(repeat = true repeats it)"
-            )
-        values = repeated(values, rate)
-        faded = (n - len(values)) / rate
-        how = f"its end faded into its beginning over {faded:g} s" if faded else "as it is"
-        remarks.append(f"record repeated every {len(values) / rate:g} s, {how}")
-    return SampledSignal(values, rate, DT), tuple(remarks)
-
-
-def _rate(entry: DisturbanceTable, table: Table, n: int) -> float:
+def _rate(entry: DisturbanceTable, table: Table, n: int, given: float | None) -> float:
     """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
-    given = entry.number("rate", None, 0.0) if "rate" in entry.table else None
     when = time_column(table.of_length(n), [])
     own = _rate_by_times(entry, table, when, given) if when is not None else table.rate(list(table.of_length(n)))
     if own is None:
         if given is None:
             refuse_text_times(table)
             raise entry.error(f"{table.path} must have a column time, or rate must be given, got {table.listed()}")
-        return entry.number("rate", None, 0.0)
+        return given
     if given is not None and abs(given - own) > SAME_RATE * own:
         source = f"column {when}" if when is not None else "file"
         raise entry.error(f"rate must be that of {table.path}, {own:g} Hz by its {source}, got {given:g} Hz")
@@ -253,60 +193,11 @@ def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, given: floa
     return 1.0 / grid.period
 
 
-def _listed(values: FloatArray) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
-
-
-def _harmonics(entry: DisturbanceTable, units: WrenchUnits = FORCE) -> list[tuple[float, FloatArray]]:
-    """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
-    tables = entry.table.get("harmonics")
-    if tables is not None and "file" in entry.table:
-        raise entry.error(f"harmonics must be in a file or in the table, got both: {entry.table['file']!r} and a list")
-    if tables is None and "file" not in entry.table:
-        raise entry.error("harmonics or file must be given, got neither")
-    if tables is None:
-        table = entry.file()
-        order = _column(entry, table, "order", "harmonic", units=ORDER)
-        rows = list(zip(order.tolist(), _axes(entry, table, len(order), units)))
-    elif isinstance(tables, list) and tables and all(isinstance(one, dict) and "order" in one for one in tables):
-        unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})
-        if unknown:
-            raise entry.error(f"keys of a harmonic must be among order, force, torque, got {', '.join(unknown)}")
-        rows = [(one["order"], entry.wrench(one)) for one in tables]
-    else:
-        raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
-    for order, _ in rows:
-        if not is_number(order) or not 0 < order < math.inf:
-            raise entry.error(f"order of a harmonic must be a number above 0, got {order!r}")
-    return [(float(order), amplitude) for order, amplitude in rows]
-
-
-def _speed(entry: DisturbanceTable, run: RunConditions) -> float:
-    """Speed of a rotor [rad/s]: given, or that of the wheel where it is."""
-    place = entry.table.get("place", "bus")
-    if "speed" in entry.table:
-        return entry.number("speed")
-    if (speed := run.speed_at(str(place))) is not None:
-        return speed
-    raise entry.error(f"speed must be given [rad/s] at {place}, which is no wheel, got none")
-
-
 def _phased(amplitude: FloatArray, sense: float, rng: np.random.Generator) -> ComplexArray:
     """Amplitudes with random phases; radial ones turn with the rotor, **x leads y by a quarter turn for sense > 0**."""
     force, axial, torque, about = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 4))
     turn = -1j * sense
     return np.asarray(amplitude * np.array([force, turn * force, axial, torque, turn * torque, about]))
-
-
-def _wheel(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import tone_signal
-
-    speed, rng = _speed(entry, run), _rng(entry, run)
-    squared = entry.flag("squared", True)
-    sense, size = float(np.sign(speed)) or 1.0, speed**2 if squared else 1.0
-    found = _harmonics(entry, PER_SPEED_SQUARED if squared else FORCE)
-    rows = [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in found]
-    return _audible(tone_signal, rows)
 
 
 def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, ComplexArray]], *more: Any) -> Made:
@@ -318,91 +209,260 @@ def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, Complex
     return make(kept, DT, *more), remarks
 
 
-def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import SumSignal, noise_of_density, tone_signal
-    from titop_plant.disturbances.waterfall import grid_of, identify
-
-    table, speed, rng = entry.file(), _speed(entry, run), _rng(entry, run)
-    name = next((name for name in table.columns if split_unit(name)[0].lower() == "speed"), "speed")
-    scale = {"rpm": 1 / 60, "rad/s": 1 / (2 * np.pi), "Hz": 1.0, "hz": 1.0}.get(table.unit(name))
-    if scale is None:
-        raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
-    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, *FREQUENCIES, units=FREQUENCY)
-    turning, sense = abs(speed) / (2 * np.pi), float(np.sign(speed)) or 1.0
-    bandwidth = entry.number("bandwidth", 1.0, 0.0)
-    try:
-        model = identify(*grid_of(at, frequency, _axes(entry, table, at.size)), bandwidth)
-        found, amplitude = model.lines_at(turning)
-        density = model.density_at(turning)
-    except ValueError as error:
-        raise entry.error(f"{table.path}: {error}") from None
-    if not found.size and not density.any():
-        raise entry.error(f"{table.path}: waterfall must have harmonics or noise, got zeros")
-    rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(found, amplitude)]
-    noise = noise_of_density(model.frequency, density, run.duration, DT, rng)
-    tones, remarks = _audible(tone_signal, rows) if rows else (None, ())
-    return SumSignal(tuple(part for part in (tones, noise) if part)), (*model.remarks, *remarks)
+Made = tuple["Signal", tuple[str, ...]]
 
 
-def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import NOISE_SECONDS, PASSES, noise_of_density
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class SourceTable(CheckedTable):
+    """Keys of a source of any kind."""
 
-    table = entry.file()
-    frequency = _column(entry, table, *FREQUENCIES, units=FREQUENCY)
-    density = _axes(entry, table, frequency.size, units=DENSITY)
-    if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
-        raise entry.error(
-            f"{table.path} must have two or more ascending frequencies and no negative density, got {frequency.size} "
-            f"frequencies, {int((np.diff(frequency) <= 0).sum())} not above the last, and {int((density < 0).sum())} "
-            "negative densities"
-        )
-    remarks = []
-    if frequency[-1] > PASSES:
-        remarks.append(f"density above {PASSES:g} Hz excluded")
-    if run.duration > NOISE_SECONDS:
-        remarks.append(f"noise repeats after {NOISE_SECONDS:g} s")
-    signal = noise_of_density(frequency, density, run.duration, DT, _rng(entry, run))
-    return signal, tuple(remarks)
+    name: str = setting(..., "name of the source")
+    kind: str = setting(..., "kind of the source")
+    place: str = setting("bus", "place where it acts")
+    frame: Any = setting("own", "its axes: own, body, or three rows of three numbers")
+    offset: tuple[float, ...] | None = setting(None, "point where the force acts, from the place", "m", length=3)
+    scale: float = setting(1.0, "factor of its forces and torques")
 
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:
+        """Signal of the source, and what was done to its values.
 
-def _cooler(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.moving_mass import WIDEST, PhaseNoise, moving_mass
-    from titop_plant.disturbances.signals import tone_signal
+        Raises
+        ------
+        ValueError
+            A file that cannot be used, a value that does not fit.
+        """
+        raise NotImplementedError
 
-    rng, frequency = _rng(entry, run), entry.number("frequency", None, 0.0)
-    base = 2 * np.pi * frequency
-    rows: list[tuple[float, float, ComplexArray]] = []
-    for order, amplitude in _harmonics(entry):
-        rows.append((order, order * base, amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi))))
-    width = entry.number("linewidth", 0.0)
-    if not 0 <= width <= WIDEST * frequency:
-        raise entry.error(f"linewidth must be between 0 and {WIDEST * frequency:g} Hz, got {width:g} Hz")
-    if not width:
-        return _audible(tone_signal, rows)
-    return _audible(moving_mass, rows, base, PhaseNoise.of(width, frequency, run.duration, rng))
+    def speed_in(self, entry: DisturbanceTable, run: RunConditions, speed: float | None) -> float:
+        """Speed of a rotor [rad/s]: given, or that of the wheel where it is."""
+        found = run.speed_at(self.place) if speed is None else speed
+        if found is None:
+            raise entry.error(f"speed must be given [rad/s] at {self.place}, which is no wheel, got none")
+        return found
 
 
-def _pulses(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.disturbances.signals import PulseSignal
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Wrench(CheckedTable):
+    """Force and torque; one of the two may be missing."""
 
-    wrench = entry.wrench()
-    width, period = entry.number("width", None, 0.0), entry.number("period", None, 0.0)
-    if width > period:
-        raise entry.error(f"width must not be above the period of {period:g} s, got {width:g} s")
-    first, last = entry.number("first", 0.0), entry.number("last", math.inf)
-    if last < first:
-        raise entry.error(f"last must not be before first, {first:g} s, got {last:g} s")
-    return PulseSignal(wrench, first, width, period, last, DT), ()
+    force: tuple[float, ...] | None = setting(None, "force", "N", -LARGEST, LARGEST, length=3)
+    torque: tuple[float, ...] | None = setting(None, "torque", "Nm", -LARGEST, LARGEST, length=3)
+
+    def __post_init__(self) -> None:
+        if self.force is None and self.torque is None:
+            others = [name for name, value in self.to_mapping().items() if value is not None]
+            raise Refused("", f"must have force or torque, got {', '.join(others)}")
+
+    @property
+    def values(self) -> FloatArray:
+        """Force and torque (6,)."""
+        return np.array([*(self.force or (0.0,) * 3), *(self.torque or (0.0,) * 3)])
 
 
-KINDS: Mapping[str, tuple[Callable[[DisturbanceTable, RunConditions], Made], set[str]]] = MappingProxyType(
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Harmonic(Wrench):
+    """A harmonic in the table of a source itself."""
+
+    order: float = setting(..., "frequency over that of the fundamental", "", POSITIVE)
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class HarmonicsTable(SourceTable):
+    """Keys of a source with harmonics, which are in the table itself or in a file."""
+
+    file: str | None = setting(None, "file of the harmonics")
+    harmonics: tuple[Harmonic, ...] | None = setting(None, "tables with order, force and torque")
+
+    def rows(self, entry: DisturbanceTable, units: WrenchUnits) -> list[tuple[float, FloatArray]]:
+        """Order and amplitudes (6,) of each harmonic."""
+        if self.file is not None:
+            if self.harmonics is not None:
+                raise entry.error(f"harmonics must be in a file or in the table, got both: {self.file!r} and a list")
+            table = entry.file(self.file)
+            order = _column(entry, table, "order", "harmonic", units=ORDER)
+            for wrong in order[~((order > 0) & (order < math.inf))]:
+                raise entry.error(f"order of a harmonic must be a number above 0, got {wrong}")
+            return list(zip(order.tolist(), _axes(entry, table, len(order), units)))
+        if not self.harmonics:
+            raise entry.error("harmonics must be tables or in a file, got neither")
+        return [(harmonic.order, harmonic.values) for harmonic in self.harmonics]
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class MeasuredSeries(SourceTable):
+    """A record of forces and torques over time."""
+
+    file: str = setting(..., "file of the record")
+    rate: float | None = setting(None, "sampling rate", "Hz", POSITIVE, absent="that of the file")
+    repeat: bool = setting(False, "a record that is shorter than the run is repeated")
+    keep_mean: bool = setting(False, "the mean of the record stays")
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.signals import SampledSignal, repeated
+
+        table = entry.file(self.file)
+        n = max(len(column) for column in table.columns.values())
+        values, remarks = _axes(entry, table, n), []
+        rate = _rate(entry, table, n, self.rate)
+        length = n / rate
+        if not self.keep_mean:
+            mean = values.mean(axis=0)
+            values = values - mean
+            if np.abs(mean).max() > 0.01 * values.std():
+                remarks.append(
+                    f"mean {', '.join(f'{value:.3g}' for value in mean)} removed (keep_mean = true keeps it)"
+                )
+        if length < run.duration:
+            if not self.repeat:
+                raise entry.error(
+                    f"{table.path} must be as long as the run, {run.duration:g} s, got {length:g} s "
+                    "(repeat = true repeats it)"
+                )
+            values = repeated(values, rate)
+            faded = (n - len(values)) / rate
+            how = f"its end faded into its beginning over {faded:g} s" if faded else "as it is"
+            remarks.append(f"record repeated every {len(values) / rate:g} s, {how}")
+        return SampledSignal(values, rate, DT), tuple(remarks)
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Harmonics(HarmonicsTable):
+    """Harmonics of the speed of a rotor."""
+
+    squared: bool = setting(True, "amplitudes grow with the square of the speed")
+    speed: float | None = setting(None, "speed of the rotor", "rad/s", absent="that of the wheel at the place")
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.signals import tone_signal
+
+        speed, rng = self.speed_in(entry, run, self.speed), _rng(entry, run)
+        sense, size = float(np.sign(speed)) or 1.0, speed**2 if self.squared else 1.0
+        harmonics = self.rows(entry, PER_SPEED_SQUARED if self.squared else FORCE)
+        return _audible(tone_signal, [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in harmonics])
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Waterfall(SourceTable):
+    """Spectra of a rotor at many speeds."""
+
+    file: str = setting(..., "file of the spectra")
+    speed: float | None = setting(None, "speed of the rotor", "rad/s", absent="that of the wheel at the place")
+    bandwidth: float = setting(1.0, "width of a line of the spectra", "bins", POSITIVE)
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.signals import SumSignal, noise_of_density, tone_signal
+        from titop_plant.disturbances.waterfall import grid_of, identify
+
+        table, speed, rng = entry.file(self.file), self.speed_in(entry, run, self.speed), _rng(entry, run)
+        name = next((name for name in table.columns if split_unit(name)[0].lower() == "speed"), "speed")
+        scale = {"rpm": 1 / 60, "rad/s": 1 / (2 * np.pi), "Hz": 1.0, "hz": 1.0}.get(table.unit(name))
+        if scale is None:
+            raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
+        at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, *FREQUENCIES, units=FREQUENCY)
+        turning, sense = abs(speed) / (2 * np.pi), float(np.sign(speed)) or 1.0
+        try:
+            model = identify(*grid_of(at, frequency, _axes(entry, table, at.size)), self.bandwidth)
+            found, amplitude = model.lines_at(turning)
+            density = model.density_at(turning)
+        except ValueError as error:
+            raise entry.error(f"{table.path}: {error}") from None
+        if not found.size and not density.any():
+            raise entry.error(f"{table.path}: waterfall must have harmonics or noise, got zeros")
+        rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(found, amplitude)]
+        noise = noise_of_density(model.frequency, density, run.duration, DT, rng)
+        tones, remarks = _audible(tone_signal, rows) if rows else (None, ())
+        return SumSignal(tuple(part for part in (tones, noise) if part)), (*model.remarks, *remarks)
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class SpectralDensity(SourceTable):
+    """Noise of a power spectral density."""
+
+    file: str = setting(..., "file of the density")
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.signals import NOISE_SECONDS, PASSES, noise_of_density
+
+        table = entry.file(self.file)
+        frequency = _column(entry, table, *FREQUENCIES, units=FREQUENCY)
+        density = _axes(entry, table, frequency.size, units=DENSITY)
+        if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
+            raise entry.error(
+                f"{table.path} must have two or more ascending frequencies and no negative density, got "
+                f"{frequency.size} frequencies, {int((np.diff(frequency) <= 0).sum())} not above the last, and "
+                f"{int((density < 0).sum())} negative densities"
+            )
+        remarks = []
+        if frequency[-1] > PASSES:
+            remarks.append(f"density above {PASSES:g} Hz excluded")
+        if run.duration > NOISE_SECONDS:
+            remarks.append(f"noise repeats after {NOISE_SECONDS:g} s")
+        signal = noise_of_density(frequency, density, run.duration, DT, _rng(entry, run))
+        return signal, tuple(remarks)
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Cooler(HarmonicsTable):
+    """Harmonics of a fixed frequency, with the phase noise of a moving mass."""
+
+    frequency: float = setting(..., "fundamental", "Hz", POSITIVE)
+    linewidth: float = setting(0.0, "width of the fundamental's line", "Hz", 0.0)
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.moving_mass import WIDEST, PhaseNoise, moving_mass
+        from titop_plant.disturbances.signals import tone_signal
+
+        rng, base = _rng(entry, run), 2 * np.pi * self.frequency
+        rows: list[tuple[float, float, ComplexArray]] = []
+        for order, amplitude in self.rows(entry, FORCE):
+            rows.append((order, order * base, amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi))))
+        widest = WIDEST * self.frequency
+        if self.linewidth > widest:
+            raise entry.error(f"linewidth must be between 0 and {widest:g} Hz, got {self.linewidth:g} Hz")
+        if not self.linewidth:
+            return _audible(tone_signal, rows)
+        noise = PhaseNoise.of(self.linewidth, self.frequency, run.duration, rng)
+        return _audible(moving_mass, rows, base, noise)
+
+
+@settings_class
+@pydantic_dataclass(frozen=True, kw_only=True, config=STRICT)
+class Pulses(SourceTable, Wrench):
+    """Pulses of a constant force and torque."""
+
+    period: float = setting(..., "time from one pulse to the next", "s", POSITIVE)
+    width: float = setting(..., "duration of a pulse", "s", POSITIVE)
+    first: float = setting(0.0, "time of the first pulse", "s")
+    last: float | None = setting(None, "time after which none begins", "s", absent="the end of the run")
+
+    def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:  # noqa: D102 (of the base)
+        from titop_plant.disturbances.signals import PulseSignal
+
+        last = math.inf if self.last is None else self.last
+        if self.width > self.period:
+            raise entry.error(f"width must not be above the period of {self.period:g} s, got {self.width:g} s")
+        if last < self.first:
+            raise entry.error(f"last must not be before first, {self.first:g} s, got {last:g} s")
+        return PulseSignal(self.values, self.first, self.width, self.period, last, DT), ()
+
+
+KINDS: Mapping[str, type[SourceTable]] = MappingProxyType(
     {
-        "series": (_series, {"file", "rate", "repeat", "keep_mean"}),
-        "harmonics": (_wheel, {"file", "harmonics", "squared", "speed"}),
-        "waterfall": (_waterfall, {"file", "speed", "bandwidth"}),
-        "psd": (_psd, {"file"}),
-        "cooler": (_cooler, {"frequency", "harmonics", "linewidth", "file"}),
-        "pulses": (_pulses, {"force", "torque", "period", "width", "first", "last"}),
+        "series": MeasuredSeries,
+        "harmonics": Harmonics,
+        "waterfall": Waterfall,
+        "psd": SpectralDensity,
+        "cooler": Cooler,
+        "pulses": Pulses,
     }
 )
-"""Maker of each kind of source, and its keys."""
+"""Class of the table of each kind of source."""

@@ -63,7 +63,7 @@ def read_nastran_matrices(
     name : str
         Name of the body.
     parent : (str, int) or Interface
-        As for :func:`~titop_plant.nastran.read_nastran`; the grid points must be in the matrices. They need no SPC.
+        As for :func:`~titop_plant.nastran.read_nastran`; of grid points in the matrices, without SPC.
     ports : mapping of str to int
         Names and grid points of the child ports, with six components in the matrices.
     units : Units

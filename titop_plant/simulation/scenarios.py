@@ -81,11 +81,6 @@ def imbalance(now: Circumstances) -> Tones:
     return joined([wheels, tones.sadm_tones(now.telescope, now.rng)])
 
 
-def no_scenario(now: Circumstances) -> Tones:
-    """None."""
-    return tones.no_tones(now.telescope.channels)
-
-
 TONES: Mapping[str, Scenario] = MappingProxyType(
     {
         "worst_case": worst_case,
@@ -93,7 +88,7 @@ TONES: Mapping[str, Scenario] = MappingProxyType(
         "design": design,
         "imbalance": imbalance,
         "ramp": imbalance,
-        NO_SCENARIO: no_scenario,
+        NO_SCENARIO: lambda now: tones.no_tones(now.telescope.channels),
     }
 )
 """Tones of each name of :data:`titop_plant.interface.SCENARIOS`, and of none."""

@@ -57,9 +57,9 @@ from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
-from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
+from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror, fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
-from titop_plant.blocks.isolator import actuated_platform, isolator
+from titop_plant.blocks.isolator import Isolator, actuated_platform, isolator
 from titop_plant.blocks.reaction_wheel import wheel_assembly
 from titop_plant.blocks.revolute_joint import MOTOR
 from titop_plant.blocks.uncertain_gain import uncertain_gain
@@ -196,7 +196,7 @@ def _assembled(telescope: Telescope, isolated: bool) -> AssembledTelescope:
 
 def line_of_sight(telescope: Telescope) -> System:
     """``los`` from the rotation of the payload's base and the elastic deflections of the optics."""
-    optics = component.optics_component(telescope)
+    optics = telescope.optics
     rotation = np.hstack([np.eye(2), np.zeros((2, 1))])
     mirror = telescope.fsm.los_sensitivity * np.hstack([np.zeros((2, 3)), rotation])
     gain = np.hstack([rotation, *(optics.sensitivity(e) for e in ("M1", "M2", "DET")), mirror])
@@ -212,7 +212,7 @@ def _driven_at_G(
     outside: tuple[Port, ...],
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
-    arrays, others = telescope.solar_arrays, telescope.appendages
+    arrays, others, fsm = telescope.solar_arrays, telescope.appendages, telescope.fsm
     acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(telescope)
     used = {"I_w", "I_p", *telescope.mounted_points, *(node for _, node in acting)}
     systems = {
@@ -222,7 +222,9 @@ def _driven_at_G(
         **{one.name: component.appendage_block(telescope, one) for one in others},
         "platform": _platform(telescope, isolated),
         "payload": _flexible(telescope, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
-        "fsm": fast_steering_mirror(component.mirror_component(telescope), "I_f"),
+        "fsm": fast_steering_mirror(
+            FastSteeringMirror(fsm.mass, np.diag(fsm.inertia), fsm.stiffness, fsm.damping), "I_f"
+        ),
         "optics": line_of_sight(telescope),
         "steering": static_gain(
             telescope.fsm.los_sensitivity * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
@@ -272,16 +274,17 @@ def _driven_at_G(
 
 def _platform(telescope: Telescope, isolated: bool) -> System:
     """Platform of the payload on its isolator or fixed, with the proof-mass actuators that there are."""
+    mass = component.platform_mass(telescope)
     plate = (
         isolator(
-            component.isolator_component(telescope),
+            Isolator(mass, np.diag(telescope.isolator.stiffness), np.diag(telescope.isolator.damping)),
             "I_p",
             "platform",
             stiffness=telescope.factors.get(STIFFNESS),
             damping=telescope.factors.get(DAMPING),
         )
         if isolated
-        else rigid_body("platform", "I_p", component.platform_mass(telescope), {"platform": np.zeros(3)}, motion=True)
+        else rigid_body("platform", "I_p", mass, {"platform": np.zeros(3)}, motion=True)
     )
     actuators = component.actuator_components(telescope)
     if actuators:

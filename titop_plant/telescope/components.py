@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
 from titop_plant.blocks.flexible_body import flexible_body
-from titop_plant.blocks.isolator import Isolator, MountedActuator
+from titop_plant.blocks.isolator import MountedActuator
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
@@ -29,7 +28,6 @@ from titop_plant.structures.residual_mass import (
     repair_residual_mass,
 )
 from titop_plant.telescope.layout import ANGLE, MountedBody
-from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.telescope import Telescope
 
 _ROUNDING = 1e-3
@@ -133,12 +131,6 @@ def platform_mass(telescope: Telescope) -> FloatArray:
     return from_inertia(table.mass, table.inertia_at_cg, table.center_of_mass, "isolator platform")
 
 
-def isolator_component(telescope: Telescope) -> Isolator:
-    """The 6-dof isolator."""
-    table = telescope.isolator
-    return Isolator(platform_mass(telescope), np.diag(table.stiffness), np.diag(table.damping))
-
-
 def actuator_components(telescope: Telescope) -> list[MountedActuator]:
     """Proof-mass actuators on the platform: at each azimuth one axial, one tangential; none without azimuths.
 
@@ -157,15 +149,3 @@ def actuator_components(telescope: Telescope) -> list[MountedActuator]:
         result.append(MountedActuator(actuator, position, np.vstack([radial, tangent, up])))
         result.append(MountedActuator(actuator, position, np.vstack([up, radial, tangent])))
     return result
-
-
-def mirror_component(telescope: Telescope) -> FastSteeringMirror:
-    """The fast steering mirror at I_f."""
-    table = telescope.fsm
-    return FastSteeringMirror(table.mass, np.diag(table.inertia), table.stiffness, table.damping)
-
-
-def optics_component(telescope: Telescope) -> TwoMirrorTelescope:
-    """Paraxial data of the telescope."""
-    table = telescope.optics
-    return TwoMirrorTelescope(table.primary_focal_length, table.mirror_distance, table.back_focal_distance)

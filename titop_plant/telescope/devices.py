@@ -26,7 +26,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant.sensors import Sensor, SensorMount
 from titop_plant.telescope.actuators import Actuator, ActuatorMount
-from titop_plant.telescope.sections import OscillatorTable, frozen
+from titop_plant.telescope.sections import OscillatorTable
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -59,7 +59,7 @@ def usual_values(table: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
-    mechanics = OscillatorTable(**{key: frozen(table.get(key, usual[key])) for key in MECHANICS})
+    mechanics = OscillatorTable.of_part({**usual, **table})
     authority = float(mechanics.authority)
     mount = ActuatorMount(str(table["place"]), _unit(table["axis"]), _position(table), mechanics)
     return Actuator(Port(str(table["name"]), 1, "N"), authority, authority / float(usual["authority"]), mount)

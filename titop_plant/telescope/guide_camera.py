@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lftkit.errors import InputError
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.optics import ImageOptics, from_mapping, read_pupil_file
 from titop_plant.interface import DT, RATE
-from titop_plant.telescope.sections import CameraTable, ImageOptics, made
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ STORED_CURVES = Path(__file__).with_name("camera_noise.json")
 """Measured noise of the reference telescope's detector."""
 FOLLOWING = ("camera_filter", "camera_noise")
 """Keys of ``sensors`` that follow from the table unless the camera is a vector."""
-IMAGE_OPTICS = tuple(field.name for field in fields(ImageOptics))
+IMAGE_OPTICS = tuple(ImageOptics.SETTINGS)
 """Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
 
 
@@ -80,29 +80,25 @@ def whole_ticks(value: float) -> int | None:
     return ticks if math.isclose(ticks * DT, value, rel_tol=1e-9, abs_tol=1e-12) else None
 
 
-def star_camera(optics: ImageOptics, camera: CameraTable, where: str) -> StarCamera:
+def star_camera(optics: ImageOptics, camera: GuideCamera, where: str) -> StarCamera:
     """The camera that makes images.
 
     Parameters
     ----------
     optics : ImageOptics
-    camera : CameraTable
+    camera : GuideCamera
     where : str
         Name of the file, for the messages.
 
     Raises
     ------
     ValueError
-        Optics or a camera that cannot be used, one line.
+        Optics that make no image, one line.
     """
-    from pointing_analysis.image import guide_camera
-    from pointing_analysis.image.optics import from_mapping, read_pupil_file
     from pointing_analysis.image.star_camera import StarCamera
 
     pupil = read_pupil_file(Path(optics.pupil)) if optics.pupil else b""
-    found = from_mapping(asdict(optics), where, pupil)
-    table = {key: value for key, value in asdict(camera).items() if key != NOISE_CURVE}
-    return StarCamera(found, guide_camera.from_mapping(table, where))
+    return StarCamera(from_mapping(optics.to_mapping(), where, pupil), camera)
 
 
 def star_noise(camera: StarCamera, file: str, where: str) -> float:
@@ -163,7 +159,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
         ticks = whole_ticks(value := tables[TABLE][key])
         if ticks is None or ticks < (key == "exposure"):
             raise file.error(f"{TABLE}.{key}", f"must be whole milliseconds, got {value!r} s")
-    camera = star_camera(made(ImageOptics, tables["optics"]), made(CameraTable, tables[TABLE]), file.path)
+    camera = star_camera(ImageOptics.of_part(tables["optics"]), GuideCamera.of_part(tables[TABLE]), file.path)
     if kind == VECTOR:
         return tables
     for key in FOLLOWING:

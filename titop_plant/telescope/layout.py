@@ -16,7 +16,7 @@ The rest of the project asks :class:`titop_plant.telescope.telescope.Telescope`,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ from lftkit.systems.ports import Port
 from titop_plant import ports
 from titop_plant.blocks.pyramid import pyramid_axes
 from titop_plant.telescope.places import BUS, PAYLOAD
-from titop_plant.telescope.sections import Matrix, Vector, frozen, made
+from titop_plant.telescope.sections import Broadband, Drive, PrintedModes, Vector, WheelKind
 
 if TYPE_CHECKING:
     from titop_plant.blocks.stepper import Stepper
@@ -58,54 +58,11 @@ WHEEL_IMBALANCE, WHEEL_TORQUE, SADM_TORQUE = "wheel_imbalance", "wheel_torque", 
 BODY_POINTS = ("A1", "A2", "I_w", "I_p")
 """Points of the central body's frame; a parameter file may add others."""
 
-GEAR_ERRORS = "gear_errors"
-"""Value of a stepper that is a list of pairs."""
-
 IMBALANCE_CHANNELS = 5
 """Forces x, y, z and torques x, y of one wheel."""
 
-DRIVE = ("gearbox_stiffness", "gearbox_damping", "torque_bound")
-"""Values of a drive, which a table of an array may give in place of those of ``[sadm]``."""
-
-
-@dataclass(frozen=True)
-class FurtherMode:
-    """A mode beside the printed ones: frequency [rad/s], direction of the root's motion, share of the residual mass."""
-
-    frequency: float
-    direction: str
-    share: float
-
-
-@dataclass(frozen=True)
-class PrintedModes:
-    """Modal data of a flexible body in the parameter file: mass [kg], inertia [kg m2], modes [rad/s]."""
-
-    mass: float
-    inertia_at_cg: Matrix
-    center_of_mass: Vector
-    frequencies: Vector
-    damping: float
-    participation: Matrix
-    further_modes: tuple[FurtherMode, ...] = ()
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Drive of a solar array.
-
-    Parameters
-    ----------
-    gearbox_stiffness, gearbox_damping, torque_bound : float
-        [Nm/rad], [Nm s/rad], largest disturbance torque [Nm].
-    stepper : Stepper, optional
-        Its motor, where the file has one.
-    """
-
-    gearbox_stiffness: float
-    gearbox_damping: float
-    torque_bound: float
-    stepper: Stepper | None = None
+DRIVES = "sadm"
+"""Table of the values of a drive, in place of which a table of an array may give its own."""
 
 
 @dataclass(frozen=True)
@@ -163,22 +120,6 @@ class MountedBody:
 
 
 @dataclass(frozen=True)
-class Broadband:
-    """One-sided densities of a wheel's broadband noise [N2/Hz, Nm2/Hz] at frequencies [Hz], by `DENSITIES`."""
-
-    frequency: Vector
-    radial_force: Vector | None = None
-    axial_force: Vector | None = None
-    radial_torque: Vector | None = None
-    axial_torque: Vector | None = None
-
-    def density(self, name: str) -> FloatArray:
-        """Values of one of `DENSITIES`, zeros where the file gives none."""
-        given = getattr(self, name)
-        return np.zeros(len(self.frequency)) if given is None else np.array(given, dtype=float)
-
-
-@dataclass(frozen=True)
 class WheelOnBoard:
     """A reaction wheel of the assembly at the point ``I_w``.
 
@@ -194,7 +135,7 @@ class WheelOnBoard:
     maximum_speed, default_speed : float
         rad/s.
     bearing, broadband : WheelBearing, Broadband, optional
-        See :mod:`titop_plant.telescope.tables.mechanisms`.
+        See :mod:`titop_plant.telescope.sections`.
     """
 
     name: str
@@ -212,7 +153,7 @@ class WheelOnBoard:
 def read_arrays(tables: Mapping[str, Any]) -> tuple[MountedBody, ...]:
     """Solar arrays of the tables of a parameter file, in its order."""
     given = tables[ARRAYS]
-    drive = {key: tables["sadm"][key] for key in (*DRIVE, STEPPER) if key in tables["sadm"]}
+    drive = {key: value for key, value in tables[DRIVES].items() if key in Drive.SETTINGS}
     if not isinstance(given, Mapping):
         return tuple(_mounted({**drive, **table}) for table in given)
     points = [key.removeprefix("dcm_") for key in given if key.startswith("dcm_")]
@@ -238,38 +179,14 @@ def _mounted(table: Mapping[str, Any]) -> MountedBody:
         str(table["point"]),
         str(table.get("parameters", name)),
         np.array(table.get("dcm", np.eye(3)), dtype=float),
-        None if table.get("modal_data") else _printed(table),
+        None if table.get("modal_data") else PrintedModes.of_part(table),
         str(table.get("modal_data", "")),
         float(table.get("relative_uncertainty", 0.0)),
         table.get("uncertain_modes"),
-        frozen(axis),
+        None if axis is None else tuple(axis),
         (float(low), float(high)),
-        None if axis is None or not table.get("driven", True) else _drive(table),
+        None if axis is None or not table.get("driven", True) else Drive.of_part(table),
     )
-
-
-def _printed(table: Mapping[str, Any]) -> PrintedModes:
-    further = tuple(FurtherMode(**mode) for mode in table.get("further_modes", ()))
-    return made(PrintedModes, table, further_modes=further)
-
-
-def _drive(table: Mapping[str, Any]) -> Drive:
-    stepper = table.get(STEPPER)
-    return made(Drive, table, stepper=None if stepper is None else read_stepper(stepper))
-
-
-def read_stepper(table: Mapping[str, Any]) -> Stepper:
-    """The stepper motor of a table.
-
-    Raises
-    ------
-    ValueError
-        A value that it cannot have.
-    """
-    from titop_plant.blocks.stepper import Stepper
-
-    rows = tuple((float(cycles), float(angle)) for cycles, angle in table.get(GEAR_ERRORS, ()))
-    return Stepper(**{**table, GEAR_ERRORS: rows})
 
 
 def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
@@ -292,15 +209,9 @@ def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
 
 def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: ArrayLike, speed: float) -> WheelOnBoard:
     """A wheel of the kind that a table describes."""
-    mass, axial, radial = (float(table[key]) for key in ("mass", "axial_inertia", "radial_inertia"))
-    place, bearing = np.array(position, dtype=float), table.get(BEARING)
-    noise = None if BROADBAND not in table else made(Broadband, table[BROADBAND])
-    if bearing is not None:
-        from titop_plant.blocks.wheel_bearing import WheelBearing  # loads scipy
-
-        bearing = WheelBearing(**bearing)
-    top = float(table["maximum_speed"])
-    return WheelOnBoard(name, mass, axial, radial, axis, place, top, float(speed), bearing, noise)
+    kind, place = WheelKind.of_part(table), np.array(position, dtype=float)
+    inertias = kind.mass, kind.axial_inertia, kind.radial_inertia
+    return WheelOnBoard(name, *inertias, axis, place, kind.maximum_speed, float(speed), kind.bearing, kind.broadband)
 
 
 def read_nodes(tables: Mapping[str, Any]) -> dict[str, str]:
@@ -360,38 +271,34 @@ def imbalance_port(wheels: int) -> Port:
 
 def without_bearings(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with rigid wheels."""
-    given = tables[WHEELS]
-    wheels = [given] if isinstance(given, Mapping) else given
-    rigid = [{key: value for key, value in wheel.items() if key != BEARING} for wheel in wheels]
-    return {**tables, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
+    return _with_each(tables, (WHEELS,), lambda table: _without(table, BEARING))
 
 
 def without_steppers(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with drives whose gearbox ends at the body, with fixed harmonics."""
-
-    def stripped(table: Any) -> Any:
-        if isinstance(table, (list, tuple)):
-            return [stripped(entry) for entry in table]
-        return {key: value for key, value in table.items() if key != STEPPER}
-
-    return {**tables, **{name: stripped(tables[name]) for name in ("sadm", ARRAYS) if name in tables}}
+    return _with_each(tables, (DRIVES, ARRAYS), lambda table: _without(table, STEPPER))
 
 
 def without_sources(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables without what only makes disturbances: broadband noise of wheels, torques of steppers."""
 
-    def stripped(table: Any) -> Any:
-        if isinstance(table, (list, tuple)):
-            return [stripped(entry) for entry in table]
-        if not isinstance(table, Mapping) or not {BROADBAND, STEPPER} & set(table):
-            return table
-        kept = {key: value for key, value in table.items() if key != BROADBAND}
-        if STEPPER in kept:
-            kept[STEPPER] = {key: value for key, value in kept[STEPPER].items() if key not in SOURCE_OF_STEPPER}
-        return kept
+    def silent(table: Mapping[str, Any]) -> dict[str, Any]:
+        motor = {STEPPER: _without(table[STEPPER], *SOURCE_OF_STEPPER)} if STEPPER in table else {}
+        return {**_without(table, BROADBAND), **motor}
 
-    names = (ARRAYS, WHEELS, "sadm")
-    return {key: stripped(value) if key in names else value for key, value in tables.items()}
+    return _with_each(tables, (ARRAYS, WHEELS, DRIVES), silent)
+
+
+def _with_each(
+    tables: Mapping[str, Any], names: Sequence[str], change: Callable[[Mapping[str, Any]], dict[str, Any]]
+) -> dict[str, Any]:
+    """The tables, those of these names changed, alone or in lists."""
+    changed = {name: tables[name] for name in names if name in tables}
+    return {**tables, **{k: change(v) if isinstance(v, Mapping) else list(map(change, v)) for k, v in changed.items()}}
+
+
+def _without(table: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}
 
 
 def present(names: Sequence[str], available: Sequence[Port]) -> tuple[str, ...]:

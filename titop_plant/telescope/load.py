@@ -44,8 +44,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         ``[payload]``, or ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of tables
         without names are replaced. A relative ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or
         ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
-        its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
-        motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
+        its table, see :mod:`titop_plant.telescope.guide_camera`. Tables ``[[solar_array]]``,
         ``[[reaction_wheel]]`` and ``[[appendage]]`` define the layout, see :mod:`titop_plant.telescope.layout`,
         ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`,
         ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`, ``[plant]`` a
@@ -63,7 +62,6 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return _reference(text)
-    from titop_plant.telescope.tables.mechanisms import take_mechanisms, with_mechanisms
     from titop_plant.telescope.tables.mounted import check_modal_file, checked_layout, take_mounted  # loads scipy
 
     own, text = _read(Path(path))
@@ -73,23 +71,17 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     spreads = own.pop(UNCERTAIN, {})
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
-    mechanisms = take_mechanisms(own)
     merged = with_limits(file.merged(reference, own), own, limits, file)
-    merged |= with_mechanisms(merged, mechanisms, file)
-    if merged["optics"]["pupil"]:
-        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
-    if merged["camera"]["noise_curve"]:
-        merged["camera"] = {
-            **merged["camera"],
-            "noise_curve": str(Path(path).parent / merged["camera"]["noise_curve"]),
-        }
+    file.check_tables(merged)
+    for name, key in (("optics", "pupil"), ("camera", "noise_curve"), *((body, "modal_data") for body in OWN_BODIES)):
+        if beside := merged[name][key]:
+            merged[name] = {**merged[name], key: str(Path(path).parent / beside)}
     merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
     if spreads:
         merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
     for name in OWN_BODIES:
-        if modal_data := merged[name]["modal_data"]:
-            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / modal_data)}
+        if merged[name]["modal_data"]:
             check_modal_file(name, merged[name], file)
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]

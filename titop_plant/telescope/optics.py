@@ -21,26 +21,23 @@ Schroeder, Astronomical Optics, ch. 6).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
+from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Refused, setting, settings_class
 
 
-@dataclass(frozen=True)
-class TwoMirrorTelescope:
-    """Paraxial data of a two-mirror telescope.
+@settings_class
+@dataclass(frozen=True, config=STRICT)
+class TwoMirrorTelescope(CheckedTable):
+    """Paraxial data of a two-mirror telescope: f1, d and b.
 
-    Parameters
-    ----------
-    primary_focal_length : float
-        f1 [m].
-    mirror_distance : float
-        d, from M1 to M2, less than f1 [m].
-    back_focal_distance : float
-        b, from M1's vertex back to the detector [m].
+    Raises
+    ------
+    ValueError
+        Mirrors that are farther apart than the focal length of the first.
 
     Examples
     --------
@@ -49,16 +46,14 @@ class TwoMirrorTelescope:
     (7.4, 13.32)
     """
 
-    primary_focal_length: float
-    mirror_distance: float
-    back_focal_distance: float
+    primary_focal_length: float = setting(..., "focal length of M1", "m", POSITIVE)
+    mirror_distance: float = setting(..., "from M1 to M2, less than that", "m", POSITIVE)
+    back_focal_distance: float = setting(..., "from M1's vertex back to the detector", "m", POSITIVE)
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.mirror_distance < self.primary_focal_length:
-            raise InputError(
-                f"mirror distance must be between 0 and the primary focal length "
-                f"{self.primary_focal_length} m, got {self.mirror_distance} m"
-            )
+        f1, d = self.primary_focal_length, self.mirror_distance
+        if d >= f1:
+            raise Refused("mirror_distance", f"must be below the primary focal length {f1:g} m, got {d:g} m")
 
     @property
     def magnification(self) -> float:

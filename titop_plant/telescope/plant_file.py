@@ -129,15 +129,11 @@ def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces
             inputs=system.inputs,
             outputs={**every, truth.name: (f"plant.{LOS.name}", f"steering.{LOS.name}")},
         )
-    _check_speeds(path, system, disturbances[0].size // IMBALANCE_CHANNELS)
+    speeds = speed_names(disturbances[0].size // IMBALANCE_CHANNELS)
+    turning = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
+    if turning and turning != set(speeds):  # those of some of the wheels, or other ones
+        raise InputError(f"{path}: blocks must have {', '.join(speeds)} or none, got {', '.join(turning)}")
     return system.sorted_channels([e.name for e in system.elements])
-
-
-def _check_speeds(path: str, system: System, wheels: int) -> None:
-    """Refuse speeds of some of the wheels, or of other ones."""
-    named = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
-    if named and named != set(speed_names(wheels)):
-        raise InputError(f"{path}: blocks must have {', '.join(speed_names(wheels))} or none, got {', '.join(named)}")
 
 
 def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Port]) -> tuple[Port, ...]:

@@ -22,12 +22,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from lftkit.errors import InputError
 from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.telescope.sections import LimitsTable
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
-LIMITS = ("ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window")
+LIMITS = tuple(LimitsTable.SETTINGS)
 """Values of the table ``weights`` that are made of the requirements."""
 
 
@@ -55,8 +58,8 @@ def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
     if not isinstance(table, dict):
         return {}
     given = {key: table[key] for key in LIMITS if key in table}
-    for key, value in given.items():
-        file.check(f"weights.{key}", key, 1.0, value)
+    with file.refusals("weights"):
+        LimitsTable.check_given(given)
     own["weights"] = {key: value for key, value in table.items() if key not in given}
     return {key: float(value) for key, value in given.items()}
 
@@ -94,9 +97,9 @@ def with_limits(
         for loop in found[-1].loops:
             if loop not in STAGES:
                 raise file.error(f"{key}.loop", f"must be among {', '.join(STAGES)}, got {loop!r}")
-    for name in names:
-        if names.count(name) > 1:
-            raise file.error("requirement", f"must have each name once, got {name!r} twice")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise file.error(f"requirement[{i}].name", f"must be given once, got {name!r} twice")
     try:
         limits, defining = design_limits(found)
     except ValueError as error:
@@ -105,10 +108,11 @@ def with_limits(
         for i in defining[key]:
             requirement = found[i]
             changed = replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
-            if found[i].name in names and not _same(found[i], changed):
+            same = np.allclose([requirement.limit, *requirement.times], [changed.limit, *changed.times], 1e-6, 0.0)
+            if requirement.name in names and not same:
                 raise file.error(
                     f"weights.{key}",
-                    f"must agree with the requirement {found[i].name!r}, {found[i].exact_text}, got {value:g}",
+                    f"must agree with the requirement {requirement.name!r}, {requirement.exact_text}, got {value:g}",
                 )
             found[i] = changed
     return {**content, "requirement": entries(found), "weights": {**content["weights"], **limits, **given}}
@@ -216,9 +220,3 @@ def _strictest(requirements: Sequence[Requirement], wanted: Any) -> int | None:
     """Place of the smallest limit, both axes together, of the requirements that are wanted."""
     places = [i for i, r in enumerate(requirements) if not r.axis and wanted(r)]
     return min(places, key=lambda i: requirements[i].limit, default=None)
-
-
-def _same(one: Requirement, other: Requirement) -> bool:
-    return math.isclose(one.limit, other.limit, rel_tol=1e-6) and all(
-        math.isclose(a, b, rel_tol=1e-6) for a, b in zip(one.times, other.times)
-    )

@@ -1,20 +1,39 @@
-"""The tables of a parameter file as frozen objects; values and their sources are in ``reference.toml``.
+"""The tables of a parameter file as frozen objects: their keys with units and limits.
 
-A table and the object made of it have the same name, :attr:`titop_plant.telescope.telescope.Telescope.fsm` is that of
-``[fsm]``. All values are in SI units; angles in degrees end in ``_deg``.
+Values and their sources are in ``reference.toml``. A table and the object made of it have the same name,
+:attr:`titop_plant.telescope.telescope.Telescope.fsm` is that of ``[fsm]``. All values are in SI units; names of angles
+in degrees end in ``_deg``.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from lftkit.arrays import FloatArray
+from pointing_analysis.files.settings import (
+    ANY,
+    POSITIVE,
+    STRICT,
+    CheckedTable,
+    Refused,
+    setting,
+    settings_class,
+)
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.optics import ImageOptics
+from titop_plant.blocks.stepper import Stepper
+from titop_plant.blocks.wheel_bearing import ReactionWheel
+from titop_plant.ports import AXES
+from titop_plant.telescope.optics import TwoMirrorTelescope
 
 Vector = tuple[float, ...]
 Matrix = tuple[Vector, ...]
-
-Table = TypeVar("Table")
 
 LOOP_FREQUENCIES = (1e-2, 3000.0)
 """Frequencies [rad/s] at which figures of the loop are looked for; the edge of the bands is among them."""
@@ -22,26 +41,31 @@ LOOP_FREQUENCIES = (1e-2, 3000.0)
 FIRST_BAND_EDGE = 85.0
 """Edge between slow and fast tones [rad/s] of telescopes whose stored tables do not state it."""
 
-
-@dataclass(frozen=True)
-class Material:
-    """A material: moduli of elasticity and shear [Pa], density [kg/m3]."""
-
-    E: float
-    G: float
-    density: float
+PMA_AZIMUTHS = 3
+"""Azimuths of the proof-mass actuators, two at each: a command holds six forces."""
 
 
-@dataclass(frozen=True)
-class SectionTable:
-    """Cross section of a beam: ``tube`` (diameter, thickness), ``box`` (height, width, thickness), ``bar`` [m]."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Material(CheckedTable):
+    """A material."""
 
-    shape: str
-    material: str
-    height: float | None = None
-    width: float | None = None
-    diameter: float | None = None
-    thickness: float | None = None
+    E: float = setting(..., "modulus of elasticity", "Pa", POSITIVE)
+    G: float = setting(..., "shear modulus", "Pa", POSITIVE)
+    density: float = setting(..., "density", "kg/m3", POSITIVE)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class SectionTable(CheckedTable):
+    """Cross section of a beam: ``tube`` (diameter, thickness), ``box`` (height, width, thickness), ``bar``."""
+
+    shape: str = setting(..., "shape")
+    material: str = setting(..., "name of the material")
+    height: float | None = setting(None, "height", "m", POSITIVE)
+    width: float | None = setting(None, "width", "m", POSITIVE)
+    diameter: float | None = setting(None, "outer diameter", "m", POSITIVE)
+    thickness: float | None = setting(None, "thickness of the wall", "m", POSITIVE)
 
     @property
     def size(self) -> dict[str, float]:
@@ -50,76 +74,149 @@ class SectionTable:
         return {name: value for name, value in known.items() if value is not None}
 
 
-@dataclass(frozen=True)
-class Equipment:
-    """A unit with the inertia of a homogeneous block: mass [kg], size [m], position [m] or the node that it is on."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Equipment(CheckedTable):
+    """A unit with the inertia of a homogeneous block, at a position or at a node."""
 
-    name: str
-    mass: float
-    size: Vector
-    position: Vector | None = None
-    node: str | None = None
+    name: str = setting(..., "name")
+    mass: float = setting(..., "mass", "kg", POSITIVE)
+    size: Vector = setting(..., "size of the block", "m", POSITIVE, length=3)
+    position: Vector | None = setting(None, "position of its centre", "m", length=3)
+    node: str | None = setting(None, "node that it is on")
 
-
-@dataclass(frozen=True)
-class BodyTable:
-    """The central body, see :mod:`titop_plant.telescope.bodies`."""
-
-    modal_data: str
-    modes: int
-    damping: float
-    width_x: float
-    width_y: float
-    deck_heights: Vector
-    longeron_factors: Vector
-    ports: Mapping[str, Vector]
-    sections: Mapping[str, SectionTable]
-    equipment: tuple[Equipment, ...]
+    def __post_init__(self) -> None:
+        if self.position is None and self.node is None:
+            raise Refused("", "needs a 'position' or a 'node'")
 
 
-@dataclass(frozen=True)
-class PayloadTable:
-    """The telescope payload, see :mod:`titop_plant.telescope.bodies`."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class StructureTable(CheckedTable):
+    """Keys of both structures, see :mod:`titop_plant.telescope.bodies`."""
 
-    modal_data: str
-    modes: int
-    damping: float
-    bench_height: float
-    bench_radius: float
-    bench_angles: Vector
-    m1_height: float
-    pad_radius: float
-    pad_angles: Vector
-    tower_radius: float
-    tower_angles: Vector
-    strut_factors: Vector
-    detector_xy: Vector
-    fsm_position: Vector
-    sections: Mapping[str, SectionTable]
-    equipment: tuple[Equipment, ...]
+    modal_data: str = setting(..., "file of modal data in place of the frame")
+    modes: int = setting(..., "modes of the clamped structure", "", 0)
+    damping: float = setting(..., "damping ratio", "", 0.0)
+    sections: Mapping[str, SectionTable] = setting(..., "cross sections by name")
+    equipment: tuple[Equipment, ...] = setting(..., "units on the structure")
 
 
-@dataclass(frozen=True)
-class IsolatorTable:
-    """Platform of the isolator, its six stiffnesses and dampings."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class BodyTable(StructureTable):
+    """The central body."""
 
-    mass: float
-    inertia_at_cg: Matrix
-    center_of_mass: Vector
-    stiffness: Vector
-    damping: Vector
+    width_x: float = setting(..., "width along x", "m")
+    width_y: float = setting(..., "width along y", "m")
+    deck_heights: Vector = setting(..., "heights of the decks", "m", length=3)
+    longeron_factors: Vector = setting(..., "walls of the longerons over their thickness", "", length=4)
+    ports: Mapping[str, Vector] = setting(..., "points by name", "m", length=3)
 
 
-@dataclass(frozen=True)
-class MirrorTable:
-    """The fast steering mirror; ``authority`` is its largest angle [rad], ``los_sensitivity`` [rad/rad]."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PayloadTable(StructureTable):
+    """The telescope payload."""
 
-    mass: float
-    inertia: Vector
-    stiffness: float
-    damping: float
-    los_sensitivity: float
-    authority: float
+    bench_height: float = setting(..., "height of the bench", "m")
+    bench_radius: float = setting(..., "radius of the bench", "m")
+    bench_angles: Vector = setting(..., "angles of the nodes of its ring", "deg", length=6)
+    m1_height: float = setting(..., "height of the vertex of M1", "m")
+    pad_radius: float = setting(..., "radius of the pads of the bipods", "m")
+    pad_angles: Vector = setting(..., "their angles", "deg", length=3)
+    tower_radius: float = setting(..., "radius of the ring around M2", "m")
+    tower_angles: Vector = setting(..., "angles of its nodes", "deg", length=3)
+    strut_factors: Vector = setting(..., "walls of the struts over their thickness", "", length=6)
+    detector_xy: Vector = setting(..., "position of the detector", "m", length=2)
+    fsm_position: Vector = setting(..., "position of the steering mirror", "m", length=3)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class FurtherMode(CheckedTable):
+    """A mode beside the printed ones."""
+
+    frequency: float = setting(..., "frequency", "rad/s", POSITIVE)
+    direction: str = setting(..., "direction of the root's motion", choices=AXES)
+    share: float = setting(..., "share of the residual mass", "", POSITIVE, 1.0)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PrintedModes(CheckedTable):
+    """Modal data of a flexible body in the parameter file."""
+
+    mass: float = setting(..., "mass", "kg", POSITIVE)
+    inertia_at_cg: Matrix = setting(..., "inertia about the centre of mass", "kg m2", length=(3, 3))
+    center_of_mass: Vector = setting(..., "centre of mass from the root", "m", length=3)
+    frequencies: Vector = setting(..., "frequencies of the clamped body", "rad/s", POSITIVE, length=ANY)
+    damping: float = setting(..., "damping ratio", "", 0.0)
+    participation: Matrix = setting(..., "participation of the root's motion", "sqrt(kg)", length=(ANY, 6))
+    further_modes: tuple[FurtherMode, ...] = setting((), "modes beside them")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        modes, rows = len(self.frequencies), len(self.participation)
+        if modes != rows:
+            raise Refused("participation", f"must have a row for each of {modes} frequencies, got {rows}")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class TurningTable(CheckedTable):
+    """Rotation of a solar array."""
+
+    drive_axis: Vector = setting(..., "axis of the rotation in the spacecraft's frame", length=3)
+    theta_range: Vector = setting(..., "smallest and largest angle", "rad", length=2)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.theta_range
+        for i, angle in enumerate(self.theta_range):
+            if abs(angle) >= 2.0 * math.pi:
+                expected = "must be between -2 pi and 2 pi rad, where tau = tan(theta/4) is regular"
+                raise Refused(f"theta_range[{i}]", f"{expected}, got {angle:g}")
+        if low > high or (low < high and not low <= 0.0 <= high):
+            expected = "must be increasing and contain 0, or be one angle twice"
+            raise Refused("theta_range", f"{expected}, got {low:g} to {high:g}")
+        if not any(self.drive_axis):
+            raise Refused("drive_axis", "must be a direction, got zeros")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ArraysTable(PrintedModes, TurningTable):
+    """Solar arrays of one kind, at A1 and A2."""
+
+    relative_uncertainty: float = setting(..., "half-width of the frequencies, relative", "", 0.0, 0.99)
+    dcm_A1: Matrix = setting(..., "from the body's frame to that of the array at A1", length=(3, 3))  # noqa: N815
+    dcm_A2: Matrix = setting(..., "from the body's frame to that of the array at A2", length=(3, 3))  # noqa: N815
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class IsolatorTable(CheckedTable):
+    """The isolator and its platform."""
+
+    mass: float = setting(..., "mass of the platform", "kg", POSITIVE)
+    inertia_at_cg: Matrix = setting(..., "its inertia", "kg m2", length=(3, 3))
+    center_of_mass: Vector = setting(..., "its centre of mass from I_p", "m", length=3)
+    stiffness: Vector = setting(..., "stiffness", "N/m, Nm/rad", POSITIVE, length=6)
+    damping: Vector = setting(..., "damping", "N s/m, Nm s/rad", 0.0, length=6)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class MirrorTable(CheckedTable):
+    """The fast steering mirror."""
+
+    mass: float = setting(..., "mass", "kg", POSITIVE)
+    inertia: Vector = setting(..., "inertia", "kg m2", length=3)
+    stiffness: float = setting(..., "stiffness of the joint", "Nm/rad", POSITIVE)
+    damping: float = setting(..., "damping of the joint", "Nm s/rad", 0.0)
+    los_sensitivity: float = setting(..., "line of sight by the mirror's angle", "rad/rad", POSITIVE)
+    authority: float = setting(..., "largest angle", "rad", POSITIVE)
 
     @property
     def dynamics(self) -> tuple[float, float]:
@@ -129,153 +226,239 @@ class MirrorTable:
         return frequency, self.damping / (2.0 * frequency * inertia)
 
 
-@dataclass(frozen=True)
-class OscillatorTable:
-    """A proof-mass actuator; ``authority`` is its largest force [N]."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class OscillatorTable(CheckedTable):
+    """A proof-mass actuator."""
 
-    moving_mass: float
-    casing_mass: float
-    inertia: Vector
-    stiffness: float
-    damping: float
-    authority: float
+    moving_mass: float = setting(..., "moving mass", "kg", POSITIVE)
+    casing_mass: float = setting(..., "mass of the casing", "kg", POSITIVE)
+    inertia: Vector = setting(..., "inertia, z along the motion", "kg m2", length=3)
+    stiffness: float = setting(..., "stiffness", "N/m", POSITIVE)
+    damping: float = setting(..., "damping", "N s/m", 0.0)
+    authority: float = setting(..., "largest force", "N", POSITIVE)
 
 
-@dataclass(frozen=True)
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class ProofMassTable(OscillatorTable):
     """Proof-mass actuators on the platform: at each azimuth an axial and a tangential one; none without azimuths."""
 
-    azimuths_deg: Vector
-    mounting_radius: float
-    height: float
+    azimuths_deg: Vector = setting(..., "azimuths", "deg")
+    mounting_radius: float = setting(..., "distance from the centre of the platform", "m")
+    height: float = setting(..., "height above I_p", "m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.azimuths_deg) not in (0, PMA_AZIMUTHS):
+            raise Refused("azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(self.azimuths_deg)}")
 
 
-@dataclass(frozen=True)
-class AttitudeTable:
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class AttitudeTable(CheckedTable):
     """The attitude control."""
 
-    bandwidth: float
-    damping: float
+    bandwidth: float = setting(..., "bandwidth", "rad/s", POSITIVE)
+    damping: float = setting(..., "damping ratio", "", 0.0)
 
 
-@dataclass(frozen=True)
-class DriveTable:
-    """Drives of the solar arrays; micro-steps without a stepper motor are harmonics of ``step_frequency`` [rad/s]."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Drive(CheckedTable):
+    """Drive of a solar array: gearbox, largest disturbance torque and, where the file has one, its motor."""
 
-    gearbox_stiffness: float
-    gearbox_damping: float
-    torque_bound: float
-    step_frequency: float
-    step_harmonics: Vector
+    gearbox_stiffness: float = setting(..., "stiffness of the gearbox", "Nm/rad", 0.0)
+    gearbox_damping: float = setting(..., "damping of the gearbox", "Nm s/rad", 0.0)
+    torque_bound: float = setting(..., "largest disturbance torque", "Nm", 0.0)
+    stepper: Stepper | None = setting(None, "stepper motor", absent="none")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stepper is not None and self.gearbox_stiffness == 0.0:
+            raise Refused("stepper", "needs a gearbox_stiffness above zero, got 0")
 
 
-@dataclass(frozen=True)
-class ImbalanceTable:
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class DriveTable(Drive):
+    """Drives of the solar arrays; micro-steps without a stepper motor are harmonics of ``step_frequency``."""
+
+    step_frequency: float = setting(..., "frequency of the micro-steps", "rad/s", POSITIVE)
+    step_harmonics: Vector = setting(..., "amplitudes of its harmonics")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class BodyOnBoardTable(PrintedModes):
+    """A flexible body at a point of the central body; those of one kind may share what they leave out."""
+
+    name: str = setting(..., "name")
+    point: str = setting(..., "point of the central body")
+    like: str = setting("", "body before it whose values it has")
+    parameters: str = setting(
+        "",
+        "beginning of the names of its uncertain parameters, which bodies with the same one share",
+        absent="its name",
+    )
+    modal_data: str = setting("", "file of modal data in place of the modes")
+    relative_uncertainty: float = setting(0.0, "half-width of its frequencies, relative", "", 0.0, 0.99)
+    uncertain_modes: int | None = setting(None, "how many of its frequencies are uncertain", absent="all")
+    dcm: Matrix | None = setting(None, "from the spacecraft's frame to its own", length=(3, 3), absent="the same")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ArrayTable(BodyOnBoardTable, TurningTable, Drive):
+    """A solar array."""
+
+    driven: bool = setting(True, "whether it has a drive")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class Broadband(CheckedTable):
+    """One-sided densities of a wheel's broadband noise on its mount, interpolated on logarithmic axes."""
+
+    frequency: Vector = setting(..., "frequencies", "Hz")
+    radial_force: Vector | None = setting(None, "density of the radial force", "N2/Hz", 0.0)
+    axial_force: Vector | None = setting(None, "density of the axial force", "N2/Hz", 0.0)
+    radial_torque: Vector | None = setting(None, "density of the radial torque", "Nm2/Hz", 0.0)
+    axial_torque: Vector | None = setting(None, "density of the axial torque", "Nm2/Hz", 0.0)
+
+    def __post_init__(self) -> None:
+        f, (_, *known) = self.frequency, self.SETTINGS
+        if len(f) < 2 or not f[0] > 0.0 or any(b <= a for a, b in itertools.pairwise(f)):
+            raise Refused("frequency", f"must be two or more increasing frequencies above 0 Hz, got {list(f)}")
+        given = {name: density for name in known if (density := getattr(self, name)) is not None}
+        if not given:
+            raise Refused("", f"must have a density, one of {', '.join(known)}, got none")
+        for name, density in given.items():
+            if len(density) != len(f):
+                raise Refused(name, f"must hold {len(f)} numbers, one for each frequency, got {len(density)}")
+
+    def density(self, name: str) -> FloatArray:
+        """Values of one of its densities, zeros where the file gives none."""
+        given = getattr(self, name)
+        return np.zeros(len(self.frequency)) if given is None else np.array(given, dtype=float)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class WheelKind(ReactionWheel):
+    """A kind of reaction wheel."""
+
+    maximum_speed: float = setting(..., "largest speed", "rad/s", POSITIVE)
+    broadband: Broadband | None = setting(None, "broadband noise", absent="none")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class WheelsTable(WheelKind):
+    """Reaction wheels of one kind in a pyramid."""
+
+    cant_deg: float = setting(..., "angle of the axes above the deck", "deg")
+    azimuths_deg: Vector = setting(..., "azimuths of the wheels", "deg")
+    default_speed: Vector = setting(..., "speeds", "rad/s")
+    mounting_radius: float = setting(..., "distance of their centres from I_w", "m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        wheels, speeds = len(self.azimuths_deg), len(self.default_speed)
+        if wheels != speeds:
+            raise Refused("default_speed", f"must hold a speed for each of {wheels} wheels, got {speeds}")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class WheelTable(WheelKind):
+    """A reaction wheel."""
+
+    name: str = setting(..., "name")
+    axis: Vector = setting(..., "direction of the spin", length=3)
+    position: Vector = setting((0.0, 0.0, 0.0), "its centre from I_w", "m", length=3)
+    default_speed: float = setting(..., "speed", "rad/s")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not any(self.axis):
+            raise Refused("axis", "must be a direction, got zeros")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ImbalanceTable(CheckedTable):
     """Imbalance of one wheel: coefficients of the square of the speed, and harmonics of the speed."""
 
-    radial_force: float
-    axial_force: float
-    radial_torque: float
-    force_harmonics: Vector
-    force_ratios: Vector
-    torque_harmonics: Vector
-    torque_ratios: Vector
+    radial_force: float = setting(..., "radial force of the fundamental", "N s2", 0.0)
+    axial_force: float = setting(..., "axial force of the fundamental", "N s2", 0.0)
+    radial_torque: float = setting(..., "radial torque of the fundamental", "Nm s2", 0.0)
+    force_harmonics: Vector = setting(..., "frequencies of the forces over the speed")
+    force_ratios: Vector = setting(..., "their amplitudes over the fundamental")
+    torque_harmonics: Vector = setting(..., "frequencies of the torques over the speed")
+    torque_ratios: Vector = setting(..., "their amplitudes over the fundamental")
 
 
-@dataclass(frozen=True)
-class DesignScenarioTable:
-    """Tones of the scenario design: band of their frequencies [rad/s] and their number."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class DesignScenarioTable(CheckedTable):
+    """Tones of the scenario design."""
 
-    band: Vector
-    tones: int
-
-
-@dataclass(frozen=True)
-class WeightTable:
-    """Weights of the synthesis: limits of the errors [rad], window [s], amplitudes of the disturbances.
-
-    The first four are made of the requirements, see :mod:`titop_plant.telescope.requirements`. Tones below the edge of
-    the bands [rad/s] are slow, those above are fast.
-    """
-
-    ape_limit: float
-    rpe_limit: float
-    rpe_limit_fine: float
-    rpe_window: float
-    wheel_imbalance: Vector
-    wheel_imbalance_zero: float
-    wheel_imbalance_pole: float
-    band_edge: float = FIRST_BAND_EDGE
+    band: Vector = setting(..., "band of their frequencies", "rad/s", length=2)
+    tones: int = setting(..., "their number", "", 0)
 
 
-@dataclass(frozen=True)
-class ImageOptics:
-    """Parameters of images: in no plant and no design, so not in the telescope's hash.
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class LimitsTable(CheckedTable):
+    """Limits of a design, which are made of the requirements, see :mod:`titop_plant.telescope.requirements`."""
 
-    Lengths in m, ``pixel_mas`` and ``weight_mas`` on the sky [mas], ``obscuration`` as a share of the diameter;
-    ``pupil`` is a FITS file in place of the aperture.
-    """
-
-    aperture_diameter: float
-    obscuration: float
-    spider_vanes: int
-    spider_width: float
-    wavelength: float
-    pixel_mas: float
-    weight_mas: float
-    pupil: str
+    ape_limit: float = setting(..., "limit of the absolute error", "rad", POSITIVE)
+    rpe_limit: float = setting(..., "limit of the relative error with the mirror alone", "rad", POSITIVE)
+    rpe_limit_fine: float = setting(..., "limit of the relative error with all actuators", "rad", POSITIVE)
+    rpe_window: float = setting(..., "window of the relative error", "s", POSITIVE)
 
 
-@dataclass(frozen=True)
-class OpticsTable:
-    """Paraxial data of the two mirrors [m]."""
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class WeightTable(LimitsTable):
+    """Weights of the synthesis; tones below the edge of the bands are slow, those above are fast."""
 
-    primary_focal_length: float
-    mirror_distance: float
-    back_focal_distance: float
-
-
-@dataclass(frozen=True)
-class CameraTable:
-    """Guide star and detector, see :mod:`titop_plant.telescope.guide_camera`."""
-
-    magnitude: float
-    zero_magnitude_flux: float
-    throughput: float
-    exposure: float
-    readout_delay: float
-    window: int
-    read_noise: float
-    dark: float
-    full_well: float
-    cosmic_rate: float
-    cosmic_charge: float
-    second_magnitude: float
-    second_offset_mas: Vector
-    centroid: str
-    noise_curve: str
+    wheel_imbalance: Vector = setting(..., "amplitudes of the imbalance", "N, Nm", 0.0, length=5)
+    wheel_imbalance_zero: float = setting(..., "zero of their weight", "rad/s")
+    wheel_imbalance_pole: float = setting(..., "pole of their weight", "rad/s")
+    band_edge: float = setting(FIRST_BAND_EDGE, "edge of the bands", "rad/s", *LOOP_FREQUENCIES)
 
 
-def frozen(value: Any) -> Any:
-    """A value of a file with tuples instead of lists."""
-    return tuple(frozen(item) for item in value) if isinstance(value, list) else value
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RequirementTable(CheckedTable):
+    """A pointing requirement."""
+
+    name: str = setting(..., "name")
+    text: str = setting(..., "requirement")
+    loop: Any = setting((), "stages that it holds for")
+
+    def __post_init__(self) -> None:
+        names = self.loop if isinstance(self.loop, tuple) else (self.loop,)
+        if not all(isinstance(name, str) for name in names):
+            raise Refused("loop", f"must be a text or a list of texts, got {self.loop!r}")
 
 
-def made(kind: type[Table], table: Mapping[str, Any], **parts: Any) -> Table:
-    """The object of a table; `parts` replace values of its own.
-
-    Keys that the object does not have are left out: further parts of the table have readers of their own.
-    """
-    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    values = {key: frozen(value) for key, value in table.items() if key in known}
-    return kind(**{**values, **parts})
-
-
-def structure(kind: type[Table], table: Mapping[str, Any]) -> Table:
-    """The object of the table of a structure, with its sections and its equipment."""
-    sections = {name: made(SectionTable, section) for name, section in table["sections"].items()}
-    equipment = tuple(made(Equipment, unit) for unit in table["equipment"])
-    parts: dict[str, Any] = {"sections": sections, "equipment": equipment}
-    if "ports" in table:
-        parts["ports"] = {name: frozen(place) for name, place in table["ports"].items()}
-    return made(kind, table, **parts)
+TABLES: Mapping[str, tuple[type[CheckedTable], ...]] = {
+    "optics": (TwoMirrorTelescope, ImageOptics),
+    "body": (BodyTable,),
+    "payload": (PayloadTable,),
+    "solar_array": (ArraysTable,),
+    "sadm": (DriveTable,),
+    "isolator": (IsolatorTable,),
+    "reaction_wheel": (WheelsTable,),
+    "fsm": (MirrorTable,),
+    "pma": (ProofMassTable,),
+    "attitude_control": (AttitudeTable,),
+    "camera": (GuideCamera,),
+    "imbalance": (ImbalanceTable,),
+    "design_scenario": (DesignScenarioTable,),
+    "weights": (WeightTable,),
+}
+"""Classes of the tables of a parameter file: those of which it has one."""

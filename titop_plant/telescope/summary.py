@@ -86,6 +86,12 @@ class PlantSummary:
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain types for JSON; ``total_inertia`` is the diagonal, which the attitude law uses."""
+        mass_properties = {
+            "mass": self.mass,
+            "centre_of_mass": self.centre_of_mass.tolist(),
+            "total_inertia": np.diag(self.total_inertia).tolist(),
+            "total_inertia_matrix": self.total_inertia.tolist(),
+        }
         rotors = {mode.name: [mode.at_rest, mode.at_speed] for mode in self.mechanisms}
         return {
             "order": self.order,
@@ -93,7 +99,7 @@ class PlantSummary:
             "hurwitz": self.hurwitz,
             "slowest_pole": self.slowest_pole,
             "largest_real_part": self.largest_real_part,
-            **(self._mass_properties() if self.bodies else {}),
+            **(mass_properties if self.bodies else {}),
             "min_residual_mass": {b.name: b.min_residual_mass for b in self.bodies},
             "min_residual_fraction": {b.name: b.min_residual_fraction for b in self.bodies},
             "parameters": {
@@ -102,14 +108,6 @@ class PlantSummary:
             },
             "bodies": {b.name: {"mass": b.mass, "modes": b.modes, "frequencies": b.frequencies} for b in self.bodies},
             **({"mechanisms": rotors} if rotors else {}),
-        }
-
-    def _mass_properties(self) -> dict[str, Any]:
-        return {
-            "mass": self.mass,
-            "centre_of_mass": self.centre_of_mass.tolist(),
-            "total_inertia": np.diag(self.total_inertia).tolist(),
-            "total_inertia_matrix": self.total_inertia.tolist(),
         }
 
 

@@ -23,6 +23,8 @@ from lftkit.proofs.trusted.digests import digest
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.sensors import Sensor, read_loop_sensors
@@ -31,26 +33,22 @@ from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.plant_file import FILE, PLANT, plant_parameters, plant_system
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
     AttitudeTable,
     BodyTable,
-    CameraTable,
     DesignScenarioTable,
     DriveTable,
-    ImageOptics,
     ImbalanceTable,
     IsolatorTable,
     Material,
     MirrorTable,
-    OpticsTable,
     PayloadTable,
     ProofMassTable,
     WeightTable,
-    made,
-    structure,
 )
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
 from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
@@ -138,72 +136,72 @@ class Telescope:
     @cached_property
     def materials(self) -> Mapping[str, Material]:
         """Materials of the structures by name."""
-        return {name: made(Material, table) for name, table in self._tables["materials"].items()}
+        return {name: Material.of_part(table) for name, table in self._tables["materials"].items()}
 
     @cached_property
     def body(self) -> BodyTable:
         """The central body."""
-        return structure(BodyTable, self._tables["body"])
+        return BodyTable.of_part(self._tables["body"])
 
     @cached_property
     def payload(self) -> PayloadTable:
         """The telescope payload."""
-        return structure(PayloadTable, self._tables["payload"])
+        return PayloadTable.of_part(self._tables["payload"])
 
     @cached_property
-    def optics(self) -> OpticsTable:
+    def optics(self) -> TwoMirrorTelescope:
         """Paraxial data of the optics."""
-        return made(OpticsTable, self._tables["optics"])
+        return TwoMirrorTelescope.of_part(self._tables["optics"])
 
     @cached_property
     def image_optics(self) -> ImageOptics:
-        """Parameters of images, from the table ``optics``."""
-        return made(ImageOptics, self._tables["optics"])
+        """Parameters of images, from the table ``optics``: in no plant and no design, so not in the hash."""
+        return ImageOptics.of_part(self._tables["optics"])
 
     @cached_property
     def isolator(self) -> IsolatorTable:
         """Isolator."""
-        return made(IsolatorTable, self._tables["isolator"])
+        return IsolatorTable.of_part(self._tables["isolator"])
 
     @cached_property
     def fsm(self) -> MirrorTable:
         """Fast steering mirror."""
-        return made(MirrorTable, self._tables["fsm"])
+        return MirrorTable.of_part(self._tables["fsm"])
 
     @cached_property
     def pma(self) -> ProofMassTable:
         """Proof-mass actuators."""
-        return made(ProofMassTable, self._tables["pma"])
+        return ProofMassTable.of_part(self._tables["pma"])
 
     @cached_property
     def attitude_control(self) -> AttitudeTable:
         """Attitude control."""
-        return made(AttitudeTable, self._tables["attitude_control"])
+        return AttitudeTable.of_part(self._tables["attitude_control"])
 
     @cached_property
     def sadm(self) -> DriveTable:
         """Drives of the solar arrays without their own tables."""
-        return made(DriveTable, self._tables["sadm"])
+        return DriveTable.of_part(self._tables["sadm"])
 
     @cached_property
     def imbalance(self) -> ImbalanceTable:
         """Imbalance of a wheel."""
-        return made(ImbalanceTable, self._tables["imbalance"])
+        return ImbalanceTable.of_part(self._tables["imbalance"])
 
     @cached_property
     def design_scenario(self) -> DesignScenarioTable:
         """Tones of the scenario design."""
-        return made(DesignScenarioTable, self._tables["design_scenario"])
+        return DesignScenarioTable.of_part(self._tables["design_scenario"])
 
     @cached_property
     def weights(self) -> WeightTable:
         """Weights of the synthesis, with the limits that are made of the requirements."""
-        return made(WeightTable, self._tables["weights"])
+        return WeightTable.of_part(self._tables["weights"])
 
     @cached_property
-    def camera(self) -> CameraTable:
+    def camera(self) -> GuideCamera:
         """Guide star and detector."""
-        return made(CameraTable, self._tables["camera"])
+        return GuideCamera.of_part(self._tables["camera"])
 
     @cached_property
     def plant(self) -> System | None:

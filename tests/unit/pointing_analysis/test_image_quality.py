@@ -24,8 +24,8 @@ from pointing_analysis.requirements.verdict import Verdict, decide, index_sample
 from pointing_analysis.units import RAD_PER_MAS
 
 MAS = RAD_PER_MAS
-CIRCLE = Optics(550e-9, 1e-9 * MAS, 1.5)
-REFERENCE = Optics(550e-9, 38 * MAS, 1.5, 0.3, weight=76 * MAS)
+CIRCLE = Optics(wavelength=550e-9, pixel_mas=1e-9, aperture_diameter=1.5)
+REFERENCE = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3, weight_mas=76.0)
 STILL = np.zeros((1, 21, 2))
 
 
@@ -174,9 +174,9 @@ def test_an_aberrated_pupil_has_its_peak_off_the_axis() -> None:
         unit, stream = fits.PrimaryHDU(disc), io.BytesIO()
         unit.header["PUPLSCAL"] = 0.025
         fits.HDUList([unit, fits.ImageHDU(error, name="OPD")]).writeto(stream)
-        files.append(Optics(550e-9, 38 * MAS, pupil_file=stream.getvalue()))
+        files.append(Optics(wavelength=550e-9, pixel_mas=38.0, pupil="a.fits", pupil_file=stream.getvalue()))
     plain, tilted = files
-    assert plain.pupil.in_phase and not tilted.pupil.in_phase
+    assert plain.aperture.in_phase and not tilted.aperture.in_phase
     paths = random_paths(3, 4.0)
     assert np.abs(strehl(paths, plain) - strehl(paths, tilted)).max() < 1e-3
 
@@ -321,7 +321,7 @@ def test_missing_samples_count_against_the_verdict() -> None:
     [
         (run_of(noise(500), None), NONE_KNOWN),
         (run_of(noise(15)), "the run must last for one exposure of 0.02 s and a sample, got 15 samples of 0.001 s"),
-        (run_of(noise(500), {**TABLE, "pixel_mas": -1.0}), r"optics.pixel_mas must be above 0 mas, got -1.0"),
+        (run_of(noise(500), {**TABLE, "pixel_mas": -1.0}), r"optics.pixel_mas must be above 0 mas, got -1"),
         (run_of(noise(500), "large"), "optics must be a table, got str"),
     ],
 )

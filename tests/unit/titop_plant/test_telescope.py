@@ -18,7 +18,6 @@ from los_loop.continuous_loop import continuous_open_loop
 from titop_plant.disturbances.responses import DRIVES, WHEELS, disturbance_responses
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
-from titop_plant.telescope.components import optics_component
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
@@ -72,7 +71,7 @@ def test_stable_and_no_slow_pole_at_any_parameter_value(system, telescope) -> No
 
 def test_line_of_sight_identities(telescope) -> None:
     """Rigid translation of all elements gives 0, rigid rotation about any point gives 1."""
-    optics = optics_component(telescope)
+    optics = telescope.optics
     d, b = optics.mirror_distance, optics.back_focal_distance
     assert d + b == pytest.approx(optics.magnification * (optics.primary_focal_length - d))
     heights = {"M1": 0.0, "M2": d, "DET": -b}

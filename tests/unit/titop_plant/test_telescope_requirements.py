@@ -83,7 +83,7 @@ def test_the_whole_list_is_replaced_where_asked(tmp_path: Path) -> None:
     assert list(limits(found)) == ["A", "B"]
     assert found.weights.rpe_window == 0.05 and found.weights.rpe_limit == 30 * MAS
     again = text + '[[requirement]]\nname = "B"\ntext = "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"\n'
-    with pytest.raises(ValueError, match="must have each name once, got 'B' twice"):
+    with pytest.raises(ValueError, match=r"line 9: 'requirement\[2\].name' must be given once, got 'B' twice"):
         own(tmp_path, again)
 
 

@@ -10,18 +10,24 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from pointing_analysis.files.settings import CheckedTable
 from titop_plant.structures.kinematics import check_rotation
 from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.telescope.devices import ACTUATOR, PROOF_MASSES, SENSOR, usual_values
-from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVE, WHEELS, read_appendages, read_arrays, read_wheels
-from titop_plant.telescope.tables.mechanisms import DRIVES, OF_LISTS, check_mechanisms
+from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVES, WHEELS, read_appendages, read_arrays, read_wheels
+from titop_plant.telescope.sections import (
+    ArrayTable,
+    BodyOnBoardTable,
+    Drive,
+    PrintedModes,
+    TurningTable,
+    WheelKind,
+    WheelTable,
+)
 from titop_plant.telescope.tables.parameter_check import ParameterFile
-from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_devices
+from titop_plant.telescope.tables.placed_devices import DEVICES, check_device_keys, check_devices
 
 Table = dict[str, Any]
-
-PMA_AZIMUTHS = 3
-"""Azimuths of the proof-mass actuators, two at each: a command holds six forces."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NUMBERED = re.compile(r"(wheel|array|drive)_\d+")
@@ -31,45 +37,8 @@ RESERVED = frozenset(
 )
 """Names of other bodies and places."""
 
-_MODES = {
-    "mass": 0.0,
-    "inertia_at_cg": [[0.0] * 3] * 3,
-    "center_of_mass": [0.0] * 3,
-    "frequencies": [0.0],
-    "damping": 0.0,
-    "participation": [[0.0] * 6],
-}
-_BODY: Mapping[str, Any] = {
-    "name": "",
-    "point": "",
-    "like": "",
-    "parameters": "",
-    "modal_data": "",
-    **_MODES,
-    "further_modes": [],
-    "relative_uncertainty": 0.0,
-    "uncertain_modes": 0,
-    "dcm": [[0.0] * 3] * 3,
-}
-_WHEEL: Mapping[str, Any] = {
-    "name": "",
-    "axis": [0.0] * 3,
-    "position": [0.0] * 3,
-    "mass": 0.0,
-    "axial_inertia": 0.0,
-    "radial_inertia": 0.0,
-    "maximum_speed": 0.0,
-    "default_speed": 0.0,
-}
-KEYS: Mapping[str, Mapping[str, Any]] = {
-    ARRAYS: {**_BODY, "driven": True, "drive_axis": [0.0] * 3, "theta_range": [0.0] * 2, **dict.fromkeys(DRIVE, 0.0)},
-    APPENDAGES: _BODY,
-    WHEELS: _WHEEL,
-    **DEVICE_KEYS,
-}
-"""Keys of each kind of table, each with a value of the kind that it must have."""
-
-_GROWING = ("frequencies", "participation", "axes")
+KINDS: Mapping[str, type[CheckedTable]] = {ARRAYS: ArrayTable, APPENDAGES: BodyOnBoardTable, WHEELS: WheelTable}
+"""Class of each kind of table."""
 REFERENCE_KIND = "reference"
 """Values of ``like`` besides an earlier body: the array of the reference telescope."""
 
@@ -111,7 +80,7 @@ def checked_layout(
     for kind, tables in given.items():
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise file.error(kind, f"must be tables [[{kind}]], got {tables!r}")
-        complete[kind] = _complete(kind, tables, reference, file)
+        complete[kind] = _complete(kind, tables, merged, reference, file)
     whole = {**merged, **complete}
     _check_names(whole, file)
     _check_points(whole, file)
@@ -123,43 +92,33 @@ def checked_layout(
     return complete
 
 
-def _complete(kind: str, tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+def _complete(
+    kind: str, tables: list[Table], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+) -> list[Table]:
     """Tables of one kind with what they leave out."""
+    for i, table in enumerate(tables):
+        name = f"{kind}[{i}]"
+        if kind in DEVICES:
+            check_device_keys(kind, name, table, file)
+        else:
+            with file.refusals(name):
+                KINDS[kind].check_given(table)
+        own = table.get("name")
+        if not own:
+            raise file.error(name, "has no 'name'")
+        if not _NAME.fullmatch(own):
+            raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {own!r}")
     if kind in DEVICES:
-        for i, table in enumerate(tables):
-            _check_keys(kind, i, table, file)
         return tables
-    return _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, reference, file)
+    return _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, merged, reference, file)
 
 
-def _check_keys(kind: str, i: int, table: Table, file: ParameterFile) -> None:
-    """Refuse unknown keys and values of another kind than those of `KEYS`."""
-    known, name, tables = KEYS[kind], f"{kind}[{i}]", OF_LISTS.get(kind, ())
-    for key, value in table.items():
-        if key in tables:
-            continue
-        if key not in known:
-            raise file.error(f"{name}.{key}", f"expected one of: {', '.join((*known, *tables))}")
-        like = known[key]
-        if isinstance(like, bool):
-            if not isinstance(value, bool):
-                raise file.error(f"{name}.{key}", f"must be true or false, got {value!r}")
-            continue
-        if key in _GROWING and isinstance(value, list):
-            like = like * max(len(value), 1)
-        file.check(f"{name}.{key}", key, like, value)
-    own = table.get("name")
-    if not own:
-        raise file.error(name, "has no 'name'")
-    if not _NAME.fullmatch(own):
-        raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {own!r}")
-
-
-def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+def _bodies(
+    kind: str, tables: list[Table], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+) -> list[Table]:
     """Tables of arrays or appendages with what ``like`` names, and files beside the parameter file."""
     found: dict[str, Table] = {}
     for i, table in enumerate(tables):
-        _check_keys(kind, i, table, file)
         name = f"{kind}[{i}]"
         if table["name"] in found:
             raise file.error(f"{name}.name", f"must be given once, got {table['name']!r} twice")
@@ -167,19 +126,18 @@ def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: 
             raise file.error(name, "has no 'point'")
         full = {**_model(kind, name, table, found, reference, file), **table}
         full.pop("like", None)
-        _check_modes(name, full, file)
+        parts: list[type[CheckedTable]] = []
+        if not full.get("modal_data"):
+            if not (full.get("frequencies") and full.get("participation")):
+                needed = "frequencies and participation or a modal_data file"
+                raise file.error(name, f"must have modes, {needed}, got none")
+            parts.append(PrintedModes)
         if kind == ARRAYS:
-            drive = {key: reference[ARRAYS][key] for key in ("drive_axis", "theta_range")}
-            full = {**drive, **full}
-            low, high = full["theta_range"]
-            if low > high or (low < high and not low <= 0.0 <= high):
-                raise file.error(
-                    f"{name}.theta_range",
-                    f"must be increasing and contain 0, or be one angle twice, got {low:g} to {high:g}",
-                )
-            if not any(full["drive_axis"]):
-                raise file.error(f"{name}.drive_axis", "must be a direction, got zeros")
-            check_mechanisms(name, full, file)
+            full = {**{key: reference[ARRAYS][key] for key in TurningTable.SETTINGS}, **full}
+            parts += [TurningTable, *([Drive] if full.get("driven", True) else [])]
+        for part in parts:
+            with file.refusals(name):
+                part.of_part({**merged[DRIVES], **full})
         if full.get("modal_data") and "modal_data" in table:
             full["modal_data"] = str(Path(file.path).parent / full["modal_data"])
             check_modal_file(name, full, file)
@@ -209,19 +167,6 @@ def _model(
     return {**values, **({"dcm": dcm} if dcm else {})}
 
 
-def _check_modes(name: str, full: Table, file: ParameterFile) -> None:
-    if full.get("modal_data"):
-        return
-    missing = [key for key in _MODES if key not in full]
-    if "frequencies" in missing or "participation" in missing or not full["frequencies"]:
-        raise file.error(name, "must have modes, frequencies and participation or a modal_data file, got none")
-    if missing:
-        raise file.error(name, f"has no {missing[0]!r}")
-    modes, rows = len(full["frequencies"]), len(full["participation"])
-    if modes != rows:
-        raise file.error(f"{name}.participation", f"must have a row for each of {modes} frequencies, got {rows}")
-
-
 def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
     """Refuse a table of a body whose modal data file cannot be read.
 
@@ -242,16 +187,11 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
 
 def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
     """Tables of wheels; what they leave out is that of the reference's wheels."""
-    kind = {key: reference[WHEELS][key] for key in ("mass", "axial_inertia", "radial_inertia", "maximum_speed")}
-    found = []
-    for i, table in enumerate(tables):
-        _check_keys(WHEELS, i, table, file)
-        if not any(table.get("axis", ())):
-            raise file.error(f"{WHEELS}[{i}]", "must have a direction, 'axis', got none")
-        if "default_speed" not in table:
-            raise file.error(f"{WHEELS}[{i}]", "has no 'default_speed'")
-        found.append({**kind, "position": [0.0, 0.0, 0.0], **table})
-        check_mechanisms(f"{WHEELS}[{i}]", found[-1], file)
+    kind = {key: value for key, value in reference[WHEELS].items() if key in WheelKind.SETTINGS}
+    found = [{**kind, "position": [0.0, 0.0, 0.0], **table} for table in tables]
+    for i, table in enumerate(found):
+        with file.refusals(f"{WHEELS}[{i}]"):
+            WheelTable.of_table(table)
     return found
 
 
@@ -308,11 +248,7 @@ def _check_shared(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 
 def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
-    table = whole[WHEELS]
-    if isinstance(table, Mapping) and len(table["azimuths_deg"]) != len(table["default_speed"]):
-        count, speeds = len(table["azimuths_deg"]), len(table["default_speed"])
-        raise file.error(f"{WHEELS}.default_speed", f"must hold a speed for each of {count} wheels, got {speeds}")
-    wheels = read_wheels(whole)
+    table, wheels = whole[WHEELS], read_wheels(whole)
     axes = np.array([wheel.axis for wheel in wheels])
     rank = 3 - linalg.null_space(axes, rcond=1e-6).shape[1] if wheels else 0
     if rank < 3:
@@ -334,12 +270,7 @@ def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 def _check_proof_masses(whole: Mapping[str, Any], file: ParameterFile) -> None:
     """Values of proof-mass actuators act on those of the platform, or on further actuators that do not state them."""
-    azimuths = whole[PROOF_MASSES]["azimuths_deg"]
-    if len(azimuths) not in (0, PMA_AZIMUTHS):
-        raise file.error(
-            f"{PROOF_MASSES}.azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(azimuths)}"
-        )
-    if azimuths:
+    if whole[PROOF_MASSES]["azimuths_deg"]:
         return
     used = {"azimuths_deg", *(key for one in whole.get(ACTUATOR, ()) for key in usual_values(one))}
     for key in file.lines:

@@ -10,6 +10,7 @@ from titop_plant.interface import COLUMNS
 from titop_plant.telescope.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
 from titop_plant.telescope.layout import device_nodes, read_nodes
 from titop_plant.telescope.places import REFERENCE_POINT
+from titop_plant.telescope.sections import OscillatorTable
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 DEVICES = (SENSOR, ACTUATOR)
@@ -28,6 +29,24 @@ DEVICE_KEYS: Mapping[str, Mapping[str, Any]] = {
 
 UNIT_WITHIN = 1e-3
 """Of the length of an axis from 1; it is brought to 1."""
+
+
+def check_device_keys(kind: str, name: str, table: Mapping[str, Any], file: ParameterFile) -> None:
+    """Refuse unknown keys and values of another kind than those of `DEVICE_KEYS`.
+
+    Raises
+    ------
+    ValueError
+        The message names file, line and key.
+    """
+    known = DEVICE_KEYS[kind]
+    for key, value in table.items():
+        if key not in known:
+            raise file.error(f"{name}.{key}", f"expected one of: {', '.join(known)}")
+        like = known[key] * max(len(value), 1) if key == "axes" and isinstance(value, list) else known[key]
+        file.check(f"{name}.{key}", key, like, value)
+    with file.refusals(name):
+        OscillatorTable.check_given({key: value for key, value in table.items() if key in MECHANICS})
 
 
 def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:

@@ -129,7 +129,7 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "optics", "message"),
     [
-        (["analyse"], OPTICS.replace("38.0", "-38.0"), "optics.pixel_mas must be above 0 mas, got -38.0"),
+        (["analyse"], OPTICS.replace("38.0", "-38.0"), "optics.pixel_mas must be above 0 mas, got -38"),
         (["analyse"], "[telescope]\na = 1\n", "must hold a table [optics]"),
         (["analyse"], OPTICS + 'pupil = "zeros.fits"\n', "pupil must transmit somewhere, got zeros only"),
         (["analyse", "--requirements", "long.toml"], OPTICS, "los.csv: exposure must be at most the"),

@@ -162,7 +162,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('kind = "harmonics"\nharmonics = [{order = 1}]', "speed must be given"),
+        ('kind = "harmonics"\nharmonics = [{order = 1, force = [1.0, 0.0, 0.0]}]', "speed must be given"),
         ('kind = "series"\nfile = "timed.csv"\nkeep_mean = "false"', "keep_mean must be true or false, got 'false'"),
         (
             'kind = "series"\nfile = "timed.csv"\nrate = 500.0\nrepeat = true',
@@ -177,8 +177,8 @@ def folder(tmp_path: Path) -> Path:
             HARMONIC % 1 + '\nfile = "h.csv"',
             "harmonics must be in a file or in the table, got both: 'h.csv' and a list",
         ),
-        (HARMONIC % '"1"', "a.toml, disturbance 'a': order of a harmonic must be a number above 0, got '1'"),
-        (HARMONIC % "inf", "order of a harmonic must be a number above 0, got inf"),
+        (HARMONIC % '"1"', r"a.toml, disturbance 'a': harmonics\[0\].order must be a number above 0, got '1'"),
+        (HARMONIC % "inf", r"harmonics\[0\].order must be a finite number above 0, got inf"),
         (
             'kind = "waterfall"\nfile = "w.csv"\nspeed = 150.0',
             "w.csv: waterfall must have one row for each frequency at each speed, got two of 1000 rpm, 59 Hz",

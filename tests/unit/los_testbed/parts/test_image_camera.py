@@ -23,7 +23,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import CAMERA, DT, MEASUREMENTS
 
-OPTICS = Optics(550e-9, 38.0 * RAD_PER_MAS, 1.5, 0.3)
+OPTICS = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
 STAR = GuideCamera(magnitude=9.0, cosmic_rate=0.0)
 RATE = np.array([300.0, -200.0]) * RAD_PER_MAS
 """Of the line of sight [rad/s]: four pixels in half a second."""

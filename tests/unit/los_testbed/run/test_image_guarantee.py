@@ -15,7 +15,7 @@ from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.weights import rpe_weight
 
 MAS, WINDOW = RAD_PER_MAS, 0.02
-OPTICS = Optics(550e-9, 38 * MAS, 1.5, 0.3)
+OPTICS = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
 
 
 def largest_variance(y: Any) -> Any:

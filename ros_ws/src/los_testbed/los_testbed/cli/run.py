@@ -317,7 +317,7 @@ def _disturbance(values: list[str] | None, none: bool) -> dict[str, Any]:
     return settings
 
 
-LISTS = tuple("--" + name.replace("_", "-") for name, own in RunConfig.SETTINGS.items() if own.length is not None)
+LISTS = tuple("--" + name.replace("_", "-") for name, own in RunConfig.SETTINGS.items() if own.kind is tuple)
 """Options with as many numbers as the telescope has wheels, or frequencies."""
 
 

@@ -4,16 +4,7 @@ A TOML file has any number of tables ``[[disturbance]]``; a table of values (CSV
 source, whose kind follows from its columns: times are a series, orders the harmonics of a wheel, speeds and frequencies
 a waterfall, frequencies alone a power spectral density.
 
-==============  =====================================================================================================
-kind            keys beside name, kind, place, frame, offset, scale
-==============  =====================================================================================================
-``series``      ``file``; ``rate`` [Hz], ``repeat``, ``keep_mean``
-``harmonics``   ``file``, or ``harmonics`` with ``order``, ``force``, ``torque``; ``squared``, ``speed`` [rad/s]
-``waterfall``   ``file``; ``speed`` [rad/s], ``bandwidth`` [bins]
-``psd``         ``file``
-``cooler``      ``frequency`` [Hz], ``harmonics``, ``linewidth`` [Hz]
-``pulses``      ``force``, ``torque``, ``period``, ``width``, ``first``, ``last`` [s]
-==============  =====================================================================================================
+The keys of each kind are the fields of its class in :mod:`titop_plant.disturbances.source_kinds`.
 """
 
 from __future__ import annotations
@@ -41,8 +32,6 @@ from titop_plant.telescope.load import FOLDER
 if TYPE_CHECKING:
     from titop_plant.disturbances.sources import PlacedSource
     from titop_plant.telescope.telescope import Telescope
-
-COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
 
 
 def entries_of(items: Sequence[str]) -> list[DisturbanceTable]:
@@ -136,26 +125,20 @@ def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -
     from titop_plant.disturbances.places import place_matrix
     from titop_plant.disturbances.sources import PlacedSource
 
-    table = entry.table
-    name, kind, place = table.get("name"), table.get("kind"), table.get("place", "bus")
-    if not isinstance(name, str) or not name:
-        raise entry.error("name must be a text, got none")
+    kind = entry.table.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     entry = replace(entry)  # without the remarks of an earlier run
-    make, keys = KINDS[kind]
-    if unknown := sorted(set(table) - COMMON - keys):
-        raise entry.error(f"keys must be among {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
-    offset = entry.vector("offset") if "offset" in table else None
+    source = entry.made(KINDS[kind])
+    place, offset = source.place, None if source.offset is None else np.array(source.offset)
     try:
-        matrix = place_matrix(place, telescope, _frame(table.get("frame", "own")), offset)
+        matrix = place_matrix(place, telescope, _frame(source.frame), offset)
     except ValueError as error:
         raise entry.error(str(error)) from None
-    signal, remarks = make(entry, run)
+    signal, remarks = source.make(entry, run)
     limits = {one.name: one.authority for one in telescope.placed_actuators}
-    scale = entry.number("scale", 1.0)
-    limit = limits[place] / max(abs(scale), 1e-300) if place in limits else math.inf
-    return PlacedSource(name, kind, place, scale * matrix, signal, (*entry.ignored(), *remarks), limit)
+    limit = limits[place] / max(abs(source.scale), 1e-300) if place in limits else math.inf
+    return PlacedSource(source.name, kind, place, source.scale * matrix, signal, (*entry.ignored(), *remarks), limit)
 
 
 def _frame(frame: Any) -> FloatArray | None:

@@ -6,7 +6,7 @@ What computes with scipy is imported where it is used: the command line and the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,7 +111,7 @@ class RunParts:
         """Optics of the images of the telescope; InputError: they make none."""
         from pointing_analysis.image.optics import from_mapping
 
-        table = asdict(self.telescope.image_optics)
+        table = self.telescope.image_optics.to_mapping()
         return from_mapping(table, self.config.parameters or "reference.toml", self.pupil_file)
 
     @cached_property
