@@ -276,10 +276,10 @@ class DesignBasis:
         ValueError
             Neither states one.
         """
-        found = telescope.los_sensitivity if self.los_sensitivity is None else self.los_sensitivity
-        if found is None:
+        sensitivity = telescope.los_sensitivity if self.los_sensitivity is None else self.los_sensitivity
+        if sensitivity is None:
             raise InputError("los_sensitivity must be given by the observer's file or by the telescope, got neither")
-        return found
+        return sensitivity
 
     def differences(self, other: DesignBasis) -> dict[str, tuple[Any, Any]]:
         """Values that both state and that differ: name to (own, other)."""
@@ -323,13 +323,15 @@ def design_warnings(controllers: Iterable[Designed], telescope: DesignBasis, *, 
     """
     lines = []
     for controller in controllers:
-        found = DesignBasis.from_mapping(controller.design_basis, controller.name).differences(telescope)
-        if closed and "los_sensitivity" in found:
-            own, given = found["los_sensitivity"]
-            raise InputError(f"{controller.name}: fsm.los_sensitivity of its design must be {given:g}, got {own:g}")
-        if found:
+        differences = DesignBasis.from_mapping(controller.design_basis, controller.name).differences(telescope)
+        if closed and "los_sensitivity" in differences:
+            of_design, of_telescope = differences["los_sensitivity"]
+            raise InputError(
+                f"{controller.name}: fsm.los_sensitivity of its design must be {of_telescope:g}, got {of_design:g}"
+            )
+        if differences:
             made, present = (
-                ", ".join(f"{name} {_text(pair[side])}" for name, pair in found.items()) for side in (0, 1)
+                ", ".join(f"{name} {_text(pair[side])}" for name, pair in differences.items()) for side in (0, 1)
             )
             lines.append(f"{controller.name} was designed for {made}, not for {present}")
     return tuple(lines)

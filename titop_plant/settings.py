@@ -39,9 +39,9 @@ class Settings(CheckedTable):
     @field_validator("*", mode="before")
     @classmethod
     def _read(cls, value: Any, info: ValidationInfo) -> Any:
-        own = cls.SETTINGS[str(info.field_name)]
-        value = own.read(value)
-        absent = own.optional and not isinstance(value, bool) and value == PLAIN_ABSENT[own.kind]
+        of_field = cls.SETTINGS[str(info.field_name)]
+        value = of_field.read(value)
+        absent = of_field.optional and not isinstance(value, bool) and value == PLAIN_ABSENT[of_field.kind]
         return None if absent else value
 
     @classmethod
@@ -59,7 +59,7 @@ class Settings(CheckedTable):
 
     def to_plain(self) -> dict[str, Any]:
         """Names and values as files, ROS parameters and bags hold them, without ``None``."""
-        return {name: own.plain(getattr(self, name)) for name, own in self.SETTINGS.items()}
+        return {name: one.plain(getattr(self, name)) for name, one in self.SETTINGS.items()}
 
     def to_strings(self) -> dict[str, str]:
         """The same as text, for the metadata of a bag."""

@@ -135,12 +135,12 @@ class Stepper(CheckedTable):
         middle = np.asarray((np.arange(count) + 0.5) * width, np.float64)
         one, two = self.currents(middle)
         order = np.arange(1, highest + 1)
-        found = np.zeros(highest, complex)
+        harmonics = np.zeros(highest, complex)
         for turn, part in ((1.0, two + 1j * one), (-1.0, two - 1j * one)):
             q = turn - order  # of the exponentials that are integrated over each micro-step
             integral = np.exp(1j * np.outer(q, middle)) * (width * np.sinc(q * width / (2.0 * math.pi)))[:, None]
-            found += integral @ (0.5 * part)
-        amplitude = 2j * self.holding_torque * found / (2.0 * math.pi)
+            harmonics += integral @ (0.5 * part)
+        amplitude = 2j * self.holding_torque * harmonics / (2.0 * math.pi)
         if highest >= STEPS_OF_A_CYCLE:
             amplitude[STEPS_OF_A_CYCLE - 1] += self.detent_torque
         kept = np.abs(amplitude) > SMALLEST * (self.holding_torque + self.detent_torque)

@@ -70,8 +70,8 @@ class WheelBearing(CheckedTable):
     def __post_init__(self) -> None:
         kinds = dict.fromkeys(DIRECTIONS)
         if not self.flexible:
-            given = ", ".join(f"{kind}_stiffness" for kind in kinds)
-            raise Refused("", f"must have one of {given}, got none")
+            names = ", ".join(f"{kind}_stiffness" for kind in kinds)
+            raise Refused("", f"must have one of {names}, got none")
         for kind in kinds:
             damping = getattr(self, f"{kind}_damping")
             if damping and getattr(self, f"{kind}_stiffness") is None:

@@ -53,8 +53,8 @@ def stepper_lines(telescope: Telescope, seed: int = 0) -> DriveLines:
     whole = build_telescope(telescope, loads=telescope.loaded_nodes, motors=True).system
     plant = whole.select(inputs=[port.name for port in ports], outputs=[LOS]).at({})
     still = MotionProfile(np.zeros(1), np.zeros(1), np.array([telescope.default_speeds], dtype=float))
-    found = mechanism_sources(telescope, still, 1.0, seed, DT)
-    source = next(one for one in found if one.name == ARRAY_DRIVE)
+    sources = mechanism_sources(telescope, still, 1.0, seed, DT)
+    source = next(one for one in sources if one.name == ARRAY_DRIVE)
     assert isinstance(source.signal, JointSignal)
     rows: dict[float, ComplexArray] = {}
     for i, part in enumerate(source.signal.parts):

@@ -98,15 +98,15 @@ def mechanism_sources(
         Tick [s].
     """
     noisy = [(i, wheel) for i, wheel in enumerate(telescope.wheels) if wheel.broadband is not None]
-    found = []
+    sources = []
     if noisy:
         parts = [_broadband(wheel, duration, dt, _rng(seed, 1, i)) for i, wheel in noisy]
         matrices = [mount_matrix(wheel, telescope) for _, wheel in noisy]
-        found.append(_joined(WHEEL_BROADBAND, "psd", "wheels", matrices, parts))
+        sources.append(_joined(WHEEL_BROADBAND, "psd", "wheels", matrices, parts))
     if names := [array.name for array in telescope.motors]:
         drives = [_drive(telescope, i, profile, dt, _rng(seed, 2, i)) for i in range(len(names))]
-        found.append(_joined(ARRAY_DRIVE, "stepper", ", ".join(names), *zip(*drives)))
-    return tuple(found)
+        sources.append(_joined(ARRAY_DRIVE, "stepper", ", ".join(names), *zip(*drives)))
+    return tuple(sources)
 
 
 def mount_matrix(wheel: WheelOnBoard, telescope: Telescope) -> FloatArray:
@@ -127,8 +127,8 @@ def _broadband(wheel: WheelOnBoard, duration: float, dt: float, rng: np.random.G
     table = wheel.broadband
     assert table is not None
     frequency = np.array(table.frequency, dtype=float)
-    given = np.array([table.density(name) for name in DENSITIES])
-    return noise_of_density(frequency, given[list(AXES_OF_DENSITIES)].T, duration, dt, rng)
+    densities = np.array([table.density(name) for name in DENSITIES])
+    return noise_of_density(frequency, densities[list(AXES_OF_DENSITIES)].T, duration, dt, rng)
 
 
 def _drive(

@@ -119,7 +119,7 @@ def _axes(entry: DisturbanceTable, table: Table, n: int, units: WrenchUnits = FO
         if name != first and base in spelled:
             raise entry.error(f"{table.path} must have one column for each axis, got {first} and {name}")
     whole = [f"wrench.{i + 1}" for i in range(6)]
-    found = 0
+    count = 0
     for name in table.texts:
         if split_unit(name)[0].lower() in spelled:
             table.refuse_text(name)
@@ -130,9 +130,9 @@ def _axes(entry: DisturbanceTable, table: Table, n: int, units: WrenchUnits = FO
                 both = table.unit(column).replace(";", ",").split(",")
                 unit = both[axis // 3] if len(both) == 2 else table.unit(column)
                 values[:, axis] = _scaled(entry, table, column, units.of_axis(axis), unit)
-                found += 1
+                count += 1
                 break
-    if not found:
+    if not count:
         names_ = ", ".join(names[0].capitalize() for names in AXES)
         raise entry.error(f"{table.path} must have columns of {names_}, got {table.listed()}")
     odd = ~(np.abs(values) <= LARGEST)
@@ -161,26 +161,26 @@ def _column(entry: DisturbanceTable, table: Table, *names: str, units: Units | N
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
 
-def _rate(entry: DisturbanceTable, table: Table, n: int, given: float | None) -> float:
+def _rate(entry: DisturbanceTable, table: Table, n: int, stated: float | None) -> float:
     """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
     when = time_column(table.of_length(n), [])
-    own = _rate_by_times(entry, table, when, given) if when is not None else table.rate(list(table.of_length(n)))
-    if own is None:
-        if given is None:
+    of_file = _rate_by_times(entry, table, when, stated) if when is not None else table.rate(list(table.of_length(n)))
+    if of_file is None:
+        if stated is None:
             refuse_text_times(table)
             raise entry.error(f"{table.path} must have a column time, or rate must be given, got {table.listed()}")
-        return given
-    if given is not None and abs(given - own) > SAME_RATE * own:
+        return stated
+    if stated is not None and abs(stated - of_file) > SAME_RATE * of_file:
         source = f"column {when}" if when is not None else "file"
-        raise entry.error(f"rate must be that of {table.path}, {own:g} Hz by its {source}, got {given:g} Hz")
-    return own
+        raise entry.error(f"rate must be that of {table.path}, {of_file:g} Hz by its {source}, got {stated:g} Hz")
+    return of_file
 
 
-def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, given: float | None) -> float:
+def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, stated: float | None) -> float:
     """Sampling rate [Hz] by a column of times; a rate that is `given` tells that they are in seconds."""
     unit = table.unit(when)
     try:
-        stamps = column_stamps(when, entry.column(table, when), given, "" if FORCE.knows(unit) else unit)
+        stamps = column_stamps(when, entry.column(table, when), stated, "" if FORCE.knows(unit) else unit)
     except ValueError as error:
         raise entry.error(f"{table.path}: {error}") from None
     seconds = (stamps - stamps.min()) / NANO
@@ -236,10 +236,10 @@ class SourceTable(CheckedTable):
 
     def speed_in(self, entry: DisturbanceTable, run: RunConditions, speed: float | None) -> float:
         """Speed of a rotor [rad/s]: given, or that of the wheel where it is."""
-        found = run.speed_at(self.place) if speed is None else speed
-        if found is None:
+        of_wheel = run.speed_at(self.place) if speed is None else speed
+        if of_wheel is None:
             raise entry.error(f"speed must be given [rad/s] at {self.place}, which is no wheel, got none")
-        return found
+        return of_wheel
 
 
 @settings_class
@@ -369,13 +369,13 @@ class Waterfall(SourceTable):
         turning, sense = abs(speed) / (2 * np.pi), float(np.sign(speed)) or 1.0
         try:
             model = identify(*grid_of(at, frequency, _axes(entry, table, at.size)), self.bandwidth)
-            found, amplitude = model.lines_at(turning)
+            omega, amplitude = model.lines_at(turning)
             density = model.density_at(turning)
         except ValueError as error:
             raise entry.error(f"{table.path}: {error}") from None
-        if not found.size and not density.any():
+        if not omega.size and not density.any():
             raise entry.error(f"{table.path}: waterfall must have harmonics or noise, got zeros")
-        rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(found, amplitude)]
+        rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(omega, amplitude)]
         noise = noise_of_density(model.frequency, density, run.duration, DT, rng)
         tones, remarks = _audible(tone_signal, rows) if rows else (None, ())
         return SumSignal(tuple(part for part in (tones, noise) if part)), (*model.remarks, *remarks)

@@ -71,8 +71,8 @@ class Sources:
 
     def __init__(self, sources: Sequence[PlacedSource], dt: float = DT) -> None:
         self.sources, self.dt, self._tick = tuple(sources), dt, 0
-        found = [one.signal.lines for one in self.sources]
-        self.lines = np.unique(np.concatenate(found)) if found else np.zeros(0)
+        lines = [one.signal.lines for one in self.sources]
+        self.lines = np.unique(np.concatenate(lines)) if lines else np.zeros(0)
 
     def reset(self) -> None:
         """Back to the first tick."""

@@ -44,8 +44,8 @@ class Units:
 
 
 def _units(expected: str, *groups: tuple[float, str]) -> Units:
-    found = {name: scale for scale, names in groups for name in names.split()}
-    return Units(expected, MappingProxyType({"": 1.0, **found}))
+    scales = {name: scale for scale, names in groups for name in names.split()}
+    return Units(expected, MappingProxyType({"": 1.0, **scales}))
 
 
 @dataclass(frozen=True)

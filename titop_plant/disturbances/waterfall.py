@@ -149,13 +149,13 @@ def identify(speeds: FloatArray, frequency: FloatArray, amplitude: FloatArray, b
     (array([1. , 2.8]), array([1.e-05, 2.e-05]), array([90.]))
     """
     bins = bin_widths(frequency)
-    found = harmonic_orders(np.array([peak_ratios(one) for one in amplitude]), speeds, frequency)
+    harmonics = harmonic_orders(np.array([peak_ratios(one) for one in amplitude]), speeds, frequency)
     power = 0.5 * np.square(amplitude) / bandwidth
-    near, owner = _owners(found, speeds, frequency)
+    near, owner = _owners(harmonics, speeds, frequency)
     noise = _between(power, near)
     constant = _modes(noise, frequency)
     orders, coefficients, deviations = [], [], []
-    for i, order in enumerate(found):
+    for i, order in enumerate(harmonics):
         mine = near & (owner == i)
         seen = mine.any(axis=1)
         usable = seen & ~_crosses(order * speeds, constant, float(bins.max()))
@@ -210,15 +210,15 @@ def _area(frequency: FloatArray, density: FloatArray) -> float:
 def _modes(noise: FloatArray, frequency: FloatArray) -> FloatArray:
     """Frequencies of the peaks of the noise (s, f, 6), averaged over the speeds."""
     mean = np.sqrt(noise.mean(axis=0))
-    found = set[int]()
+    bins = set[int]()
     for column in mean.T:
         smooth = np.convolve(column, np.ones(2 * SMOOTH + 1) / (2 * SMOOTH + 1), "same")
         for i in np.flatnonzero(smooth):
             around = smooth[max(i - WIDE, 0) : i + WIDE + 1]
             near = smooth[max(i - AROUND, 0) : i + AROUND + 1]
             if smooth[i] == near.max() and smooth[i] > MODE * np.median(around) and 0 < i < smooth.size - 1:
-                found.add(int(max(i - SMOOTH, 0) + np.argmax(column[max(i - SMOOTH, 0) : i + SMOOTH + 1])))
-    places = sorted(found)
+                bins.add(int(max(i - SMOOTH, 0) + np.argmax(column[max(i - SMOOTH, 0) : i + SMOOTH + 1])))
+    places = sorted(bins)
     kept = [i for k, i in enumerate(places) if not k or i - places[k - 1] > AROUND]
     return np.asarray(frequency[kept])
 
@@ -234,7 +234,7 @@ def _owners(orders: FloatArray, speeds: FloatArray, frequency: FloatArray) -> tu
 
 def _between(power: FloatArray, left_out: BoolArray) -> FloatArray:
     """Powers with those of the bins that are left out on the line between the means of `AROUND` bins beside them."""
-    found = power.copy()
+    filled = power.copy()
     for j, out in enumerate(left_out):
         kept = np.flatnonzero(~out)
         if kept.size < 2 or not out.any():
@@ -242,8 +242,8 @@ def _between(power: FloatArray, left_out: BoolArray) -> FloatArray:
         for i in np.flatnonzero(out):
             place = int(np.searchsorted(kept, i))
             beside = kept[max(place - AROUND // 2, 0) : place + AROUND // 2]
-            found[j, i] = power[j, beside].mean(axis=0)
-    return found
+            filled[j, i] = power[j, beside].mean(axis=0)
+    return filled
 
 
 def _crosses(frequency: FloatArray, modes: FloatArray, width: float) -> BoolArray:

@@ -227,11 +227,11 @@ def loudest_speeds(telescope: Telescope, plant: System, senses: FloatArray) -> F
     response = frequency_response(plant, omega)
     seen = rpe_weight(omega, telescope.weights.rpe_window) * omega**2
     sizes = np.diag([table.radial_force, table.axial_force, table.radial_torque])
-    found, free = np.empty(len(senses)), np.ones(omega.size, dtype=bool)
+    loudest, free = np.empty(len(senses)), np.ones(omega.size, dtype=bool)
     for i, sense in enumerate(senses):
         five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]
         parts = response[:, :, 5 * i : 5 * i + 5] @ np.stack(five, axis=1)
         power = np.sum(np.abs(parts) ** 2, axis=(1, 2))
-        found[i] = omega[np.argmax(np.where(free & (omega <= tops[i]), seen * np.sqrt(power), -1.0))]
-        free &= np.abs(omega - found[i]) > MODE_WIDTH * found[i]
-    return found
+        loudest[i] = omega[np.argmax(np.where(free & (omega <= tops[i]), seen * np.sqrt(power), -1.0))]
+        free &= np.abs(omega - loudest[i]) > MODE_WIDTH * loudest[i]
+    return loudest

@@ -37,13 +37,13 @@ def bin_widths(frequency: FloatArray) -> FloatArray:
 def peak_ratios(amplitude: FloatArray) -> FloatArray:
     """Ratio (f,) of each local maximum to the median around it, of the axis where it is the most; 0 elsewhere."""
     count = len(amplitude)
-    found = np.zeros(count)
+    ratios = np.zeros(count)
     for column in amplitude.T:
         inner = np.flatnonzero((column[1:-1] > column[:-2]) & (column[1:-1] >= column[2:])) + 1
         floor = np.array([np.median(column[max(i - AROUND, 0) : i + AROUND + 1]) for i in inner])
         with np.errstate(divide="ignore"):
-            found[inner] = np.maximum(found[inner], np.where(floor > 0.0, column[inner] / floor, np.inf))
-    return found
+            ratios[inner] = np.maximum(ratios[inner], np.where(floor > 0.0, column[inner] / floor, np.inf))
+    return ratios
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class _Peaks:
     def counts(self, values: FloatArray, scale: FloatArray) -> NDArray[np.int64]:
         """Number of spectra with a peak at each of the values times `scale`."""
         starts = np.unique(self.rows, return_index=True)[1]
-        found = [
+        numbers = [
             np.logical_or.reduceat(np.abs(self.at - part[:, None] * scale) <= self.within, starts, axis=1).sum(axis=1)
             for part in np.array_split(values, max(1, values.size * self.at.size // 2_000_000))
         ]
-        return np.asarray(np.concatenate(found))
+        return np.asarray(np.concatenate(numbers))
 
 
 def harmonic_orders(peaks: FloatArray, speeds: FloatArray, frequency: FloatArray) -> FloatArray:
@@ -80,8 +80,8 @@ def harmonic_orders(peaks: FloatArray, speeds: FloatArray, frequency: FloatArray
     left = _Peaks(rows, frequency[places], speeds[rows], SAME * float(bin_widths(frequency).max()))
     orders = list[float]()
     while left.at.size:
-        found = [_best(left, speeds, frequency, constant) for constant in (False, True)]
-        order, constant = found
+        best = [_best(left, speeds, frequency, constant) for constant in (False, True)]
+        order, constant = best
         if order is None and constant is None:
             break
         if constant is None or (order is not None and order[:2] >= constant[:2]):

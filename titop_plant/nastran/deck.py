@@ -55,13 +55,13 @@ def read_deck(path: Path) -> Deck:
 
 def _of_one_structure(lines: list[str], path: Path) -> list[str]:
     """The lines without the BEGIN SUPER at the head of a punch file (EXTSEOUT with EXTBULK)."""
-    parts = [(k, found) for k, line in enumerate(lines) if (found := _SUPER.match(line))]
+    parts = [(k, match) for k, line in enumerate(lines) if (match := _SUPER.match(line))]
     if not parts:
         return lines
-    first, found = parts[0]
+    first, match = parts[0]
     if len(parts) > 1 or any(line.strip() and not line.lstrip().startswith("$") for line in lines[:first]):
         raise InputError(
-            f"{path}: deck must be of one structure, got BEGIN {found[1].upper()} {found[2]} beside another: read its "
+            f"{path}: deck must be of one structure, got BEGIN {match[1].upper()} {match[2]} beside another: read its "
             "reduced matrices (EXTSEOUT(STIFFNESS,MASS,DMIGPCH), read_nastran_matrices), or a run without superelements"
         )
     return lines[:first] + lines[first + 1 :]
@@ -81,11 +81,11 @@ def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) 
         text = data.decode("utf-8")
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # of comments; cards are ASCII
-    found: list[str] = []
+    lines: list[str] = []
     waiting = iter(text.splitlines())
     for line in waiting:
         if not _INCLUDE.match(line):
-            found.append(line)
+            lines.append(line)
             continue
         name = _INCLUDE.sub("", line).split("$")[0].strip()
         mark = name[:1]
@@ -94,8 +94,8 @@ def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) 
             if more is None:
                 raise InputError(f"{path}: INCLUDE must name a file in quotes, got {name[:80]}")
             name += more.strip()
-        found += _lines(_inside(name.strip("'\""), path, folder, above), folder, (*above, path.resolve()), count)
-    return found
+        lines += _lines(_inside(name.strip("'\""), path, folder, above), folder, (*above, path.resolve()), count)
+    return lines
 
 
 def _inside(name: str, path: Path, folder: Path, above: tuple[Path, ...]) -> Path:
@@ -118,12 +118,14 @@ def parameters_of(deck: Deck, model: Any, path: Path) -> dict[str, str]:
     ValueError
         A parameter with two values.
     """
-    found = {name: str(card.values[0]) for name, card in model.params.items() if card.values}
+    parameters = {name: str(card.values[0]) for name, card in model.params.items() if card.values}
     head = deck.text[: start.start()] if (start := re.search(r"^\s*begin\s+bulk", deck.text, re.I | re.M)) else ""
     for name, value in _CASE_PARAM.findall(head):
-        if found.setdefault(name.upper(), value).upper() != value.upper():
-            raise InputError(f"{path}: PARAM,{name.upper()} must have one value, got {found[name.upper()]}, {value}")
-    return found
+        if parameters.setdefault(name.upper(), value).upper() != value.upper():
+            raise InputError(
+                f"{path}: PARAM,{name.upper()} must have one value, got {parameters[name.upper()]}, {value}"
+            )
+    return parameters
 
 
 def number_of(text: str) -> float:

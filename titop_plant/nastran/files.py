@@ -115,22 +115,22 @@ def of_subcase(tables: Mapping[Any, Any], what: str, path: str, subcase: int | N
         No table, several without `subcase`, or none of this subcase.
     """
     numbers = [int(key[0] if isinstance(key, tuple) else key) for key in tables]
-    found = dict(zip(numbers, tables.values()))
-    if len(found) < len(numbers):
-        twice = max(found, key=numbers.count)
+    by_subcase = dict(zip(numbers, tables.values()))
+    if len(by_subcase) < len(numbers):
+        twice = max(by_subcase, key=numbers.count)
         raise InputError(
             f"{path}: file must contain {what} once for each subcase, got {numbers.count(twice)} tables of subcase "
             f"{twice} (superelements, or runs that were appended)"
         )
-    if not found:
+    if not by_subcase:
         raise InputError(f"{path}: file must contain {what} (SOL 103 with output to OP2), got none{also}")
     if subcase is None:
-        if len(found) > 1:
-            raise InputError(f"{path}: subcase must be given, got {what} of subcases {sorted(found)}")
-        return next(iter(found.values()))
-    if subcase not in found:
-        raise InputError(f"{path}: subcase of {what} must be one of {sorted(found)}, got {subcase}")
-    return found[subcase]
+        if len(by_subcase) > 1:
+            raise InputError(f"{path}: subcase must be given, got {what} of subcases {sorted(by_subcase)}")
+        return next(iter(by_subcase.values()))
+    if subcase not in by_subcase:
+        raise InputError(f"{path}: subcase of {what} must be one of {sorted(by_subcase)}, got {subcase}")
+    return by_subcase[subcase]
 
 
 def rows_of(table: Any, grid: int, path: str, name: str) -> FloatArray:

@@ -227,7 +227,7 @@ def _constrained(model: Any, subcase: int | None) -> dict[int, set[str]]:
     for grid, node in model.nodes.items():
         if node.ps:
             constrained.setdefault(grid, set()).update(str(node.ps))
-    return {grid: found for grid, found in constrained.items() if grid in model.nodes}
+    return {grid: axes for grid, axes in constrained.items() if grid in model.nodes}
 
 
 def _chosen(model: Any, kind: str, subcase: int | None) -> set[int] | None:
@@ -263,5 +263,5 @@ def _largest(model: Any, table: Any, grid: int, held: dict[int, set[str]], path:
         return absent
     rows = [int(one) - 1 for one in held[grid] if one in "123456"]
     data = np.asarray(table.data, dtype=float)
-    own = data[:, index[0], :] @ six_axes(model.nodes[grid], path).T
-    return float(np.abs(own[:, rows]).max(initial=0.0) / max(float(np.abs(data).max()), 1e-300))
+    of_grid = data[:, index[0], :] @ six_axes(model.nodes[grid], path).T
+    return float(np.abs(of_grid[:, rows]).max(initial=0.0) / max(float(np.abs(data).max()), 1e-300))

@@ -135,11 +135,11 @@ def _scalar(model: Any, lump: Any) -> list[tuple[int, int]]:
 
 def _ends(element: Any) -> tuple[FloatArray, FloatArray]:
     """Ends of a bar in the basic coordinates: its grid points, and its offsets in their displacement axes."""
-    found = []
+    ends = []
     for node, side in zip(element.nodes_ref, ("wa", "wb")):
         offset = np.asarray(getattr(element, side, np.zeros(3)), dtype=float)
-        found.append(_position(node) + displacement_axes(node, "deck").T @ offset)
-    return found[0], found[1]
+        ends.append(_position(node) + displacement_axes(node, "deck").T @ offset)
+    return ends[0], ends[1]
 
 
 def _concentrated(lump: Any, position: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,15 +165,15 @@ def _bar(element: Any, mass: float) -> tuple[FloatArray, FloatArray]:
     start, end = _ends(element)
     length = float(linalg.norm(end - start))
     along = skew((end - start) / length)  # along @ v is axis x v
-    found = []
+    momenta = []
     for side in (-1.0, 1.0):
         momentum = np.zeros((6, 6))
         momentum[:3, :3] = mass / 2.0 * np.eye(3)
         momentum[:3, 3:] = side * mass * length / 12.0 * along
         momentum[3:, :3] = side * mass * length / 10.0 * along
         momentum[3:, 3:] = mass * length**2 / 120.0 * along @ along + 0.5 * _polar(element)
-        found.append(momentum)
-    return found[0], found[1]
+        momenta.append(momentum)
+    return momenta[0], momenta[1]
 
 
 def mass_of_elements(model: Any, point: FloatArray, path: str, coupled: bool) -> FloatArray:
@@ -224,19 +224,19 @@ def rigid_mass(model: Any, results: Any, point: FloatArray, path: str, coupled: 
     ValueError
         Still no inertia about an axis, or a mass element that is not understood.
     """
-    found = _grid_point_weight(model, results, point, path)
-    if found is None:
-        found = mass_of_elements(model, point, path, coupled)
-    check_rigid(found, path)
-    if lacks_inertia(found):
-        found = found.copy()
-        found[3:, 3:] += polar_inertia(model)
-    if lacks_inertia(found):
+    weight_table = _grid_point_weight(model, results, point, path)
+    if weight_table is None:
+        weight_table = mass_of_elements(model, point, path, coupled)
+    check_rigid(weight_table, path)
+    if lacks_inertia(weight_table):
+        weight_table = weight_table.copy()
+        weight_table[3:, 3:] += polar_inertia(model)
+    if lacks_inertia(weight_table):
         raise InputError(
             f"{path}: mass must have inertia about every axis, got none about one, and no bars with a density and "
             "second moments of area along it: give a CONM2 an inertia, or mass_matrix"
         )
-    return found
+    return weight_table
 
 
 def check_rigid(mass_matrix: FloatArray, path: str) -> None:

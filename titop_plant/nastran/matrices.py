@@ -144,7 +144,7 @@ def _names(model: Any, path: str) -> tuple[str, str]:
 
 def _coordinates(model: Any, names: tuple[str, str], path: str) -> list[Coordinate]:
     """Coordinates of both matrices in ascending order."""
-    found: set[Coordinate] = set()
+    coordinates: set[Coordinate] = set()
     for key in names:
         matrix = model.dmigs[key]
         if matrix.matrix_form not in (1, 6) or matrix.tin not in (1, 2):
@@ -152,8 +152,8 @@ def _coordinates(model: Any, names: tuple[str, str], path: str) -> list[Coordina
                 f"{path}: DMIG {key} must be real and square or symmetric (form 1 or 6, type 1 or 2), "
                 f"got form {matrix.matrix_form}, type {matrix.tin}"
             )
-        found |= {(int(grid), int(one)) for grid, one in (*matrix.GCi, *matrix.GCj)}
-    return sorted(found)
+        coordinates |= {(int(grid), int(one)) for grid, one in (*matrix.GCi, *matrix.GCj)}
+    return sorted(coordinates)
 
 
 def _matrix(matrix: Any, coordinates: list[Coordinate], units: DeckUnits) -> FloatArray:

@@ -180,8 +180,8 @@ def read_nastran(
         rigid = rigid_mass(model, results, point, str(bdf), coupled)
     else:
         rigid = read_only(stated, (6, 6), f"{name}: mass_matrix")
-    found = participation / scale / units.weight, point, rigid[0, 0], scale * np.sqrt(units.weight)
-    _check_same(model, results, table, found, (str(op2), coupled))
+    rigid_body = participation / scale / units.weight, point, rigid[0, 0], scale * np.sqrt(units.weight)
+    _check_same(model, results, table, rigid_body, (str(op2), coupled))
     root = np.sqrt(units.mass)
     data = ModalData(
         name,
@@ -222,10 +222,10 @@ def nastran_mass(bdf: str | Path, *, parent: tuple[str, int] | Interface, units:
         As :func:`read_nastran`.
     """
     deck, model = read_model(Path(bdf))
-    found = units_of(deck, model, Path(bdf), units)
+    deck_units = units_of(deck, model, Path(bdf), units)
     point = Interface.of(parent).place(model, str(bdf))
     mass = mass_of_elements(model, point, str(bdf), is_coupled(deck, model, Path(bdf)))
-    return np.asarray(mass * found.weight * found.matrix_scale())
+    return np.asarray(mass * deck_units.weight * deck_units.matrix_scale())
 
 
 def _squares(table: Any, path: str) -> FloatArray:
@@ -257,12 +257,12 @@ def _port_rows(table: Any, grid: int, path: str, name: str) -> FloatArray:
     return rows
 
 
-def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatArray], asked: str) -> FloatArray:
+def _by_momentum(model: Any, table: Any, rigid_body: tuple[FloatArray, float, FloatArray], asked: str) -> FloatArray:
     """Participation by the momentum of the deck's lumped masses, shape (n, 6), if these are the masses of the run.
 
     Parameters
     ----------
-    found : (ndarray of shape (n, 1), float, ndarray of shape (3,))
+    rigid_body : (ndarray of shape (n, 1), float, ndarray of shape (3,))
         Factors that normalise the modes, ``PARAM,WTMASS``, and P.
     asked : str
         Begin of the messages: why the forces of constraint do not give it.
@@ -272,7 +272,7 @@ def _by_momentum(model: Any, table: Any, found: tuple[FloatArray, float, FloatAr
     ValueError
         The modes are not orthonormal with these masses, or lack grid points with mass.
     """
-    scale, weight, point = found
+    scale, weight, point = rigid_body
     maps, unknown = momentum_maps(model, point, False)
     momentum = None if unknown else momentum_of(maps, table)
     if momentum is None:
@@ -288,11 +288,11 @@ def _check_same(
     model: Any,
     results: Any,
     table: Any,
-    found: tuple[FloatArray, FloatArray, float, FloatArray],
+    rigid_body: tuple[FloatArray, FloatArray, float, FloatArray],
     files: tuple[str, bool],
 ) -> None:
     """Deck against OP2: mass by the grid point weight, momentum and norm of the modes where all mass is known."""
-    (path, coupled), (participation, point, mass, scale) = files, found
+    (path, coupled), (participation, point, mass, scale) = files, rigid_body
     maps, unknown = momentum_maps(model, point, coupled)
     if unknown:
         return

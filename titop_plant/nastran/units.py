@@ -118,16 +118,18 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
     if system and system not in UNIT_SYSTEMS:
         raise InputError(f"{path}: PARAM,UNITSYS must be one of {', '.join(UNIT_SYSTEMS)}, got {system}")
     if stated is not None:
-        found = _stated(stated)
+        deck_units = _stated(stated)
         if system and not np.allclose(
-            (found.length, found.mass), (UNIT_SYSTEMS[system].length, UNIT_SYSTEMS[system].mass), rtol=SAME
+            (deck_units.length, deck_units.mass), (UNIT_SYSTEMS[system].length, UNIT_SYSTEMS[system].mass), rtol=SAME
         ):
             raise InputError(f"{path}: units must be those of PARAM,UNITSYS,{system} in the deck, got {stated}")
-        if found.weight != 1.0 != weight and abs(found.weight / weight - 1.0) > SAME:
-            raise InputError(f"{path}: units must have the weight of PARAM,WTMASS, {weight:g}, got {found.weight:g}")
-        found = found if found.weight != 1.0 else replace(found, weight=weight)
+        if deck_units.weight != 1.0 != weight and abs(deck_units.weight / weight - 1.0) > SAME:
+            raise InputError(
+                f"{path}: units must have the weight of PARAM,WTMASS, {weight:g}, got {deck_units.weight:g}"
+            )
+        deck_units = deck_units if deck_units.weight != 1.0 else replace(deck_units, weight=weight)
     elif system:
-        found = replace(UNIT_SYSTEMS[system], weight=weight)
+        deck_units = replace(UNIT_SYSTEMS[system], weight=weight)
     elif weight != 1.0:
         raise InputError(
             f"{path}: units must be given with PARAM,WTMASS,{weight:g}, as units='inch-lbf-s' "
@@ -137,9 +139,9 @@ def units_of(deck: Deck, model: Any, path: Path, stated: Units = None) -> DeckUn
         _check_materials(model, path, UNIT_SYSTEMS["N-M"], None)
         return UNIT_SYSTEMS["N-M"]
     named = f"{stated}" if stated is not None else f"PARAM,UNITSYS,{system}"
-    _check_materials(model, path, found, named)
-    _check_densities(model, path, found, named)
-    return found
+    _check_materials(model, path, deck_units, named)
+    _check_densities(model, path, deck_units, named)
+    return deck_units
 
 
 def _stated(stated: str | DeckUnits | tuple[float, float]) -> DeckUnits:

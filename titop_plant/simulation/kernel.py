@@ -60,7 +60,7 @@ def _product(columns: FloatArray, values: FloatArray, sums: FloatArray) -> None:
 @compiled
 def _coordinates(
     pairs: int,
-    own: FloatArray,
+    diagonal: FloatArray,
     cross: FloatArray,
     driven: FloatArray,
     block: FloatArray,
@@ -72,13 +72,13 @@ def _coordinates(
 
     `driving` are the values behind the coordinates; `later` (n,) is overwritten.
     """
-    plain, n = len(own), later.size
+    plain, n = len(diagonal), later.size
     for i in range(pairs):
-        later[i] = own[i] * values[i] + cross[i] * values[pairs + i]
+        later[i] = diagonal[i] * values[i] + cross[i] * values[pairs + i]
     for i in range(pairs, 2 * pairs):
-        later[i] = own[i] * values[i] + cross[i] * values[i - pairs]
+        later[i] = diagonal[i] * values[i] + cross[i] * values[i - pairs]
     for i in range(2 * pairs, plain):
-        later[i] = own[i] * values[i] + 0.0
+        later[i] = diagonal[i] * values[i] + 0.0
     _add(driven, 0, driving, later)
     if n > plain:
         _product(block, values[plain : plain + len(block)], later[plain:])
@@ -210,14 +210,14 @@ def loop(
     record : TickRecord
     """
     # arrays are taken from their tuples once: to do so counts references
-    pairs, own, cross, driven, block, outputs, factors, nodes = step
+    pairs, diagonal, cross, driven, block, outputs, factors, nodes = step
     places, phasors = course
     noise, bias, absent = sensors
     fsm, fsm_values, parts, held_columns, held = observer
     pma, pma_values, platform, closed, gain, authority, command = controller
     measurement, truth, estimate, commands = record
     varying, size, mirror = len(nodes) > 0, measurement.shape[1], estimate.shape[1]
-    order, width = len(own) + block.shape[1], size + truth.shape[1]
+    order, width = len(diagonal) + block.shape[1], size + truth.shape[1]
     driving, acting = values[order:], values[order : order + len(command)]
     turning = values[order + len(command) :]
     later, sums = np.empty(order + width if varying else order), np.empty(width)
@@ -232,7 +232,7 @@ def loop(
             between(nodes, places[row], values, later, other, sums)
         else:
             _product(outputs, values, sums)
-            _coordinates(pairs, own, cross, driven, block, values, driving, later)
+            _coordinates(pairs, diagonal, cross, driven, block, values, driving, later)
             turn(factors, turning)
         for i in range(size):
             y[i] = np.nan if absent[row, i] else (sums[i] + noise[row, i]) + bias[i]

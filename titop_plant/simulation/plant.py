@@ -166,12 +166,12 @@ class Plant:
         self._responses = [self._response(one) for one in self.inputs]
         self._restart()
 
-    def _response(self, given: HeldInput) -> FloatArray:
+    def _response(self, held_input: HeldInput) -> FloatArray:
         """Contribution of a unit value of an input, with the coordinates instead of the states."""
         n, rows = self._order, self._order + self._sums.size
-        if len(given.held) != rows:
-            raise InputError(f"held of an input must have {rows} rows, got {len(given.held)}")
-        return np.ascontiguousarray(np.vstack([self.coordinates(given.held[:n]), given.held[n:]]))
+        if len(held_input.held) != rows:
+            raise InputError(f"held of an input must have {rows} rows, got {len(held_input.held)}")
+        return np.ascontiguousarray(np.vstack([self.coordinates(held_input.held[:n]), held_input.held[n:]]))
 
     @property
     def _parts(self) -> tuple[HeldInput | SensorReadings | LimitedDevices | ImageStage, ...]:

@@ -80,27 +80,27 @@ def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, flo
     if config.frequencies is not None:
         names = further_parameters(telescope.uncertain)
         if len(names) != len(config.frequencies):
-            given = len(config.frequencies)
+            count = len(config.frequencies)
             raise InputError(
-                f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {given}"
+                f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {count}"
             )
         return dict(zip(names, config.frequencies))
-    arrays, found = telescope.solar_arrays, {}
+    arrays, by_name = telescope.solar_arrays, {}
     for i, omega in ((1, config.omega_1), (2, config.omega_2)):
         if omega is not None:
             if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in telescope.uncertain:
                 raise InputError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
-            found[name] = omega
-    return found
+            by_name[name] = omega
+    return by_name
 
 
 def check_wheels(config: PhysicalSettings, telescope: Telescope) -> None:
     """Refuse settings for another number of wheels than there are."""
     wheels = len(telescope.wheels)
     for name in ("wheel_speed", "wheel_acceleration"):
-        given = getattr(config, name)
-        if given is not None and len(given) != wheels:
-            raise InputError(f"{name} must hold {wheels} numbers, got {len(given)}")
+        values = getattr(config, name)
+        if values is not None and len(values) != wheels:
+            raise InputError(f"{name} must hold {wheels} numbers, got {len(values)}")
 
 
 def steady(telescope: Telescope) -> tuple[float, ...]:

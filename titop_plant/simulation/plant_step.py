@@ -101,10 +101,10 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
     if form.distances(s).min(initial=np.inf) < NEAREST:
         inputs, steady = np.hstack([held, in_turn(tone)]), np.zeros_like(tone)
-        own, cross, driven = _modal(form, held, _tone_integral(form, s, tone, dt), dt)
+        diagonal, cross, driven = _modal(form, held, _tone_integral(form, s, tone, dt), dt)
     else:
         inputs, steady = held, form.resolvent(s, tone)
-        own, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
+        diagonal, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
         through = through + observed @ steady
     frequency = tones.frequency if inputs.shape[1] > m else np.zeros(0)
     block = _block(form.block, inputs[form.plain :], frequency, dt)
@@ -112,7 +112,7 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     turn = np.exp(s * dt)
     return PlantStep(
         len(form.pairs),
-        own,
+        diagonal,
         cross,
         np.ascontiguousarray(driven[: form.plain].T),
         np.ascontiguousarray(block.T),
@@ -127,10 +127,10 @@ def held_step(plant: ModalPlant, dt: float = DT) -> FloatArray:
     """Next coordinates (n), measurement (22) and truth (2) from coordinates and command (8): shape (n + 24, n + 8)."""
     form, m = plant.form, len(plant.form.pairs)
     held = plant.excited[:, :COMMANDS]
-    own, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
+    powers, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
     out = np.zeros((form.order + len(plant.observed), form.order + COMMANDS))
     diagonal, first = np.arange(form.plain), np.arange(m)
-    out[diagonal, diagonal] = own
+    out[diagonal, diagonal] = powers
     out[first, m + first], out[m + first, first] = cross[:m], cross[m : 2 * m]
     out[: form.plain, form.order :] = driven[: form.plain]
     out[form.plain : form.order, form.plain :] = _block(form.block, held[form.plain :], np.zeros(0), dt)
@@ -209,7 +209,7 @@ def _modal(
     """Factors own and cross (k,), and what commands and phasors add to the next coordinates (n, 8 + 2 K)."""
     m, plain = len(form.pairs), form.plain
     over = np.exp(form.pairs * dt)
-    own = np.concatenate([over.real, over.real, np.exp(form.real * dt)])
+    diagonal = np.concatenate([over.real, over.real, np.exp(form.real * dt)])
     cross = np.concatenate([over.imag, -over.imag, np.zeros(form.real.size)])
     gathered = np.zeros_like(held)
     # q1 + i q2 of a pair has the pole with negative imaginary part
@@ -217,7 +217,7 @@ def _modal(
     gathered[:m], gathered[m : 2 * m] = pair.real, pair.imag
     real = _mean_exponential(np.asarray(form.real * dt, dtype=complex)).real * dt
     gathered[2 * m : plain] = real[:, None] * held[2 * m : plain]
-    return own, cross, np.hstack([gathered, in_turn(tone)])
+    return diagonal, cross, np.hstack([gathered, in_turn(tone)])
 
 
 def _tone_integral(form: ModalForm, s: ComplexArray, tone: ComplexArray, dt: float) -> ComplexArray:

@@ -45,8 +45,8 @@ def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
     frame_ticks : int
         Ticks between camera frames.
     """
-    found = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
-    return tuple((columns, ticks) for columns, ticks in found if columns != CAMERA)
+    sampled = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
+    return tuple((columns, ticks) for columns, ticks in sampled if columns != CAMERA)
 
 
 class SensorSamples:

@@ -99,7 +99,7 @@ class MassSummary:
     @property
     def findings(self) -> tuple[str, ...]:
         """What to note, a sentence each: low sums of effective masses, other mass properties than the source."""
-        found = [
+        texts = [
             f"{self.name}: the modes should have {ENOUGH:.0%} of the mass in {axis}, got "
             f"{self.sums[AXES.index(axis)]:.1%}: the rest follows the parent point rigidly; keep further modes if it "
             "matters there"
@@ -108,11 +108,11 @@ class MassSummary:
         if self.source is not None:
             for label, mine, theirs, scale in self._pairs(self.source):
                 if abs(mine - theirs) > SAME * scale:
-                    found.append(
+                    texts.append(
                         f"{self.name}: {label} should be that of the source within {SAME:.0%}, got {mine:.6g} and "
                         f"{theirs:.6g}"
                     )
-        return tuple(found)
+        return tuple(texts)
 
     def _pairs(self, source: MassProperties) -> list[tuple[str, float, float, float]]:
         """Label, value of the model and the source, and what their difference is a share of."""
@@ -168,7 +168,7 @@ def mass_summary(data: ModalData, source: ArrayLike | None = None) -> MassSummar
     data : ModalData
     source : array_like, shape (6, 6), optional
         Rigid mass matrix at the same P of what the body was made from, as of
-        :func:`~titop_plant.nastran.modes.nastran_mass` [kg, kg m, kg m2].
+        :func:`~titop_plant.nastran.nastran_mass` [kg, kg m, kg m2].
 
     Returns
     -------
@@ -192,6 +192,6 @@ def mass_summary(data: ModalData, source: ArrayLike | None = None) -> MassSummar
     """
     diagonal = np.diag(data.mass_matrix)
     whole = np.where(diagonal > 0, diagonal, np.inf)
-    given = None if source is None else MassProperties.of(source, data.parent_position)
+    stated = None if source is None else MassProperties.of(source, data.parent_position)
     mine = MassProperties.of(data.mass_matrix, data.parent_position)
-    return MassSummary(data.name, mine, given, data.frequencies, effective_masses(data) / whole)
+    return MassSummary(data.name, mine, stated, data.frequencies, effective_masses(data) / whole)

@@ -148,12 +148,12 @@ def build_telescope(
     -------
     AssembledTelescope
     """
-    given = load_telescope() if telescope is None else telescope
-    if given.plant is not None:
-        return _from_file(given.plant, isolated)
-    body, payload = build_body(given, given.mounted_points), build_payload(given)
-    outside = (*map(load_port, loads), *(motor_ports(given) if motors else ()))
-    driven = _driven_at_G(given, body, payload, isolated, loads, outside)
+    described = load_telescope() if telescope is None else telescope
+    if described.plant is not None:
+        return _from_file(described.plant, isolated)
+    body, payload = build_body(described, described.mounted_points), build_payload(described)
+    outside = (*map(load_port, loads), *(motor_ports(described) if motors else ()))
+    driven = _driven_at_G(described, body, payload, isolated, loads, outside)
     free = invert(driven, {"accel_G": "wrench_G"})
     # External torque at G -> angular acceleration of G, attitude not integrated
     pick = np.vstack([np.zeros((3, 3)), np.eye(3)])
@@ -162,16 +162,16 @@ def build_telescope(
     inertia = total_inertia(
         transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
     )
-    system = _free_flying(free, given, inertia, attitude_controlled, outside)
-    order = list(given.uncertain)
-    kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
-    own = [component.body_modes(one) for one in kinds.values()]
+    system = _free_flying(free, described, inertia, attitude_controlled, outside)
+    order = list(described.uncertain)
+    kinds = {one.kind: one for one in (*described.solar_arrays, *described.appendages)}
+    of_kinds = [component.body_modes(one) for one in kinds.values()]
     # Inverse low-frequency gain from external forces and torques at G to its acceleration, (6, 6)
     nominal = free["accel_G", "wrench_G"].at({})
     gain = nominal.D - nominal.C @ linalg.solve(nominal.A, nominal.B) if nominal.A.size else nominal.D
-    found = -linalg.inv(gain)  # the port is the wrench that the bodies exert
+    mass = -linalg.inv(gain)  # the port is the wrench that the bodies exert
     return AssembledTelescope(
-        system.sorted_channels(order), inertia, (body, payload, *own), np.asarray(0.5 * (found + found.T))
+        system.sorted_channels(order), inertia, (body, payload, *of_kinds), np.asarray(0.5 * (mass + mass.T))
     )
 
 

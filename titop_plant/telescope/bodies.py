@@ -69,8 +69,8 @@ def build_body(telescope: Telescope, points: Sequence[str] = ("A1", "A2")) -> Mo
         The file is not modal data, has another parent point or lacks a port.
     """
     needed = (*points, "I_w", "I_p")
-    own = _from_file(telescope.body, "body", needed)
-    return own or _from_frame(telescope.body, "body", body_frame(telescope), frame_points(telescope.body.ports))
+    from_file = _from_file(telescope.body, "body", needed)
+    return from_file or _from_frame(telescope.body, "body", body_frame(telescope), frame_points(telescope.body.ports))
 
 
 def build_payload(telescope: Telescope) -> ModalData:
@@ -93,8 +93,8 @@ def build_payload(telescope: Telescope) -> ModalData:
         The file is not modal data, has another parent point or lacks a port.
     """
     points = PORTS["payload"]
-    own = _from_file(telescope.payload, "payload", points)
-    return own or _from_frame(telescope.payload, "payload", payload_frame(telescope), points)
+    from_file = _from_file(telescope.payload, "payload", points)
+    return from_file or _from_frame(telescope.payload, "payload", payload_frame(telescope), points)
 
 
 def _from_frame(table: BodyTable | PayloadTable, name: str, frame: BeamFrame, points: Sequence[str]) -> ModalData:

@@ -226,11 +226,11 @@ def loop_plant(telescope: Telescope, ports: LoopPorts, *, isolated: bool = True)
     driven = ports.further_actuators
     forces = (ACTUATOR_FORCE,) if driven else ()
     outputs = (*MEASURED, *(port.name for port in (*TRUTH_PORTS, *telescope.sensor_ports)))
-    found = whole.select(inputs=(*COMMANDED, *forces, *disturbances_of(whole)), outputs=outputs)
+    selected = whole.select(inputs=(*COMMANDED, *forces, *disturbances_of(whole)), outputs=outputs)
     if not driven:
-        return found
+        return selected
     every = [one.name for one in telescope.placed_actuators]
     force = np.zeros((len(every), len(driven)))
     for column, row in enumerate(driven):
         force[every.index(row.name), column] = row.scale
-    return transform(found, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), "N"))})
+    return transform(selected, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), "N"))})

@@ -134,14 +134,14 @@ def star_noise(camera: StarCamera, file: str, where: str) -> float:
     )
 
 
-def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
+def with_guide_camera(tables: dict[str, Any], content: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
     """The tables with low-pass and noise of the camera as that of the camera makes them.
 
     Parameters
     ----------
     tables : mapping
         Merged with the reference.
-    own : mapping
+    content : mapping
         Content of the file.
     file : ParameterFile
 
@@ -153,7 +153,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
     kind = tables["sensors"][KIND]
     if kind not in CAMERAS:
         raise file.error(f"sensors.{KIND}", f"must be {', '.join(CAMERAS[:-1])} or {CAMERAS[-1]}, got {kind!r}")
-    if kind == VECTOR and TABLE not in own:
+    if kind == VECTOR and TABLE not in content:
         return tables
     for key in ("exposure", "readout_delay"):
         ticks = whole_ticks(value := tables[TABLE][key])
@@ -163,7 +163,7 @@ def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: Para
     if kind == VECTOR:
         return tables
     for key in FOLLOWING:
-        if key in own.get("sensors", {}):
+        if key in content.get("sensors", {}):
             raise file.error(f"sensors.{key}", f"must be absent where sensors.{KIND} is {kind}, got a value")
     table = tables[TABLE]
     low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))

@@ -152,14 +152,14 @@ class WheelOnBoard:
 
 def read_arrays(tables: Mapping[str, Any]) -> tuple[MountedBody, ...]:
     """Solar arrays of the tables of a parameter file, in its order."""
-    given = tables[ARRAYS]
+    listed = tables[ARRAYS]
     drive = {key: value for key, value in tables[DRIVES].items() if key in Drive.SETTINGS}
-    if not isinstance(given, Mapping):
-        return tuple(_mounted({**drive, **table}) for table in given)
-    points = [key.removeprefix("dcm_") for key in given if key.startswith("dcm_")]
-    shared = {**drive, **given, "kind": ARRAYS, "parameters": ARRAYS}
+    if not isinstance(listed, Mapping):
+        return tuple(_mounted({**drive, **table}) for table in listed)
+    points = [key.removeprefix("dcm_") for key in listed if key.startswith("dcm_")]
+    shared = {**drive, **listed, "kind": ARRAYS, "parameters": ARRAYS}
     return tuple(
-        _mounted({**shared, "name": f"array_{i}", "point": point, "dcm": given[f"dcm_{point}"]})
+        _mounted({**shared, "name": f"array_{i}", "point": point, "dcm": listed[f"dcm_{point}"]})
         for i, point in enumerate(points, start=1)
     )
 
@@ -191,19 +191,19 @@ def _mounted(table: Mapping[str, Any]) -> MountedBody:
 
 def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
     """Reaction wheels of the tables of a parameter file, in its order."""
-    given = tables[WHEELS]
-    if isinstance(given, Mapping):
+    listed = tables[WHEELS]
+    if isinstance(listed, Mapping):
         # Wheels of one kind about +z
-        azimuths = np.radians(given["azimuths_deg"])
-        axes = pyramid_axes(math.radians(given["cant_deg"]), azimuths.tolist()).T
-        found = []
-        for i, (azimuth, axis, speed) in enumerate(zip(azimuths, axes, given["default_speed"]), start=1):
-            position = given["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-            found.append(_wheel(given, f"wheel_{i}", axis, position, speed))
-        return tuple(found)
+        azimuths = np.radians(listed["azimuths_deg"])
+        axes = pyramid_axes(math.radians(listed["cant_deg"]), azimuths.tolist()).T
+        wheels = []
+        for i, (azimuth, axis, speed) in enumerate(zip(azimuths, axes, listed["default_speed"]), start=1):
+            position = listed["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+            wheels.append(_wheel(listed, f"wheel_{i}", axis, position, speed))
+        return tuple(wheels)
     return tuple(
         _wheel(table, str(table["name"]), _direction(table["axis"]), table["position"], table["default_speed"])
-        for table in given
+        for table in listed
     )
 
 
@@ -217,10 +217,10 @@ def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: Arra
 def read_nodes(tables: Mapping[str, Any]) -> dict[str, str]:
     """Nodes of the structure beside the bus's reference point, by the names of places."""
     arrays, others = read_arrays(tables), read_appendages(tables)
-    found = {**BUS, **{f"array_{i}": one.point for i, one in enumerate(arrays, start=1)}, **PAYLOAD}
-    found |= {one.name: one.point for one in (*arrays, *others)}
+    nodes = {**BUS, **{f"array_{i}": one.point for i, one in enumerate(arrays, start=1)}, **PAYLOAD}
+    nodes |= {one.name: one.point for one in (*arrays, *others)}
     points = () if tables["body"]["modal_data"] else frame_points(tables["body"]["ports"])
-    return found | {point: point for point in points if point not in found.values()}
+    return nodes | {point: point for point in points if point not in nodes.values()}
 
 
 def device_nodes(nodes: Mapping[str, str]) -> dict[str, str]:
@@ -236,13 +236,15 @@ def frame_points(ports: Iterable[str]) -> tuple[str, ...]:
 def read_source_tables(tables: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Tables of broadband noise and of steppers that make disturbances, each with the name of its wheel or array."""
     wheels, arrays = read_wheels(tables), read_arrays(tables)
-    given = [
-        table if isinstance(table, list) else [table] * len(own)
-        for table, own in ((tables[WHEELS], wheels), (tables[ARRAYS], arrays))
+    listed = [
+        table if isinstance(table, list) else [table] * len(mounted)
+        for table, mounted in ((tables[WHEELS], wheels), (tables[ARRAYS], arrays))
     ]
-    noisy = [(wheel.name, table.get(BROADBAND)) for wheel, table in zip(wheels, given[0])]
+    noisy = [(wheel.name, table.get(BROADBAND)) for wheel, table in zip(wheels, listed[0])]
     of_all = tables["sadm"].get(STEPPER)
-    stepping = [(one.name, table.get(STEPPER, of_all)) for one, table in zip(arrays, given[1]) if one.drive is not None]
+    stepping = [
+        (one.name, table.get(STEPPER, of_all)) for one, table in zip(arrays, listed[1]) if one.drive is not None
+    ]
     return [(name, table) for name, table in (*noisy, *stepping) if table is not None]
 
 

@@ -64,19 +64,19 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         return _reference(text)
     from titop_plant.telescope.tables.mounted import check_modal_file, checked_layout, take_mounted  # loads scipy
 
-    own, text = _read(Path(path))
+    content, text = _read(Path(path))
     file = ParameterFile(str(path), text)
-    plant = take_plant(own, file, Path(path).parent)
-    limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
-    spreads = own.pop(UNCERTAIN, {})
+    plant = take_plant(content, file, Path(path).parent)
+    limits, sources, mounted = take_limits(content, file), content.pop(SOURCES, []), take_mounted(content)
+    spreads = content.pop(UNCERTAIN, {})
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
-    merged = with_limits(file.merged(reference, own), own, limits, file)
+    merged = with_limits(file.merged(reference, content), content, limits, file)
     file.check_tables(merged)
     for name, key in (("optics", "pupil"), ("camera", "noise_curve"), *((body, "modal_data") for body in OWN_BODIES)):
         if beside := merged[name][key]:
             merged[name] = {**merged[name], key: str(Path(path).parent / beside)}
-    merged = with_guide_camera(merged, own, file)
+    merged = with_guide_camera(merged, content, file)
     merged |= checked_layout(mounted, merged, reference, file)
     if spreads:
         merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
@@ -85,16 +85,16 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
             check_modal_file(name, merged[name], file)
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
-    found = Telescope({**merged, **plant})
-    for kind, bodies in ((ARRAYS, found.solar_arrays), (APPENDAGES, found.appendages)):
+    telescope = Telescope({**merged, **plant})
+    for kind, bodies in ((ARRAYS, telescope.solar_arrays), (APPENDAGES, telescope.appendages)):
         for i, body in enumerate(bodies):
             _check_body(body, f"{kind}[{i}]", file)
     if plant:
         try:
-            _ = found.plant  # read and checked before anything else is done with the telescope
+            _ = telescope.plant  # read and checked before anything else is done with the telescope
         except ValueError as error:
             raise file.error(PLANT, f"must name a plant that fits: {error}") from None
-    return found
+    return telescope
 
 
 def _check_body(body: MountedBody, name: str, file: ParameterFile) -> None:
@@ -147,10 +147,10 @@ def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:
     >>> difference_counts(REFERENCE)
     {}
     """
-    found: dict[str, list[int]] = {}
+    by_table: dict[str, list[int]] = {}
     for name, kind, _ in _compared(path):
-        found.setdefault(re.split(r"[.\[]", name)[0], [0, 0, 0])[DifferenceCounts._fields.index(kind)] += 1
-    return {table: DifferenceCounts(*counts) for table, counts in found.items()}
+        by_table.setdefault(re.split(r"[.\[]", name)[0], [0, 0, 0])[DifferenceCounts._fields.index(kind)] += 1
+    return {table: DifferenceCounts(*counts) for table, counts in by_table.items()}
 
 
 def difference_summary(path: str | Path, most: int = 4) -> list[str]:
@@ -164,14 +164,14 @@ def difference_summary(path: str | Path, most: int = 4) -> list[str]:
 
 def _compared(path: str | Path) -> list[tuple[str, str, str]]:
     """Name, kind (changed, added or removed) and text of each value that differs from the reference."""
-    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
-    found = []
-    for name, value in own.items():
+    values, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
+    rows = []
+    for name, value in values.items():
         if name not in reference:
-            found.append((name, "added", f"{name} = {_shown(value)}, added"))
+            rows.append((name, "added", f"{name} = {_shown(value)}, added"))
         elif value != reference[name]:
-            found.append((name, "changed", f"{name} = {_shown(value)}, reference {_shown(reference[name])}"))
-    return found + [(name, "removed", f"{name} removed") for name in reference if name not in own]
+            rows.append((name, "changed", f"{name} = {_shown(value)}, reference {_shown(reference[name])}"))
+    return rows + [(name, "removed", f"{name} removed") for name in reference if name not in values]
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:

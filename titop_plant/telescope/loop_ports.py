@@ -285,17 +285,17 @@ REFERENCE_PORTS = LoopPorts()
 """Rows of the reference of which no values of a telescope are known."""
 
 
-def _named(ports: Iterable[Port], given: Iterable[Port]) -> list[Port]:
+def _named(ports: Iterable[Port], wanted: Iterable[Port]) -> list[Port]:
     """Those of the ports whose names are among those of the given ones."""
-    names = {port.name for port in given}
+    names = {port.name for port in wanted}
     return [port for port in ports if port.name in names]
 
 
 def _columns(known: Sequence[Port], ports: Iterable[Port], kind: str) -> slice | IntArray:
-    found = port_indices(known, [port.name for port in ports], kind)
-    if len(found) and np.array_equal(found, np.arange(found[0], found[0] + len(found))):
-        return slice(int(found[0]), int(found[-1]) + 1)
-    return found
+    indices = port_indices(known, [port.name for port in ports], kind)
+    if len(indices) and np.array_equal(indices, np.arange(indices[0], indices[0] + len(indices))):
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
 __all__ = [

@@ -36,28 +36,28 @@ def mechanism_modes(telescope: Telescope) -> tuple[MechanismMode, ...]:
     >>> mechanism_modes(load_telescope())
     ()
     """
-    found = [mode for wheel in telescope.wheels for mode in _of_wheel(wheel)]
+    modes = [mode for wheel in telescope.wheels for mode in _of_wheel(wheel)]
     for array in telescope.motors:
         rotor, drive = drive_rotor(array), array.drive
         if rotor is not None and drive is not None:
             carried = rotor.gear_ratio**2
             omega = math.sqrt((carried * rotor.stiffness + drive.gearbox_stiffness) / (carried * rotor.inertia))
-            found.append(MechanismMode(f"{array.name}, rotor of the motor", omega, omega))
-    return tuple(found)
+            modes.append(MechanismMode(f"{array.name}, rotor of the motor", omega, omega))
+    return tuple(modes)
 
 
 def _of_wheel(wheel: WheelOnBoard) -> list[MechanismMode]:
     if wheel.bearing is None:
         return []
-    bearing, found = wheel.bearing, []
+    bearing, modes = wheel.bearing, []
     for kind in ("radial", "axial"):
         stiffness = getattr(bearing, f"{kind}_stiffness")
         if stiffness is not None:
             omega = math.sqrt(stiffness / bearing.rotor_mass)
-            found.append(MechanismMode(f"{wheel.name}, {kind}", omega, omega))
+            modes.append(MechanismMode(f"{wheel.name}, {kind}", omega, omega))
     if bearing.rocking_stiffness is not None:
         still = math.sqrt(bearing.rocking_stiffness / bearing.rotor_radial_inertia)
         half = abs(wheel.default_speed) * wheel.axial_inertia / (2.0 * bearing.rotor_radial_inertia)
         for sense, sign in (("backward", -1.0), ("forward", 1.0)):
-            found.append(MechanismMode(f"{wheel.name}, {sense} whirl", still, sign * half + math.hypot(half, still)))
-    return found
+            modes.append(MechanismMode(f"{wheel.name}, {sense} whirl", still, sign * half + math.hypot(half, still)))
+    return modes

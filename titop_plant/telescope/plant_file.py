@@ -51,7 +51,7 @@ FILE = "file"
 LOS = Port("los", 2, "rad")
 
 
-def take_plant(own: dict[str, Any], file: ParameterFile, folder: Path) -> dict[str, dict[str, str]]:
+def take_plant(content: dict[str, Any], file: ParameterFile, folder: Path) -> dict[str, dict[str, str]]:
     """Take the table out of a user's file: ``{"plant": {"file": path}}``, or nothing where there is none.
 
     Raises
@@ -59,13 +59,13 @@ def take_plant(own: dict[str, Any], file: ParameterFile, folder: Path) -> dict[s
     ValueError
         Another key, no name, or a telescope with what such a plant cannot have.
     """
-    table = own.pop(PLANT, None)
+    table = content.pop(PLANT, None)
     if table is None:
         return {}
     if not isinstance(table, dict) or set(table) != {FILE} or not isinstance(table[FILE], str) or not table[FILE]:
         raise file.error(PLANT, f"must be a table with the name of a file, {FILE} = 'NAME', got {table!r}")
     for name in ("sensor", "actuator", "appendage", "uncertain"):
-        if name in own:
+        if name in content:
             raise file.error(name, f"must be absent with [{PLANT}], whose file has all that is on board")
     return {PLANT: {FILE: str(folder / table[FILE])}}
 
@@ -136,7 +136,7 @@ def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces
     return system.sorted_channels([e.name for e in system.elements])
 
 
-def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Port]) -> tuple[Port, ...]:
+def _with_units(path: str, kind: str, ports: Sequence[Port], stated: Sequence[Port]) -> tuple[Port, ...]:
     """The ports of a side, those that are needed with their units.
 
     Raises
@@ -144,15 +144,15 @@ def _with_units(path: str, kind: str, ports: Sequence[Port], given: Sequence[Por
     ValueError
         One of them is not there, or has another size or unit.
     """
-    known = {port.name: port for port in given}
+    known = {port.name: port for port in stated}
     for port in ports:
-        own = known.get(port.name)
-        if own is None:
+        match = known.get(port.name)
+        if match is None:
             raise InputError(f"{path}: the plant must have the {kind} {port.name}, got {', '.join(known)}")
-        if own.size != port.size:
-            raise InputError(f"{path}: {kind} {port.name} must have {port.size} signals, got {own.size}")
-        if not port.takes(own):
-            raise InputError(f"{path}: {kind} {port.name} must be in {port.unit}, got {own.unit}")
+        if match.size != port.size:
+            raise InputError(f"{path}: {kind} {port.name} must have {port.size} signals, got {match.size}")
+        if not port.takes(match):
+            raise InputError(f"{path}: {kind} {port.name} must be in {port.unit}, got {match.unit}")
         known[port.name] = port
     return tuple(known.values())
 

@@ -46,7 +46,7 @@ def read_requirements(tables: Mapping[str, Any]) -> tuple[Requirement, ...]:
     return tuple(_parsed(entry) for entry in tables["requirement"])
 
 
-def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
+def take_limits(content: dict[str, Any], file: ParameterFile) -> dict[str, float]:
     """Take the limits out of the ``[weights]`` of an older file.
 
     Raises
@@ -54,18 +54,18 @@ def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
     ValueError
         One of them is no positive number.
     """
-    table = own.get("weights")
+    table = content.get("weights")
     if not isinstance(table, dict):
         return {}
-    given = {key: table[key] for key in LIMITS if key in table}
+    limits = {key: table[key] for key in LIMITS if key in table}
     with file.refusals("weights"):
-        LimitsTable.check_given(given)
-    own["weights"] = {key: value for key, value in table.items() if key not in given}
-    return {key: float(value) for key, value in given.items()}
+        LimitsTable.check_given(limits)
+    content["weights"] = {key: value for key, value in table.items() if key not in limits}
+    return {key: float(value) for key, value in limits.items()}
 
 
 def with_limits(
-    content: dict[str, Any], own: Mapping[str, Any], given: Mapping[str, float], file: ParameterFile
+    content: dict[str, Any], stated: Mapping[str, Any], figures: Mapping[str, float], file: ParameterFile
 ) -> dict[str, Any]:
     """The merged content of a file with its requirements checked and the limits in ``weights``.
 
@@ -73,9 +73,9 @@ def with_limits(
     ----------
     content : dict
         Merged with the reference.
-    own : mapping
+    stated : mapping
         Of the file alone.
-    given : mapping
+    figures : mapping
         What `take_limits` found.
     file : ParameterFile
         For the messages.
@@ -86,27 +86,27 @@ def with_limits(
         A requirement that cannot be read, names an unknown stage or has the name of another one; none that a limit can
         be made of; a limit that contradicts a requirement of the same file.
     """
-    names = [entry["name"] for entry in own.get("requirement", ())]
-    found = []
+    names = [entry["name"] for entry in stated.get("requirement", ())]
+    requirements = []
     for entry in content["requirement"]:
         key = f"requirement[{names.index(entry['name'])}]" if entry["name"] in names else "requirement"
         try:
-            found.append(_parsed(entry))
+            requirements.append(_parsed(entry))
         except InputError as error:
             raise file.error(f"{key}.text", f"must be a requirement: {error}") from None
-        for loop in found[-1].loops:
+        for loop in requirements[-1].loops:
             if loop not in STAGES:
                 raise file.error(f"{key}.loop", f"must be among {', '.join(STAGES)}, got {loop!r}")
     for i, name in enumerate(names):
         if name in names[:i]:
             raise file.error(f"requirement[{i}].name", f"must be given once, got {name!r} twice")
     try:
-        limits, defining = design_limits(found)
+        limits, defining = design_limits(requirements)
     except ValueError as error:
         raise file.error("requirement", str(error)) from None
-    for key, value in given.items():
+    for key, value in figures.items():
         for i in defining[key]:
-            requirement = found[i]
+            requirement = requirements[i]
             changed = replace(requirement, times=(value,)) if key == "rpe_window" else replace(requirement, limit=value)
             same = np.allclose([requirement.limit, *requirement.times], [changed.limit, *changed.times], 1e-6, 0.0)
             if requirement.name in names and not same:
@@ -114,8 +114,8 @@ def with_limits(
                     f"weights.{key}",
                     f"must agree with the requirement {requirement.name!r}, {requirement.exact_text}, got {value:g}",
                 )
-            found[i] = changed
-    return {**content, "requirement": entries(found), "weights": {**content["weights"], **limits, **given}}
+            requirements[i] = changed
+    return {**content, "requirement": entries(requirements), "weights": {**content["weights"], **limits, **figures}}
 
 
 def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float], dict[str, list[int]]]:
@@ -191,8 +191,8 @@ def instant_probability(requirements: Sequence[Requirement]) -> float:
     >>> instant_probability(load_telescope().requirements)
     0.997
     """
-    found = _absolute(requirements)
-    return math.nan if found is None else requirements[found].probability
+    index = _absolute(requirements)
+    return math.nan if index is None else requirements[index].probability
 
 
 def _absolute(requirements: Sequence[Requirement]) -> int | None:

@@ -330,17 +330,17 @@ class Broadband(CheckedTable):
         f, (_, *known) = self.frequency, self.SETTINGS
         if len(f) < 2 or not f[0] > 0.0 or any(b <= a for a, b in itertools.pairwise(f)):
             raise Refused("frequency", f"must be two or more increasing frequencies above 0 Hz, got {list(f)}")
-        given = {name: density for name in known if (density := getattr(self, name)) is not None}
-        if not given:
+        densities = {name: density for name in known if (density := getattr(self, name)) is not None}
+        if not densities:
             raise Refused("", f"must have a density, one of {', '.join(known)}, got none")
-        for name, density in given.items():
+        for name, density in densities.items():
             if len(density) != len(f):
                 raise Refused(name, f"must hold {len(f)} numbers, one for each frequency, got {len(density)}")
 
     def density(self, name: str) -> FloatArray:
         """Values of one of its densities, zeros where the file gives none."""
-        given = getattr(self, name)
-        return np.zeros(len(self.frequency)) if given is None else np.array(given, dtype=float)
+        values = getattr(self, name)
+        return np.zeros(len(self.frequency)) if values is None else np.array(values, dtype=float)
 
 
 @settings_class

@@ -46,11 +46,11 @@ def uncertain_parameters(
 
 def _frequencies(bodies: Sequence[MountedBody]) -> dict[str, RealParameter]:
     """Uncertain frequencies of mounted bodies, those that several share once."""
-    found: dict[str, RealParameter] = {}
+    parameters: dict[str, RealParameter] = {}
     for prefix in dict.fromkeys(body.parameters for body in bodies):
         owners = [body for body in bodies if body.parameters == prefix]
-        found |= _frequencies_of(owners[0], _words(owners, bodies))
-    return found
+        parameters |= _frequencies_of(owners[0], _words(owners, bodies))
+    return parameters
 
 
 def _frequencies_of(body: MountedBody, owners: str) -> dict[str, RealParameter]:

@@ -83,8 +83,8 @@ def sensor_wires(telescope: Telescope) -> list[Connection]:
 
 def _actuators(telescope: Telescope) -> list[tuple[str, str, ActuatorMount]]:
     """Name, node and mount of each further actuator."""
-    found = [(one.name, one.mount) for one in telescope.placed_actuators if one.mount is not None]
-    return [(name, telescope.node_at(mount.place), mount) for name, mount in found]
+    with_mount = [(one.name, one.mount) for one in telescope.placed_actuators if one.mount is not None]
+    return [(name, telescope.node_at(mount.place), mount) for name, mount in with_mount]
 
 
 def _mounts(telescope: Telescope) -> list[tuple[str, SensorMount]]:

@@ -43,23 +43,23 @@ REFERENCE_KIND = "reference"
 """Values of ``like`` besides an earlier body: the array of the reference telescope."""
 
 
-def take_mounted(own: Table) -> dict[str, Any]:
+def take_mounted(content: Table) -> dict[str, Any]:
     """Take the lists of what is on board out of a user's file."""
-    lists = {name: own[name] for name in (ARRAYS, WHEELS) if isinstance(own.get(name), list)}
-    lists |= {name: own[name] for name in (APPENDAGES, *DEVICES) if name in own}
+    lists = {name: content[name] for name in (ARRAYS, WHEELS) if isinstance(content.get(name), list)}
+    lists |= {name: content[name] for name in (APPENDAGES, *DEVICES) if name in content}
     for name in lists:
-        del own[name]
+        del content[name]
     return lists
 
 
 def checked_layout(
-    given: Mapping[str, Any], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+    listed: Mapping[str, Any], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
 ) -> Table:
     """The lists of a user's file, complete.
 
     Parameters
     ----------
-    given : mapping
+    listed : mapping
         What `take_mounted` found.
     merged : mapping
         The other tables of the file, merged with the reference.
@@ -77,7 +77,7 @@ def checked_layout(
         :func:`titop_plant.telescope.tables.placed_devices.check_devices`.
     """
     complete: Table = {}
-    for kind, tables in given.items():
+    for kind, tables in listed.items():
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise file.error(kind, f"must be tables [[{kind}]], got {tables!r}")
         complete[kind] = _complete(kind, tables, merged, reference, file)
@@ -103,11 +103,11 @@ def _complete(
         else:
             with file.refusals(name):
                 KINDS[kind].check_given(table)
-        own = table.get("name")
-        if not own:
+        stated = table.get("name")
+        if not stated:
             raise file.error(name, "has no 'name'")
-        if not _NAME.fullmatch(own):
-            raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {own!r}")
+        if not _NAME.fullmatch(stated):
+            raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {stated!r}")
     if kind in DEVICES:
         return tables
     return _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, merged, reference, file)
@@ -117,14 +117,14 @@ def _bodies(
     kind: str, tables: list[Table], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
 ) -> list[Table]:
     """Tables of arrays or appendages with what ``like`` names, and files beside the parameter file."""
-    found: dict[str, Table] = {}
+    by_name: dict[str, Table] = {}
     for i, table in enumerate(tables):
         name = f"{kind}[{i}]"
-        if table["name"] in found:
+        if table["name"] in by_name:
             raise file.error(f"{name}.name", f"must be given once, got {table['name']!r} twice")
         if not table.get("point"):
             raise file.error(name, "has no 'point'")
-        full = {**_model(kind, name, table, found, reference, file), **table}
+        full = {**_model(kind, name, table, by_name, reference, file), **table}
         full.pop("like", None)
         parts: list[type[CheckedTable]] = []
         if not full.get("modal_data"):
@@ -146,20 +146,20 @@ def _bodies(
                 check_rotation(np.array(full["dcm"], dtype=float), "dcm")
             except ValueError as error:
                 raise file.error(f"{name}.dcm", str(error).removeprefix("dcm ")) from None
-        found[full["name"]] = full
-    return list(found.values())
+        by_name[full["name"]] = full
+    return list(by_name.values())
 
 
 def _model(
-    kind: str, name: str, table: Table, found: Mapping[str, Table], reference: Mapping[str, Any], file: ParameterFile
+    kind: str, name: str, table: Table, known: Mapping[str, Table], reference: Mapping[str, Any], file: ParameterFile
 ) -> Table:
     """Values that the body takes from the one it is like."""
     if "like" not in table:
         return {}
     like = table["like"]
-    if like in found:
-        return {key: value for key, value in found[like].items() if key not in ("name", "parameters")}
-    choices = [*found, *([REFERENCE_KIND] if kind == ARRAYS else [])]
+    if like in known:
+        return {key: value for key, value in known[like].items() if key not in ("name", "parameters")}
+    choices = [*known, *([REFERENCE_KIND] if kind == ARRAYS else [])]
     if like not in choices:
         raise file.error(f"{name}.like", f"must be one of {', '.join(choices) or 'the bodies before it'}, got {like!r}")
     values = {key: value for key, value in reference[ARRAYS].items() if not key.startswith("dcm_")}
@@ -188,11 +188,11 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
 def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
     """Tables of wheels; what they leave out is that of the reference's wheels."""
     kind = {key: value for key, value in reference[WHEELS].items() if key in WheelKind.SETTINGS}
-    found = [{**kind, "position": [0.0, 0.0, 0.0], **table} for table in tables]
-    for i, table in enumerate(found):
+    wheels = [{**kind, "position": [0.0, 0.0, 0.0], **table} for table in tables]
+    for i, table in enumerate(wheels):
         with file.refusals(f"{WHEELS}[{i}]"):
             WheelTable.of_table(table)
-    return found
+    return wheels
 
 
 def _check_names(whole: Mapping[str, Any], file: ParameterFile) -> None:
@@ -204,8 +204,8 @@ def _check_names(whole: Mapping[str, Any], file: ParameterFile) -> None:
             key, name = f"{kind}[{i}].name", str(table["name"])
             if name in seen:
                 raise file.error(key, f"must be given once, got {name!r} twice")
-            own = {ARRAYS: f"array_{i + 1}", WHEELS: f"wheel_{i + 1}"}.get(kind)
-            if name in RESERVED or (_NUMBERED.fullmatch(name) and name != own):
+            of_place = {ARRAYS: f"array_{i + 1}", WHEELS: f"wheel_{i + 1}"}.get(kind)
+            if name in RESERVED or (_NUMBERED.fullmatch(name) and name != of_place):
                 raise file.error(key, f"must not be that of another place, got {name!r}")
             seen.add(name)
 
@@ -215,8 +215,8 @@ def _check_points(whole: Mapping[str, Any], file: ParameterFile) -> None:
     if whole["body"]["modal_data"]:
         return
     known = list(whole["body"]["ports"])
-    for kind, found in ((ARRAYS, read_arrays), (APPENDAGES, read_appendages)):
-        for i, one in enumerate(found(whole)):
+    for kind, read in ((ARRAYS, read_arrays), (APPENDAGES, read_appendages)):
+        for i, one in enumerate(read(whole)):
             if one.point not in known:
                 key = f"{kind}[{i}].point" if isinstance(whole[kind], list) else kind
                 raise file.error(key, f"must be one of {', '.join(known)}, got {one.point!r}")
@@ -263,9 +263,9 @@ def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:
     """Values of all drives act on one at least."""
-    given = [key for key in file.lines if key.startswith(f"{DRIVES}.")]
-    if given and all(array.drive is None for array in read_arrays(whole)):
-        raise file.error(given[0], "must be left out where no solar array is driven")
+    stated = [key for key in file.lines if key.startswith(f"{DRIVES}.")]
+    if stated and all(array.drive is None for array in read_arrays(whole)):
+        raise file.error(stated[0], "must be left out where no solar array is driven")
 
 
 def _check_proof_masses(whole: Mapping[str, Any], file: ParameterFile) -> None:

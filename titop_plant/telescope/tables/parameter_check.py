@@ -132,21 +132,21 @@ class ParameterFile:
         """Tables of the reference, those of the same name changed and others added by the user's, or the user's."""
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(name, f"must be tables [[{name}]], got {value!r}")
-        found: dict[str, dict[str, Any]] = {item["name"]: item for item in base}
-        given: set[str] = set()
+        by_name: dict[str, dict[str, Any]] = {item["name"]: item for item in base}
+        named: set[str] = set()
         for i, item in enumerate(value):
-            own = item.get("name")
-            merged = dict(item) if replaced or not isinstance(own, str) else {**found.get(own, {}), **item}
+            stated = item.get("name")
+            merged = dict(item) if replaced or not isinstance(stated, str) else {**by_name.get(stated, {}), **item}
             for one, other in (("position", "node"), ("node", "position")):
                 if one in item and other not in item:
                     merged.pop(other, None)
             with self.refusals(f"{name}[{i}]"):
                 kind.of_table(merged)
-            if own in given and not replaced:
-                raise self.error(f"{name}[{i}].name", f"must be given once, got {own!r} twice")
-            given.add(own)
-            found[own] = merged
-        return value if replaced else list(found.values())
+            if stated in named and not replaced:
+                raise self.error(f"{name}[{i}].name", f"must be given once, got {stated!r} twice")
+            named.add(stated)
+            by_name[stated] = merged
+        return value if replaced else list(by_name.values())
 
     def check(self, name: str, key: str, base: Any, value: Any) -> None:
         """Refuse a value of another kind, length or sign than that of a table without a class."""

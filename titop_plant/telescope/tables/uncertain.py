@@ -138,14 +138,14 @@ def factors(spreads: Mapping[str, float]) -> dict[str, RealParameter]:
     }
 
 
-def factors_of_modes(given: Mapping[str, RealParameter], body: str, modes: int) -> Mapping[str, Any]:
+def factors_of_modes(parameters: Mapping[str, RealParameter], body: str, modes: int) -> Mapping[str, Any]:
     """Arguments of :func:`titop_plant.blocks.flexible_body.flexible_body` for a body with so many modes."""
-    known = {name: factor for name, factor in given.items() if name.startswith(f"{body}.")}
+    known = {name: factor for name, factor in parameters.items() if name.startswith(f"{body}.")}
     whole = known.get(f"{body}.{DAMPING_OF}")
     all_modes = {} if whole is None else dict.fromkeys(range(modes), whole)
-    found: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: all_modes}
+    by_kind: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: all_modes}
     for name, factor in known.items():
         kind, _, number = name.removeprefix(f"{body}.").partition("_")
         if number:
-            found[kind][int(number) - 1] = factor
-    return {"frequencies": found[FREQUENCY_OF], "dampings": found[DAMPING_OF], "relative": True}
+            by_kind[kind][int(number) - 1] = factor
+    return {"frequencies": by_kind[FREQUENCY_OF], "dampings": by_kind[DAMPING_OF], "relative": True}
