@@ -249,6 +249,3 @@ def feedback(gain: ComplexArray, entering: ComplexArray, *, balanced: bool = Fal
 def rows_times(rows: ComplexArray, matrices: ComplexArray) -> ComplexArray:
     """``row @ matrix`` of N rows (N, p) and matrices (N, p, m): shape (N, m)."""
     return np.asarray((rows[:, None, :] @ matrices)[:, 0])
-
-
-__all__ = ["GainSlopes", "LftResponse", "RepeatedClosed", "feedback", "rows_times"]

@@ -129,7 +129,11 @@ def loop_margins(loop: Any) -> LoopMargins:
         lag = math.pi + float(np.angle(signs.value(omega)))  # from 0 to 2 pi
         phase.append((omega, math.degrees(lag if lag <= math.pi else lag - 2.0 * math.pi)))
         delay.append((omega, lag / omega))
-    return LoopMargins(factors, tuple(sorted(phase)), tuple(sorted(delay)), _closed_stable(L))
+    try:
+        stable = is_stable(sensitivity(L)[0], L.dt)
+    except ValueError:
+        stable = False
+    return LoopMargins(factors, tuple(sorted(phase)), tuple(sorted(delay)), stable)
 
 
 @checked
@@ -181,13 +185,6 @@ def sensitivity(loop: System) -> Matrices:
             f"{loop.name}: the loop must be well posed, got 1 + L singular at infinite frequency"
         ) from None
     return A - B @ inner @ C, B @ inner, -inner @ C, inner
-
-
-def _closed_stable(L: System) -> bool:
-    try:
-        return is_stable(sensitivity(L)[0], L.dt)
-    except ValueError:
-        return False
 
 
 @dataclass(frozen=True)

@@ -196,6 +196,3 @@ class ModalForm:
         """Distance of each value (K,) from the nearest pole: shape (K,); infinite without poles."""
         poles = np.concatenate([self.pairs, self.pairs.conj(), self.real, linalg.eigvals(self.block)])
         return np.asarray(np.abs(np.asarray(s) - poles[:, None]).min(axis=0, initial=np.inf))
-
-
-__all__ = ["ModalForm"]

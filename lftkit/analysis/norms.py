@@ -245,7 +245,19 @@ def band_gain(
     if not len(a):
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
     if dt is not None and last < np.inf:
-        return _discrete_band_gain((a, b, c, d), band, dt, rtol, stable=stable)
+        # By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself
+        system = (a, b, c, d)
+        try:
+            mapped = to_continuous(*system, dt)
+        except ValueError:
+            return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
+        low, high = (warped_frequency(omega, dt) for omega in band)
+        norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
+        omega = unwarped_frequency(norm.omega, dt)
+        if not norm.value < np.inf:
+            return replace(norm, omega=omega)
+        value = largest_gain(response_at(system, exp(1j * omega * dt)))
+        return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
     system = *balanced(a, b, c), d
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol)
     poles = response.poles
@@ -254,23 +266,6 @@ def band_gain(
     if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
         return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
     return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol, band)), "hamiltonian")
-
-
-def _discrete_band_gain(
-    system: Matrices, band: tuple[float, float], dt: float, rtol: float, *, stable: bool
-) -> HInfNorm:
-    """By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself."""
-    try:
-        mapped = to_continuous(*system, dt)
-    except ValueError:
-        return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
-    low, high = (warped_frequency(omega, dt) for omega in band)
-    norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
-    omega = unwarped_frequency(norm.omega, dt)
-    if not norm.value < np.inf:
-        return replace(norm, omega=omega)
-    value = largest_gain(response_at(system, exp(1j * omega * dt)))
-    return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
 @checked
@@ -314,7 +309,11 @@ def h2_norm(
         if EPS * np.abs(T).max() > SCHUR_ROUNDING * np.abs(np.diag(T)).min():
             response = FrequencyResponse.of(a, b, c, d, check=False, fine=True)
             if response.modal:
-                return _h2_of_modes(response)
+                poles, left, right = response.poles, response.left, response.right
+                if poles.real.max() >= 0.0 or response.on_axis.size:
+                    return float("inf")
+                terms = (left.T @ left.conj()) * (right @ right.conj().T) / (poles[:, None] + poles.conj())
+                return float(np.sqrt(max(-terms.sum().real, 0.0)))
         if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
@@ -332,15 +331,6 @@ def _is_discrete(dt: float | None) -> bool:
     if not (is_number(dt) and 0 <= dt < np.inf):
         raise InputError(f"dt must be a sampling period, or None or 0 for continuous time, got {dt!r}")
     return dt > 0
-
-
-def _h2_of_modes(response: FrequencyResponse) -> float:
-    """H2 norm of a modal form without feedthrough."""
-    poles, left, right = response.poles, response.left, response.right
-    if poles.real.max() >= 0.0 or response.on_axis.size:
-        return float("inf")
-    terms = (left.T @ left.conj()) * (right @ right.conj().T) / (poles[:, None] + poles.conj())
-    return float(np.sqrt(max(-terms.sum().real, 0.0)))
 
 
 def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:

@@ -22,8 +22,8 @@ from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
-from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
-from lftkit.systems.system import System
+from lftkit.systems.sampled.bilinear import unwarped_frequency
+from lftkit.systems.sampled.image import continuous
 
 EPS = float(np.finfo(float).eps)
 FLOOR = 1e-12
@@ -87,7 +87,7 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     if one.D.shape != two.D.shape:
         raise InputError(f"systems must have the same size, got {one.D.shape} and {two.D.shape}")
     dt = common_period([one, two])
-    plants = [_continuous(system, dt) for system in (one, two)]
+    plants = [continuous(system).matrices for system in (one, two)]
     right = right_coprime_factors(plants[0], one.name)
     flipped = right_coprime_factors(_transposed(plants[1]), two.name)
     p, m = one.D.shape
@@ -98,7 +98,9 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
     into, through = b @ swap, d @ swap
     whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
-    norm = hinf_norm(*_beside_floor((whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D)))
+    # Further outputs of gain FLOOR: of equal systems the difference is rounding alone
+    seen = np.vstack([np.hstack([through @ C, c]), np.zeros((m, len(whole)))])
+    norm = hinf_norm(whole, np.vstack([B, into @ D]), seen, np.vstack([through @ D, FLOOR * np.eye(m)]))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
     value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
@@ -109,20 +111,9 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     return NuGap(value, upper, omega, True) if same else NuGap(1.0, 1.0, omega, False)
 
 
-def _continuous(system: System, dt: float) -> Matrices:
-    return to_continuous(*system.matrices, dt) if dt else system.matrices
-
-
 def _transposed(system: Matrices) -> Matrices:
     A, B, C, D = system
     return A.T, C.T, B.T, D.T
-
-
-def _beside_floor(system: Matrices) -> Matrices:
-    """The system with further outputs of gain :data:`FLOOR`: of equal systems the difference is rounding alone."""
-    A, B, C, D = system
-    m = D.shape[1]
-    return A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)])
 
 
 def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omega: float) -> list[ComplexArray]:

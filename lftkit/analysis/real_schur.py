@@ -77,6 +77,3 @@ class RealSchur:
 
 def _any(real: float, imaginary: float) -> bool:  # LAPACK asks for it though nothing is sorted
     return False
-
-
-__all__ = ["RealSchur"]

@@ -16,8 +16,7 @@ from scipy import linalg
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
-from lftkit.reduction.balancing import Balancing, balancing
-from lftkit.reduction.gramians import gramian_factor, state_parts
+from lftkit.reduction.balancing import Balancing, balancing, gramian_factor, state_parts
 from lftkit.support.scalars import as_integer
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import cascade
@@ -137,7 +136,12 @@ def balred(
     first = part.balancings[0]
     tails = 2.0 * np.append(np.cumsum(first.hankel[::-1])[::-1], 0.0)  # by the number of states that are kept
     fixed = len(parts.other[0])
-    kept = int(np.argmax(tails <= error)) if error is not None else _checked_order(order, fixed, given) - fixed
+    if error is not None:
+        kept = int(np.argmax(tails <= error))
+    else:
+        kept = as_integer(order, "order") - fixed
+        if kept < 0:
+            raise InputError(f"order must be at least {fixed}, the number of poles that are not stable, got {order}")
     if kept >= part.system.order:
         return ReducedSystem(given, first.hankel, 0.0, np.inf if part.weighted else 0.0)
     reduced = part.reduced(kept, method)
@@ -219,13 +223,6 @@ def _weight(weight: System | None, name: str, of: System) -> System | None:
     if len(state_parts(*given.matrices[:3], given.dt).other[0]):
         raise InputError(f"{name} must be stable, got poles {given.poles()}")
     return given
-
-
-def _checked_order(order: int | None, least: int, given: System) -> int:
-    number = as_integer(order, "order")
-    if number < least:
-        raise InputError(f"order must be at least {least}, the number of poles that are not stable, got {number}")
-    return number
 
 
 def _matched(full: Matrices, order: int, dt: float) -> Matrices:

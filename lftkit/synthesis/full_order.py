@@ -154,7 +154,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerB
 
     Where the equations give no bound, and the gain out of reach is none that is near, there may be one with a proof.
     """
-    known = generalised.gain_out_of_reach()
+    unreachable = generalised.gain_out_of_reach()
     measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
 
     @functools.cache
@@ -163,7 +163,7 @@ def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerB
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
         near = (1.0 - NEAR) * design.value
-        above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
+        above = unreachable if unreachable <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
         lower = max(design.lower, min(above, design.value))
         if design.lower == -np.inf and lower < near:
             lower = max(lower, level())
@@ -238,7 +238,21 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     """
     given = standard_plant(plant, measured, commanded)
     if given.system.dt:
-        return _sampled_h2(given)
+        # Its bound is the variance by both equations, and counts if the loop has the same
+        try:
+            matrices, least = sampled_lqg(given.extended)
+            controller = System(*matrices, given.measured, given.commanded, "K", given.system.dt)
+            closed = given.closed(controller)
+            value = float(h2_norm(closed))
+        except (ValueError, ArithmeticError):
+            value = np.inf
+        if not np.isfinite(value):
+            raise InputError(
+                f"{given.system.name}: must have no zeros on the unit circle in its weights, and no command or "
+                "measurement that follows from others, got some"
+            )
+        same = abs(value - least) <= REACHED * value
+        return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
     generalised = _generalised(given)
     if generalised.plant.D11.any():
         raise InputError(f"{given.system.name}: D11 must be zero for a finite H2 norm, got a direct path")
@@ -252,24 +266,6 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     closed = given.closed(controller)
     value = float(h2_norm(closed))
     return FullOrderDesign(controller, closed, value, value)
-
-
-def _sampled_h2(given: StandardPlant) -> FullOrderDesign:
-    """Its bound is the variance by both equations, and counts if the loop has the same."""
-    try:
-        matrices, least = sampled_lqg(given.extended)
-        controller = System(*matrices, given.measured, given.commanded, "K", given.system.dt)
-        closed = given.closed(controller)
-        value = float(h2_norm(closed))
-    except (ValueError, ArithmeticError):
-        value = np.inf
-    if not np.isfinite(value):
-        raise InputError(
-            f"{given.system.name}: must have no zeros on the unit circle in its weights, and no command or measurement "
-            "that follows from others, got some"
-        )
-    same = abs(value - least) <= REACHED * value
-    return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
 
 
 @checked

@@ -164,7 +164,9 @@ def musyn(
     peaks, last, status = [best.peak], best, "iteration_limit"
     for _ in range(iterations - 1):
         try:
-            last = problem.candidate(problem.scaled(last.fitted(scaling_order)), grid)
+            last = problem.candidate(
+                _between(problem.standard.system, last.fitted(scaling_order), problem.structure), grid
+            )
         except ValueError:
             status = "no_controller"
             break
@@ -231,17 +233,16 @@ class _Candidate:
                 system = fit_magnitude(self.omega, self.scales[:, k], order, weight=weight)
                 scales = self.scales.copy()
                 scales[:, k] = np.abs(system.response(self.omega)[:, 0, 0])
-                tried.append((self._scaled_peak(scales), system))
+                # Largest norm of the scaled responses; phases of the scalings do not change it
+                rows = np.repeat(scales, [b.columns for b in self.structure], axis=1)
+                columns = np.repeat(scales, [b.rows for b in self.structure], axis=1)
+                tried.append(
+                    (float(largest_gains(rows[:, :, None] * self.responses / columns[:, None, :]).max()), system)
+                )
                 if tried[-1][0] <= worse * self.peak:
                     break
             fits.append(min(tried, key=lambda one: one[0])[1])
         return tuple(fits)
-
-    def _scaled_peak(self, scales: FloatArray) -> float:
-        """Largest norm of the scaled responses; phases of the scalings do not change it."""
-        rows = np.repeat(scales, [b.columns for b in self.structure], axis=1)
-        columns = np.repeat(scales, [b.rows for b in self.structure], axis=1)
-        return float(largest_gains(rows[:, :, None] * self.responses / columns[:, None, :]).max())
 
 
 @dataclass(frozen=True)
@@ -318,10 +319,6 @@ class _Problem:
         """The controller of a scaled plant."""
         controller = controller_of_least_norm(scaled, self.measured, self.commanded)
         return _Candidate(controller, self.standard.closed(controller), self.structure, omega)
-
-    def scaled(self, fits: tuple[System, ...]) -> System:
-        """The certain plant between the scalings and their inverses."""
-        return _between(self.standard.system, fits, self.structure)
 
     def design(
         self,

@@ -13,7 +13,6 @@ chapter 6). No term needs a weight of commands or noise of measurements where R 
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -22,15 +21,10 @@ from lftkit.arrays import Matrices
 from lftkit.synthesis.extended_plant import ExtendedPlant
 
 
-class SampledLqg(NamedTuple):
-    """A controller A, B, C, D, and the root of the variance of the error for white noise of variance 1 per sample."""
+def sampled_lqg(plant: ExtendedPlant, *, direct: bool = True) -> tuple[Matrices, float]:
+    """Controller (A, B, C, D) of the least H2 norm of a sampled plant, and that norm.
 
-    matrices: Matrices
-    norm: float
-
-
-def sampled_lqg(plant: ExtendedPlant, *, direct: bool = True) -> SampledLqg:
-    """Controller of the least H2 norm of a sampled plant.
+    The norm is the root of the variance of the error for white noise of variance 1 per sample.
 
     Parameters
     ----------
@@ -52,7 +46,7 @@ def sampled_lqg(plant: ExtendedPlant, *, direct: bool = True) -> SampledLqg:
             raise linalg.LinAlgError(str(error)) from None
 
 
-def _sampled_lqg(plant: ExtendedPlant, direct: bool) -> SampledLqg:
+def _sampled_lqg(plant: ExtendedPlant, direct: bool) -> tuple[Matrices, float]:
     A, B1, B2, C1, C2, D11, D12, D21, D22 = (
         getattr(plant, name) for name in ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
     )
@@ -67,4 +61,4 @@ def _sampled_lqg(plant: ExtendedPlant, direct: bool) -> SampledLqg:
     inner = linalg.inv(np.eye(len(F)) + G @ D22)
     C, D = inner @ (F - G @ C2), inner @ G
     into = B2 - K @ D22
-    return SampledLqg((A - K @ C2 + into @ C, K + into @ D, C, D), float(np.sqrt(max(variance, 0.0))))
+    return (A - K @ C2 + into @ C, K + into @ D, C, D), float(np.sqrt(max(variance, 0.0)))

@@ -90,7 +90,7 @@ def sampled_lqg_starts(
     for gain in gains[:MAX_REQUIREMENTS]:
         try:
             plant = _regularised(extended_plant(model, measured, commanded, 0, gain))
-            laws = [sampled_lqg(plant, direct=direct).matrices for direct in (False, True)]
+            laws = [sampled_lqg(plant, direct=direct)[0] for direct in (False, True)]
         except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
             continue
         starts = [_taken(structure, *law, model.dt) for law in laws]

@@ -34,7 +34,17 @@ def discrete_h2(system: Matrices) -> float | None:
             return unit * float(np.sqrt(variance))
     if (quotient := Quotient.of(given)) is not None:
         return unit * float(np.sqrt(quotient.variance())) if quotient.stable(limit) else None
-    return unit * float(np.sqrt(_by_doubling(given, limit)))
+    # Variance by both Gramians, which must agree
+    A, B, C, D = given
+    hidden = f"rounding hides the H2 norm of a discrete-time system of order {len(A)}"
+    if np.abs(modes(A).poles).max() >= limit:
+        raise ArithmeticError(hidden)
+    direct = float(np.sum(D**2))
+    first = direct + float(np.sum((C @ stein(A, B @ B.T)) * C))
+    second = direct + float(np.sum((B.T @ stein(A.T, C.T @ C)) * B.T))
+    if not abs(first - second) <= AGREEMENT * abs(first):
+        raise ArithmeticError(hidden)
+    return unit * float(np.sqrt(max(first, 0.0)))
 
 
 def _of_modes(form: CircleModes) -> tuple[float, float]:
@@ -55,17 +65,3 @@ def _of_modes(form: CircleModes) -> tuple[float, float]:
     response = float(np.sum(form.inexact / root) + 2.0 * np.sum(form.couplings / (root[:, None] * root * widest)))
     rounding = 16.0 * EPS * float(np.sum(sizes / distance)) + 2.0 * ANGLE * float(turned.sum())
     return max(variance, 0.0), rounding + response * (2.0 * max(variance, 0.0) ** 0.5 + response)
-
-
-def _by_doubling(system: Matrices, limit: float) -> float:
-    """Variance by both Gramians, which must agree."""
-    A, B, C, D = system
-    hidden = f"rounding hides the H2 norm of a discrete-time system of order {len(A)}"
-    if np.abs(modes(A).poles).max() >= limit:
-        raise ArithmeticError(hidden)
-    direct = float(np.sum(D**2))
-    first = direct + float(np.sum((C @ stein(A, B @ B.T)) * C))
-    second = direct + float(np.sum((B.T @ stein(A.T, C.T @ C)) * B.T))
-    if not abs(first - second) <= AGREEMENT * abs(first):
-        raise ArithmeticError(hidden)
-    return max(first, 0.0)

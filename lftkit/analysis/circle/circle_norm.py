@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Protocol
 
 import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
-from lftkit.analysis.circle.circle_response import ORDER, CircleResolvents, Expansion, circle_modes
+from lftkit.analysis.circle.circle_response import ORDER, CircleModes, CircleResolvents, circle_modes
 from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.hinf.interval_cover import PEAK_CUTS, above_level
@@ -23,24 +22,6 @@ from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 GROWTH = 2.0  # of the intervals away from a pole
 MARGIN = 0.9  # part of `rtol` between a gain and the level above it: the rest is for its rounding
-
-
-class Expandable(Protocol):
-    """A stable response on the unit circle."""
-
-    @property
-    def angle(self) -> FloatArray:
-        """Angles of the poles [rad]."""
-
-    @property
-    def gap(self) -> FloatArray:
-        """Distances of the poles from the circle."""
-
-    def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
-        """Expansions around angles."""
-
-    def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Response and two derivatives."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +88,7 @@ def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
     return CirclePeak(direct, float("inf"), 0.0, "none")
 
 
-def circle_norm(response: Expandable, rtol: float) -> CirclePeak | None:
+def circle_norm(response: CircleModes | CircleResolvents, rtol: float) -> CirclePeak | None:
     """H-infinity norm of a stable response; None where intervals do not show it.
 
     The two sides are `rtol` apart unless rounding forbids it; then they are as far apart as rounding makes them.
@@ -125,7 +106,7 @@ class CircleModel:
     Its frequencies are angles [rad].
     """
 
-    response: Expandable
+    response: CircleModes | CircleResolvents
     rtol: float
 
     def first_peak(self) -> Peak:
@@ -173,13 +154,13 @@ class CircleModel:
         return gains + 2.0 * found.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
 
 
-def _distance(response: Expandable, theta: float) -> float:
+def _distance(response: CircleModes | CircleResolvents, theta: float) -> float:
     """Distance of the nearest pole, at least in order of magnitude."""
     apart = np.abs(np.remainder(theta - response.angle + np.pi, 2.0 * np.pi) - np.pi)
     return float(np.hypot(apart, response.gap).min(initial=1.0))
 
 
-def _cuts(response: Expandable, seeds: FloatArray, peak: float) -> FloatArray:
+def _cuts(response: CircleModes | CircleResolvents, seeds: FloatArray, peak: float) -> FloatArray:
     """First cuts of half the circle: intervals that grow with the distance from the nearest pole and from the peak."""
     steps = _distance(response, peak) * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
     near = (response.gap < 0.3) & (response.angle >= 0.0)

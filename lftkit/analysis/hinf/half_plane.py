@@ -7,6 +7,7 @@ needs is that of ``sign A + I``: well conditioned as long as no pole is near ``z
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from math import pi
 from typing import NamedTuple
 
@@ -43,10 +44,15 @@ class HalfPlane(NamedTuple):
 
         The second one is for a peak at ``z = -sign``, which the first one has at infinity.
         """
-        first = 1.0 if system[0].trace() >= 0.0 else -1.0
+        A, B, C, D = system
+        first, one = 1.0 if A.trace() >= 0.0 else -1.0, np.eye(len(A))
         for sign in (first, -first):
-            if plane := _mapped(system, sign):
-                yield plane
+            with suppress(ValueError):
+                mapped = to_continuous(A * sign, B * sign, C, D, rcond=0.0)
+                shifted, inverse = A * sign + one, 0.5 * (one - mapped[0])
+                condition = float(abs(shifted).sum(axis=0).max() * abs(inverse).sum(axis=0).max())
+                if condition <= MAX_CONDITION:
+                    yield cls(mapped, system, sign, condition)
 
     def angle(self, omega: float) -> float:
         """Angle on the unit circle [rad] of the frequency `omega` in continuous time."""
@@ -56,15 +62,3 @@ class HalfPlane(NamedTuple):
     def response(self, omega: float) -> ComplexArray:
         """Response (p, m) of the matrices that were given, at the point of the circle of `omega`."""
         return response_at(self.given, self.sign * (-1.0 if omega == np.inf else discrete_point(1j * omega)))
-
-
-def _mapped(system: Matrices, sign: float) -> HalfPlane | None:
-    A, B, C, D = system
-    try:
-        mapped = to_continuous(A * sign, B * sign, C, D, rcond=0.0)
-    except ValueError:
-        return None
-    one = np.eye(len(A))
-    shifted, inverse = A * sign + one, 0.5 * (one - mapped[0])
-    condition = float(abs(shifted).sum(axis=0).max() * abs(inverse).sum(axis=0).max())
-    return HalfPlane(mapped, system, sign, condition) if condition <= MAX_CONDITION else None

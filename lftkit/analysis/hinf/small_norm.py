@@ -135,7 +135,8 @@ class SmallModel(NamedTuple):
         terms = float((abs(residues).max(axis=1) / -real).sum())
         if rounding > SEPARATION * rtol**0.5 * decay:
             raise UndecidedError("the damping is near rounding")
-        if origin is not None and _nearest_to_circle(values) < AT_CIRCLE * n:
+        # 1 - |z|^2 of the poles z = (1 + s) / (1 - s)
+        if origin is not None and min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values) < AT_CIRCLE * n:
             raise UndecidedError("a pole is near the unit circle")
         if not terms + float(abs(D).max()) < LARGE:
             raise UndecidedError("powers of the gains are no numbers")
@@ -158,7 +159,19 @@ class SmallModel(NamedTuple):
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near the best of the crossings of the level and the middles between them."""
         gap = 1.0 - (self.direct / level) ** 2
-        crossings = self._crossings(level, gap)
+        # An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding, which grows by the inverse of the
+        # gap, could have moved it from the axis. A double one, of a peak that just reaches the level, moves by the
+        # square root of the rounding times the distance of the pole.
+        real, imaginary = (part.tolist() for part in hamiltonian_eigenvalues(self.system, level))
+        sizes = list(map(hypot, real, imaginary))
+        rounding = _rounding(max(sizes), self.origin) * self.condition / gap
+        at_level = {
+            abs(y)
+            for x, y, size in zip(real, imaginary, sizes)
+            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
+            and abs(x) <= 2.0 * (rounding * self._distance(y)) ** 0.5 + rounding
+        }
+        crossings = sorted(at_level)
         if not crossings:
             return None
         middles = [0.5 * (low + high) for low, high in pairwise(crossings)]
@@ -212,31 +225,6 @@ class SmallModel(NamedTuple):
         if refined:
             raise UndecidedError("rounding of the map is felt")
         return largest_gain(self.origin.response(omega))
-
-    def _crossings(self, level: float, gap: float) -> list[float]:
-        """Frequencies at which the gain may equal `level` [rad/s], ascending; none: the gain stays below.
-
-        `gap`: smallest eigenvalue of ``I - D' D / level^2``, by whose inverse rounding grows.
-
-        An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding could have moved it from the axis. A
-        double one, of a peak that just reaches the level, moves by the square root of the rounding times the distance
-        of the pole.
-        """
-        real, imaginary = (part.tolist() for part in hamiltonian_eigenvalues(self.system, level))
-        sizes = list(map(hypot, real, imaginary))
-        rounding = _rounding(max(sizes), self.origin) * self.condition / gap
-        found = {
-            abs(y)
-            for x, y, size in zip(real, imaginary, sizes)
-            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
-            and abs(x) <= 2.0 * (rounding * self._distance(y)) ** 0.5 + rounding
-        }
-        return sorted(found)
-
-
-def _nearest_to_circle(values: list[complex]) -> float:
-    """Smallest ``1 - |z|^2`` of the poles ``z = (1 + s) / (1 - s)``."""
-    return min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values)
 
 
 def _rounding(size: float, origin: Origin | None) -> float:

@@ -33,7 +33,7 @@ def random_plant(seed: int, through: float) -> System:
 
 @pytest.mark.parametrize(("direct", "variance"), [(True, ROOT5), (False, 1.0 + ROOT5)])
 def test_the_integrator_has_the_variance_of_its_closed_form(direct: bool, variance: float) -> None:
-    assert sampled_lqg(standard_plant(integrator(), "y", "u").extended, direct=direct).norm ** 2 == pytest.approx(
+    assert sampled_lqg(standard_plant(integrator(), "y", "u").extended, direct=direct)[1] ** 2 == pytest.approx(
         variance
     )
 
