@@ -6,6 +6,7 @@ is a smooth problem without constraints on phase: least squares of the logarithm
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number, as_positive
+from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.matrices import frequencies, real_array
 from lftkit.systems.ports import Port
@@ -180,22 +182,16 @@ class _Sections:
 
     def system(self, x: FloatArray) -> System:
         """The system with these parameters, its states in units of its frequencies."""
-        A: FloatArray = np.zeros((0, 0))
-        B: FloatArray = np.zeros((0, 1))
-        C: FloatArray = np.zeros((1, 0))
-        D: FloatArray = np.array([[math.exp(x[0])]])
-        parts = []
+        one, parts = np.eye(1), []
         for wz, dz, wp, dp in np.exp(x[1 : 1 + 4 * self.pairs].reshape(-1, 4)):
             b = np.array([[0.0], [1.0]])
             a = np.array([[0.0, wp], [-wp, -2.0 * dp * wp]])
-            parts.append((a, b, np.array([[(wz * wz - wp * wp) / wp, 2.0 * (dz * wz - dp * wp)]])))
+            parts.append((a, b, np.array([[(wz * wz - wp * wp) / wp, 2.0 * (dz * wz - dp * wp)]]), one))
         if self.single:
             zero, pole = np.exp(x[-2:])
-            parts.append((np.array([[-pole]]), np.array([[1.0]]), np.array([[zero - pole]])))
-        for a, b, c in parts:
-            A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-            B, C = np.vstack([B, b @ D]), np.hstack([C, c])
-        return System(A, B, C, D, (Port("in", 1),), (Port("out", 1),), "fit")
+            parts.append((np.array([[-pole]]), one, np.array([[zero - pole]]), one))
+        gain: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[math.exp(x[0])]])
+        return System(*functools.reduce(lft.series, parts, gain), (Port("in", 1),), (Port("out", 1),), "fit")
 
 
 def _second(log_omega: FloatArray, log_corner: float, log_damping: float) -> FloatArray:

@@ -19,6 +19,7 @@ from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
+from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period
@@ -94,13 +95,10 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     left = _transposed(flipped)
     # N2 M1 - M2 N1 of left factors [N2, M2] and right ones [N1; M1]
     a, b, c, d = left
-    A, B, C, D = right
     swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
-    into, through = b @ swap, d @ swap
-    whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
+    A, B, C, D = lft.series(right, (a, b @ swap, c, d @ swap))
     # Further outputs of gain FLOOR: of equal systems the difference is rounding alone
-    seen = np.vstack([np.hstack([through @ C, c]), np.zeros((m, len(whole)))])
-    norm = hinf_norm(whole, np.vstack([B, into @ D]), seen, np.vstack([through @ D, FLOOR * np.eye(m)]))
+    norm = hinf_norm(A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)]))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
     value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))

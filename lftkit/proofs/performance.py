@@ -19,12 +19,11 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.axis.bounds import gain_over_axis
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.state_space.bounds import SHARE, DiskGainByCells, GainByCells, ProvenBounds, named_member
+from lftkit.proofs.state_space.bounds import SHARE, DiskGainByCells, GainByCells, ProvenBounds, factor_of, named_member
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
 from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
-from lftkit.proofs.state_space.stability import factor_of
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter
 from lftkit.uncertainty.parameters import RealParameter

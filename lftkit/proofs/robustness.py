@@ -15,13 +15,13 @@ from lftkit.proofs.state_space.bounds import (
     DiskGainByCells,
     GainByCells,
     ProvenBounds,
+    StabilityByCells,
     checked_band,
     intervals_of,
     require_nominal,
 )
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disks import disks_of, real_first
-from lftkit.proofs.state_space.stability import StabilityByCells
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.extended_plant import ExtendedPlant
+from lftkit.systems import lft
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, names_of_ports
@@ -166,10 +168,6 @@ def weight_of(name: str, given: Any, size: int, dt: float) -> System:
 
 def chain(*systems: System, names: tuple[Port, Port] | None = None) -> System:
     """Systems in series, the first one first; ports of the first and the last, or those of `names`."""
-    A, B, C, D = systems[0].matrices
-    for following in systems[1:]:
-        a, b, c, d = following.matrices
-        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
+    matrices = functools.reduce(lft.series, (system.matrices for system in systems))
     first, last = names or (systems[0].inputs[0], systems[-1].outputs[0])
-    return System(A, B, C, D, (first,), (last,), systems[-1].name, systems[0].dt)
+    return System(*matrices, (first,), (last,), systems[-1].name, systems[0].dt)

@@ -31,6 +31,8 @@ from lftkit.uncertainty.parameters import RealParameter
 
 BLOCKS = "blocks"
 """Field with the elements of an uncertain system, in lower case."""
+BLOCK_FIELDS = "Name", "Nominal", "Range", "Occurrences", "Unit"
+"""Fields of each of its elements."""
 DELAYS = "inputdelay", "outputdelay", "iodelay", "internaldelay"
 """Fields of an `ss` object, in lower case, that a system here cannot have unless they are zero."""
 
@@ -64,7 +66,14 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
         content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
         content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
         if system.elements:
-            content[name] |= {"Blocks": _blocks(system), "Normalized": 0.0}
+            # Field ``Blocks`` of a system whose channels are sorted by elements
+            rows = np.zeros(
+                (len(system.elements), 1),
+                dtype=[(k, object) for k in BLOCK_FIELDS],
+            )
+            for row, (e, count) in enumerate(zip(system.parameters, system.occurrences().values())):
+                rows[row, 0] = e.name, e.nominal, np.array([[e.lower, e.upper]]), float(count), e.unit
+            content[name] |= {"Blocks": rows, "Normalized": 0.0}
     file = Path(path)
     with atomic_file(file if file.suffix else file.with_suffix(".mat")) as made:
         io.savemat(made, content, appendmat=False)
@@ -240,16 +249,6 @@ def _in_own_units(system: System, elements: Sequence[RealParameter]) -> System:
     B[:, :q] /= ab[:, 0]
     D[:, :q] /= ab[:, 0]
     return replace(system, B=B, D=D)
-
-
-def _blocks(system: System) -> Any:
-    """Field ``Blocks`` of a system whose channels are sorted by elements."""
-    rows = np.zeros(
-        (len(system.elements), 1), dtype=[(k, object) for k in ("Name", "Nominal", "Range", "Occurrences", "Unit")]
-    )
-    for row, (e, count) in enumerate(zip(system.parameters, system.occurrences().values())):
-        rows[row, 0] = e.name, e.nominal, np.array([[e.lower, e.upper]]), float(count), e.unit
-    return rows
 
 
 def _with_units(ports: Sequence[Port], units: Sequence[str]) -> tuple[Port, ...]:

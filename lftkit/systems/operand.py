@@ -19,12 +19,10 @@ class Timed(Protocol):
     @property
     def order(self) -> int:
         """Number of states."""
-        ...
 
     @property
     def dt(self) -> float:
         """Sampling period [s]; 0: continuous time."""
-        ...
 
 
 def common_period(systems: Iterable[Timed]) -> float:

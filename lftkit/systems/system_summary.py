@@ -22,17 +22,14 @@ class WithPorts(Protocol):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Ports of the inputs."""
-        ...
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Ports of the outputs."""
-        ...
 
     @property
     def order(self) -> int:
         """Number of states."""
-        ...
 
 
 class Summarised(WithPorts, Protocol):
@@ -41,21 +38,17 @@ class Summarised(WithPorts, Protocol):
     @property
     def name(self) -> str:
         """Name of the system."""
-        ...
 
     @property
     def dt(self) -> float:
         """Sampling period [s]; 0: continuous time."""
-        ...
 
     @property
     def elements(self) -> tuple[Element, ...]:
         """Uncertain elements."""
-        ...
 
     def occurrences(self) -> dict[str, int]:
         """Number of repetitions of each element in Delta."""
-        ...
 
 
 def lines(system: Summarised) -> list[str]:

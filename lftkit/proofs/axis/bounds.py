@@ -17,8 +17,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.proofs.axis.model import AxisModel
-from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.axis.proof import AxisModel, AxisProof
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable

@@ -21,7 +21,7 @@ from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop.branching import Branching
-from lftkit.proofs.sampled_loop.responses import SearchedResponses
+from lftkit.proofs.sampled_loop.model import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
 from lftkit.proofs.trusted.proof import REAL, Interval, Strip
 from lftkit.proofs.trusted.sampled_loop import require_box

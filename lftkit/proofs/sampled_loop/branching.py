@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.sampled_loop.responses import SearchedResponses
+from lftkit.proofs.sampled_loop.model import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
 from lftkit.proofs.trusted.proof import REAL, Interval
 from lftkit.proofs.trusted.strips import is_circle

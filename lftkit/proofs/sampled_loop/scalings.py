@@ -10,9 +10,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced
-from lftkit.proofs.sampled_loop.coordinates import middle_of
-from lftkit.proofs.sampled_loop.responses import SearchedResponses
+from lftkit.proofs.blocks.structure import balanced
+from lftkit.proofs.sampled_loop.model import SearchedResponses, middle_of
 from lftkit.proofs.state_space.barrier import ANY_REAL, COMPLEX, FULL, REAL, BarrierBlock, newton_step
 from lftkit.proofs.state_space.scaling_search import CENTRED, GROWTH, barrier_problem
 from lftkit.proofs.trusted.proof import Interval

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced
+from lftkit.proofs.blocks.structure import balanced
 from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, Scalings
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.proofs.state_space.scaling_search import find_scalings

@@ -17,8 +17,8 @@ from scipy import linalg, optimize
 
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.structure import balanced_matrix
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, structure_of
 from lftkit.proofs.state_space.search import Member, member_gain
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
