@@ -196,21 +196,17 @@ class FrequencyResponse:
             hit = np.abs(np.abs(w) - pole) <= width
             if hit.any():
                 raise PoleError(_at_pole(float(w[hit][0])))
-        if self.triangular is None and (len(w) <= FEW or n * p * m > LARGE):
+        if self.triangular is not None:
+            return self.at_points(1j * w)
+        if len(w) <= FEW or n * p * m > LARGE:
             for i, x in enumerate(w):
                 out[i] += (self.left / (1j * x - self.poles)) @ self.right
             return out
-        if self.triangular is None:
-            rows = max(1, MAX_ENTRIES // (n * m))
-            for start in range(0, p, rows):
-                part = slice(start, start + rows)
-                numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
-                self._modal_sum(w, numerators, out[:, part])
-            return out
-        identity = np.eye(n)
-        for i, x in enumerate(w):
-            shifted = 1j * x * identity - self.triangular
-            out[i] += self.left @ linalg.solve_triangular(shifted, self.right, check_finite=False)
+        rows = max(1, MAX_ENTRIES // (n * m))
+        for start in range(0, p, rows):
+            part = slice(start, start + rows)
+            numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
+            self._modal_sum(w, numerators, out[:, part])
         return out
 
     def at_points(self, s: ComplexArray) -> ComplexArray:

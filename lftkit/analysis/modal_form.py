@@ -73,7 +73,7 @@ class ModalForm:
         A = np.asarray(A, dtype=float)
         a, units = in_balanced_units(A)
         if not len(A):
-            return cls._whole(a, units)
+            return cls.whole(a, units)
         found = corrected_modes(a, modes(a), CONVERGED)
         # Poles, pairs together, whose left and right eigenvectors are nearly orthogonal
         n = len(found.poles)
@@ -89,7 +89,7 @@ class ModalForm:
         if parallel.any():
             return cls._with_block(a, units, found, parallel)
         if found.reciprocal_condition * MAX_CONDITION < 1.0:
-            return cls._whole(a, units)
+            return cls.whole(a, units)
         return cls._of_vectors(units, found, ~parallel, np.zeros((0, 0)), np.zeros((len(a), 0)))
 
     @classmethod
@@ -112,15 +112,11 @@ class ModalForm:
         return cls(found.poles[heads], found.poles[real].real, block, units, basis)
 
     @classmethod
-    def whole(cls, A: FloatArray) -> ModalForm:
-        """The states themselves as coordinates: one block."""
-        return cls._whole(np.asarray(A, dtype=float), np.ones(len(A)))
-
-    @classmethod
-    def _whole(cls, a: FloatArray, units: FloatArray) -> ModalForm:
-        eye = np.eye(len(a))
+    def whole(cls, A: FloatArray, units: FloatArray | None = None) -> ModalForm:
+        """The states themselves, in these units, as coordinates: one block."""
+        a, eye = np.asarray(A, dtype=float), np.eye(len(A))
         basis = Modes(np.zeros(len(a), complex), eye, np.zeros_like(eye), (eye, np.arange(len(a), dtype=np.int32)))
-        return cls(np.zeros(0, complex), np.zeros(0), a, units, basis)
+        return cls(np.zeros(0, complex), np.zeros(0), a, np.ones(len(a)) if units is None else units, basis)
 
     @classmethod
     def _with_block(cls, a: FloatArray, units: FloatArray, found: Modes, parallel: BoolArray) -> ModalForm:
@@ -133,10 +129,10 @@ class ModalForm:
 
         T, Q, count = linalg.schur(a, output="real", sort=chosen)
         if count != parallel.sum():
-            return cls._whole(a, units)
+            return cls.whole(a, units)
         form = cls._of_vectors(units, found, ~parallel, T[:count, :count], Q[:, :count])
         if not form.vectors.reciprocal_condition * MAX_CONDITION >= 1.0:
-            return cls._whole(a, units)
+            return cls.whole(a, units)
         return form
 
     @property

@@ -18,21 +18,19 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.circle.circle_h2 import discrete_h2
-from lftkit.analysis.circle.circle_norm import discrete_norm
+from lftkit.analysis.circle.circle_norm import discrete_h2, discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError
-from lftkit.analysis.given_system import given_system
 from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
-from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
 from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
-from lftkit.analysis.hinf.small_norm import MAX_STATES, Origin, SmallModel
+from lftkit.analysis.hinf.small_norm import MAX_STATES, HalfPlane, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_positive, is_number
 from lftkit.systems.arguments import checked
+from lftkit.systems.exchange import given_system
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 
@@ -377,12 +375,12 @@ def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
     """By a map to continuous time, or None where it could lose what decides."""
     A, B, C, D = system
     for plane in HalfPlane.of((*balanced(A, B, C), D)):
-        if found := _small(plane.matrices, rtol, Origin(plane.response, plane.condition)):
+        if found := _small(plane.matrices, rtol, plane):
             return HInfNorm(found.value, found.upper, plane.angle(found.omega) / dt, "hamiltonian")
     return None
 
 
-def _small(system: Matrices, rtol: float, origin: Origin | None = None) -> NormBracket | None:
+def _small(system: Matrices, rtol: float, origin: HalfPlane | None = None) -> NormBracket | None:
     """Both sides for few states, or None where rounding could decide."""
     try:
         return bracketed_norm(SmallModel.of(system, rtol, origin))

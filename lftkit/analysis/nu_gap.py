@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.riccati import right_coprime_factors
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import common_period
 from lftkit.systems.exchange import as_system
-from lftkit.systems.operand import common_period
 from lftkit.systems.sampled.bilinear import unwarped_frequency
 from lftkit.systems.sampled.image import continuous
 

@@ -28,7 +28,7 @@ from lftkit.proofs.trusted.structured import parts
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 
 sl_optimize: Any = optimize
 RAISED = 2.0

@@ -5,12 +5,8 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values
-    from lftkit.reduction.coprime import ncfmr
+    from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values, ncfmr
 
 __all__ = ["ReducedSystem", "balred", "hankel_singular_values", "ncfmr"]
 
-__getattr__ = names_on_demand(
-    __name__,
-    {"balanced": ("ReducedSystem", "balred", "hankel_singular_values"), "coprime": ("ncfmr",)},
-)
+__getattr__ = names_on_demand(__name__, {"balanced": ("ReducedSystem", "balred", "hankel_singular_values", "ncfmr")})

@@ -22,8 +22,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.support.scalars import as_positive
 from lftkit.synthesis.lower_bound import ProvenLowerBound, confirmed_optimum, lower_bound_proof
-from lftkit.synthesis.riccati_controllers import FullOrderEstimator
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, sampled_lqg
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,

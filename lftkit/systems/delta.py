@@ -13,8 +13,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.ports import total_size
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, width
-from lftkit.uncertainty.parameters import RealParameter, checked_values
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, RealParameter, checked_values, width
 
 Value = Any
 """A number of a real or complex element; a number, matrix or system of dynamics."""

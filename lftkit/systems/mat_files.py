@@ -27,7 +27,7 @@ from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels, zero_based
 from lftkit.systems.system import System
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 
 BLOCKS = "blocks"
 """Field with the elements of an uncertain system, in lower case."""

@@ -22,8 +22,7 @@ from lftkit.systems.delta import Value, chosen_values, delta_response, delta_sys
 from lftkit.systems.matrices import checked_matrices, frequencies
 from lftkit.systems.ports import Port, as_ports, names_of_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
-from lftkit.uncertainty.elements import ComplexParameter, Element, description, element_table, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, Element, RealParameter, description, element_table, width
 
 if TYPE_CHECKING:
     import control

@@ -18,8 +18,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.reduction.balancing import truncated
 from lftkit.synthesis.extended_plant import ExtendedPlant
-from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg, sampled_lqg
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem

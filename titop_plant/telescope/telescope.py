@@ -22,7 +22,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.trusted.digests import digest
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.sensors import Sensor, read_loop_sensors

@@ -26,7 +26,7 @@ from lftkit.analysis.eigenvectors import (
     eigenvector_residual,
     modes,
 )
-from lftkit.analysis.hinf.interval_cover import INSIDE
+from lftkit.analysis.hinf.level_iteration import INSIDE
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 ORDER = 4  # of the expansions

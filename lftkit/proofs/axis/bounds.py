@@ -122,7 +122,7 @@ class _Axis:
         waiting, self.pieces = _together(self.pieces), []
         options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
-            if time.monotonic() > until or self._exceeded(level):
+            if time.monotonic() > until or (self.worst is not None and self.worst.gain >= level):
                 self.pieces += waiting[number:]
                 break
             model = replace(self.model, beyond=beyond)
@@ -140,9 +140,6 @@ class _Axis:
         of_disks = zip(self.disks, values[count:])
         disks = {disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks}
         return DiskMember(gain, values[:count], omega, disks)
-
-    def _exceeded(self, level: float) -> bool:
-        return self.worst is not None and self.worst.gain >= level
 
     def finished(self, level: float | None) -> AxisProof:
         """The proof with its strips."""

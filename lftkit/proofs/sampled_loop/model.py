@@ -103,7 +103,8 @@ def coordinates(model: SearchedResponses, strip: Strip, number: int, omega: floa
         half += z[group].conj().T @ (1j * between(strip.G[k])) @ w[group]
     form = half + half.conj().T + between(strip.factor) * (weight / level) ** 2 * e.conj().T @ e
     form[q:, q:] -= between(strip.factor) * np.diag(amplitude**-2.0)
-    V = _middle(model, strip.box, z)
+    # (w, d) by (deviation of w from the middle of the box, d)
+    V: ComplexArray = np.vstack([from_middle(model, strip.box, z)[1], np.hstack([np.zeros((d, q)), np.eye(d)])])
     scale = 1.0 / np.concatenate([np.ones(q), 1.0 / amplitude])
     for _ in range(2):
         middle = -(V.conj().T @ form @ V)
@@ -111,19 +112,20 @@ def coordinates(model: SearchedResponses, strip: Strip, number: int, omega: floa
         factor, info = linalg.lapack.zpotrf(middle * size[:, None] * size, lower=0)
         if info:
             return np.asarray(V * scale)
-        V = np.asarray(linalg.solve_triangular(factor, (V * size).T, trans=1).T)
+        V = np.asarray(linalg.solve_triangular(factor, (V * size).T, trans=1).T, complex)
     return V
 
 
-def _middle(model: SearchedResponses, box: Sequence[Interval], z: ComplexArray) -> ComplexArray:
-    """(w, d) by (deviation of w from the middle of the box, d)."""
-    q, d = model.sizes[0], model.sizes[3]
+def from_middle(
+    model: SearchedResponses, box: Sequence[Interval], z: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """The variables z' and w, each (q, q + d), by (w', d) of :func:`middle_of`, where z (q, q + d) is by (w, d)."""
+    q = model.sizes[0]
     cz, sz, cw, sw = middle_of(model, box)
-    right = np.hstack([z[:, :q] * sw - np.diag(sz), z[:, q:]])
-    inner = linalg.solve(np.diag(cz) - z[:, :q] * cw, right)
+    inner = np.asarray(linalg.solve(np.diag(cz) - z[:, :q] * cw, np.hstack([z[:, :q] * sw - np.diag(sz), z[:, q:]])))
     w = cw[:, None] * inner
     w[:, :q] += np.diag(sw)
-    return np.vstack([w, np.hstack([np.zeros((d, q)), np.eye(d)])])
+    return inner, w
 
 
 def middle_of(model: SearchedResponses, box: Sequence[Interval]) -> Matrices:

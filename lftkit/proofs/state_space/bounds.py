@@ -34,8 +34,7 @@ from lftkit.proofs.state_space.search import (
 from lftkit.proofs.trusted.cells import frequencies
 from lftkit.support.progress import Progress
 from lftkit.systems.system import System
-from lftkit.uncertainty.elements import ComplexParameter
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, RealParameter
 
 SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
 """Level for a gain of zero: its inverse square is finite, and it is this part of the gain of paths that cancel."""

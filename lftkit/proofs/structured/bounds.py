@@ -182,7 +182,23 @@ class _Scaling:
 
     def _lowered(self, certificate: MuCertificate) -> MuCertificate:
         """The lowest level that the same scalings prove."""
-        D, G = _forms(self.M, self.parts, certificate)
+        # The forms of which ``G - level^2 D`` is the inequality, (N, N)
+        width = self.M.shape[1]
+        unit = np.eye(width, dtype=complex)
+        D: ComplexArray = np.zeros((width, width), complex)
+        rest: ComplexArray = np.zeros((width, width), complex)
+        for (block, z_rows, w_rows), d, g in zip(self.parts, certificate.D, certificate.G):
+            z, w = self.M[z_rows], unit[w_rows]
+            if block.kind == FULL:
+                D += d[0, 0].real * w.conj().T @ w
+                rest += d[0, 0].real * z.conj().T @ z
+                continue
+            D += w.conj().T @ d @ w
+            rest += z.conj().T @ d @ z
+            if block.kind == REAL:
+                mixed = z.conj().T @ (1j * g) @ w
+                rest += mixed + mixed.conj().T
+        D, G = _hermitian(D), _hermitian(rest)
         factor, info = linalg.lapack.zpotrf(D, lower=1)
         if info:
             return certificate
@@ -198,25 +214,3 @@ class _Scaling:
 
 def _hermitian(matrix: ComplexArray) -> ComplexArray:
     return np.asarray(0.5 * (matrix + matrix.conj().T), complex)
-
-
-def _forms(
-    M: ComplexArray, blocks: Sequence[tuple[UncertaintyBlock, slice, slice]], certificate: MuCertificate
-) -> tuple[ComplexArray, ComplexArray]:
-    """The forms of which ``G - level^2 D`` is the inequality, (N, N)."""
-    width = M.shape[1]
-    unit = np.eye(width, dtype=complex)
-    D: ComplexArray = np.zeros((width, width), complex)
-    rest: ComplexArray = np.zeros((width, width), complex)
-    for (block, z_rows, w_rows), d, g in zip(blocks, certificate.D, certificate.G):
-        z, w = M[z_rows], unit[w_rows]
-        if block.kind == FULL:
-            D += d[0, 0].real * w.conj().T @ w
-            rest += d[0, 0].real * z.conj().T @ z
-            continue
-        D += w.conj().T @ d @ w
-        rest += z.conj().T @ d @ z
-        if block.kind == REAL:
-            mixed = z.conj().T @ (1j * g) @ w
-            rest += mixed + mixed.conj().T
-    return _hermitian(D), _hermitian(rest)

@@ -10,7 +10,7 @@ from scipy import linalg
 from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
-from lftkit.systems.operand import common_period
+from lftkit.systems.arithmetic import common_period
 from lftkit.systems.system import System
 
 

@@ -14,8 +14,8 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import common_period, same_size
 from lftkit.systems.exchange import as_system
-from lftkit.systems.operand import common_period, same_size
 from lftkit.systems.ports import Port, as_ports, port_indices, port_slices, total_size
 from lftkit.systems.system import System
 

@@ -23,8 +23,8 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import constant_matrix
 from lftkit.systems.delta import Value, chosen_values
-from lftkit.systems.operand import constant_matrix
 from lftkit.systems.ports import Port, as_ports
 from lftkit.systems.symbolic.fractions import Fraction, controllable_form
 from lftkit.systems.symbolic.realisation import Affine, rank_factors, realised

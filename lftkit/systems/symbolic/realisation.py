@@ -12,8 +12,7 @@ from lftkit.systems import lft
 from lftkit.systems.minimal import minimal_realisation
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
-from lftkit.uncertainty.elements import Element, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import Element, RealParameter, width
 
 RANK = 1e-13
 """Entries below this fraction of the largest are zero when a coefficient is factored."""

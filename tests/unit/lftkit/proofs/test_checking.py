@@ -25,8 +25,11 @@ from lftkit.proofs.trusted.proof import uncovered
 
 STORED = Path(__file__).parents[3] / "fixtures" / "proofs"
 LONG = BoundOptions(wall_limit=3600.0)
-PROVERS = ("axis.bounds", "performance", "robustness", "state_space") + tuple(
-    f"sampled_loop.{name}" for name in ("bounds", "branching", "build", "scalings")
+PROVERS = (
+    "axis.bounds",
+    "robustness",
+    "state_space",
+    *(f"sampled_loop.{name}" for name in ("bounds", "build", "scalings")),
 )
 
 

@@ -9,7 +9,7 @@ from scipy import linalg, optimize
 from lftkit import Port, System, h2_norm
 from lftkit.errors import InputError
 from lftkit.synthesis import h2syn
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import sampled_lqg
 from lftkit.synthesis.shared_h2 import Noise, SampledPlant, shared_bound
 from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.tuning import H2Gain, TuningOptions, TuningStatus, state_space, tune_discrete
