@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from lftkit.analysis.cover import Cover, ucover
-    from lftkit.analysis.disk_margin import DiskMargin, disk_margin
-    from lftkit.analysis.magnitude_fit import fit_magnitude
-    from lftkit.analysis.margins import LoopMargins, SensitivityPeaks, loop_margins, sensitivity_peaks
+    from lftkit.analysis.magnitude_fit import Cover, fit_magnitude, ucover
+    from lftkit.analysis.margins import (
+        DiskMargin,
+        LoopMargins,
+        SensitivityPeaks,
+        disk_margin,
+        loop_margins,
+        sensitivity_peaks,
+    )
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, linf_norm, spectral_abscissa
     from lftkit.analysis.nu_gap import NuGap, nu_gap
     from lftkit.analysis.passivity import PassivityIndex, passivity_index
@@ -130,10 +135,15 @@ __all__ = [
 ]
 
 _MODULES = {
-    "analysis.cover": ("Cover", "ucover"),
-    "analysis.disk_margin": ("DiskMargin", "disk_margin"),
-    "analysis.magnitude_fit": ("fit_magnitude",),
-    "analysis.margins": ("LoopMargins", "SensitivityPeaks", "loop_margins", "sensitivity_peaks"),
+    "analysis.magnitude_fit": ("Cover", "fit_magnitude", "ucover"),
+    "analysis.margins": (
+        "DiskMargin",
+        "LoopMargins",
+        "SensitivityPeaks",
+        "disk_margin",
+        "loop_margins",
+        "sensitivity_peaks",
+    ),
     "analysis.nu_gap": ("NuGap", "nu_gap"),
     "analysis.passivity": ("PassivityIndex", "passivity_index"),
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "linf_norm", "spectral_abscissa"),

@@ -21,10 +21,10 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle.circle_norm import discrete_h2, discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError
-from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
 from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.peak_search import largest_gain, response_at
 from lftkit.analysis.hinf.small_norm import MAX_STATES, HalfPlane, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError

@@ -372,14 +372,14 @@ class PerformanceProblem:
         """
         if not self.disks and member.gain < self.level:
             return None
-        at = self._way_of_disks(member) if self.disks else self._way(member)
+        away = member.point - self.nominal
+        at: Callable[[float], Member] = (
+            self._way_of_disks(member)
+            if self.disks
+            else lambda part: member_gain(self.system, self.nominal + part * away, WHOLE)
+        )
         part = first_true(lambda share: at(share).gain >= self.level, np.linspace(0.0, 1.0, RAY + 1)[1:], PRECISION)
         return None if np.isinf(part) else (self._size(at(part)), at(part))
-
-    def _way(self, member: Member) -> Callable[[float], Member]:
-        """Members by their part of the way to one, with their largest gain."""
-        away = member.point - self.nominal
-        return lambda part: member_gain(self.system, self.nominal + part * away, WHOLE)
 
     def _way_of_disks(self, member: Member) -> Callable[[float], DiskMember]:
         """The same, with their gain at its frequency."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.hinf.direct_gain import response_at
-from lftkit.analysis.zeros import zeros_of
+from lftkit.analysis.hinf.peak_search import response_at
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.extended_plant import ExtendedPlant
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
 from lftkit.synthesis.standard_plant import RANK, has_rank
+from lftkit.systems.zeros_poles import zeros_of
 
 ROUNDS = 4
 """Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""

@@ -16,9 +16,8 @@ from scipy.linalg import lapack
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.direct_gain import CANCELLATION, cancellation, direct_gain
 from lftkit.analysis.hinf.level_iteration import Peak
-from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
+from lftkit.analysis.hinf.peak_search import CANCELLATION, cancellation, direct_gain, highest_peak_of, peak_frequencies
 from lftkit.arrays import FloatArray, Matrices
 
 IMAGINARY = 1e-7  # real part of an imaginary eigenvalue over its magnitude, at most: one too many costs only a gain

@@ -14,9 +14,8 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.direct_gain import cancellation, direct_gain
 from lftkit.analysis.hinf.level_iteration import AGREEMENT, INSIDE, PEAK_CUTS, Peak, UndecidedError, above_level
-from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
+from lftkit.analysis.hinf.peak_search import cancellation, direct_gain, highest_peak_of, peak_frequencies
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
 

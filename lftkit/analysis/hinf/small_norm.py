@@ -18,10 +18,9 @@ from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
-from lftkit.analysis.hinf.direct_gain import direct_gain, largest_gain, response_at
 from lftkit.analysis.hinf.hamiltonian_norm import hamiltonian_eigenvalues
 from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
-from lftkit.analysis.hinf.peak_search import climb, peak_frequencies
+from lftkit.analysis.hinf.peak_search import climb, direct_gain, largest_gain, peak_frequencies, response_at
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.sampled.bilinear import discrete_point, to_continuous, unwarped_frequency
 

@@ -130,16 +130,16 @@ class _Axis:
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
-                self.worst = self._member(found.lower, found.point, 1.0 / found.omega if beyond else found.omega)
+                # A member that was met, in which complex and dynamic elements have real values
+                omega = 1.0 / found.omega if beyond else found.omega
+                values = np.clip(found.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
+                count = len(values) - len(self.disks)
+                of_disks = zip(self.disks, values[count:])
+                disks = {
+                    disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks
+                }
+                self.worst = DiskMember(found.lower, values[:count], omega, disks)
         return not self.pieces
-
-    def _member(self, gain: float, deviations: FloatArray, omega: float) -> DiskMember:
-        """A member that was met, in which complex and dynamic elements have real values."""
-        values = np.clip(deviations + np.array(self.proof.nominal), *np.array(self.proof.box).T)
-        count = len(values) - len(self.disks)
-        of_disks = zip(self.disks, values[count:])
-        disks = {disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks}
-        return DiskMember(gain, values[:count], omega, disks)
 
     def finished(self, level: float | None) -> AxisProof:
         """The proof with its strips."""

@@ -15,7 +15,6 @@ from lftkit.proofs.proof_files import (
     arrays_of,
     box_of_claim,
     header_entries,
-    named_box,
     packed,
     unpacked,
     write_content,
@@ -100,7 +99,7 @@ class AxisProof(AxisClaim):
         """Content of its file."""
         low, high = self.band
         band = [low, None if math.isinf(high) else high]
-        claim = {"property": self.kind, "level": self.level, "band": band, "box": named_box(self.names, self.box)}
+        claim = {"property": self.kind, "level": self.level, "band": band, "box": dict(zip(self.names, self.box))}
         plant = {
             "parameters": self.names,
             "nominal": self.nominal,

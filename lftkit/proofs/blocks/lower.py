@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,8 @@ LOCAL_ITERATIONS = 200
 FAR = 1e6
 """Largest scalar to begin with."""
 TINY = 1e-300
+Perturbation = tuple[float, ComplexArray]
+"""Size of the largest block of a member of the structure, and its matrix (w by z)."""
 
 
 class SmallestPerturbation:
@@ -195,14 +196,6 @@ def _indices(slices: Sequence[slice]) -> Any:
     return np.concatenate([np.zeros(0, int), *(np.arange(part.start, part.stop) for part in slices)]).astype(int)
 
 
-@dataclass(frozen=True)
-class Perturbation:
-    """A member of the structure: `matrix` (w by z), `size` that of its largest block."""
-
-    matrix: ComplexArray
-    size: float
-
-
 def lower_bound(
     M: ComplexArray,
     structure: Sequence[UncertaintyBlock],
@@ -241,10 +234,10 @@ def lower_bound(
         else:
             candidates = [search.scaled(candidate)]
         found += [c for c in candidates if c is not None]
-        if any(enough * c.size <= 1.0 for c in found):
+        if any(enough * size <= 1.0 for size, _ in found):
             break
-    best = min(found, key=lambda p: p.size, default=None)
-    return (0.0, None) if best is None else (1.0 / best.size, best.matrix)
+    size, matrix = min(found, key=lambda p: p[0], default=(np.inf, None))
+    return 1.0 / size, matrix
 
 
 class _Search:
@@ -372,4 +365,4 @@ class _Search:
         sizes += self.local.real_sizes(np.array(reals, dtype=float)).tolist()
         least = float(linalg.svd(np.eye(len(self.M)) - self.M @ delta, compute_uv=False)[-1])
         size = max(sizes)
-        return Perturbation(delta, size) if least <= 10.0 * SINGULAR and 0.0 < size < np.inf else None
+        return (size, delta) if least <= 10.0 * SINGULAR and 0.0 < size < np.inf else None

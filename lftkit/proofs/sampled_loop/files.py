@@ -14,7 +14,6 @@ from lftkit.proofs.proof_files import (
     arrays_of,
     box_of_claim,
     header_entries,
-    named_box,
     packed,
     unpacked,
     write_content,
@@ -84,7 +83,7 @@ def noise_proof(content: Content) -> NoiseProof:
 
 def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
     """Write a proof of a loop, or of noise in one, as a compressed ``.npz``."""
-    claim: dict[str, Any] = {"box": named_box(proof.names, proof.box)}
+    claim: dict[str, Any] = {"box": dict(zip(proof.names, proof.box))}
     if isinstance(proof, NoiseProof):
         kind, strips = NOISE, [strip for part in proof.parts for strip in part.strips]
         parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in proof.parts]

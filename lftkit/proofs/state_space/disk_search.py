@@ -179,7 +179,18 @@ class DiskSearch:
         value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
         if found is None:
             return 0.0, None
-        real, values = self._values(found)
+        # Deviations of the real elements and values of the others in a perturbation of the scaled response
+        reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
+        for k, group in enumerate(self.groups):
+            reals[k] = found[row, column].real
+            row, column = row + len(group), column + len(group)
+        for disk in self.disks:
+            rows = disk.outputs if disk.full else len(disk.channels)
+            columns = disk.inputs if disk.full else len(disk.channels)
+            size = (rows, columns) if disk.full else (1, 1)
+            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
+            row, column = row + rows, column + columns
+        real, values = reals * self._widest, values
         dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
         if at_end(omega) and any(linalg.norm(v.imag) > REAL_AT_ENDS * linalg.norm(v) for v in dynamics):
             return 0.0, None
@@ -201,20 +212,6 @@ class DiskSearch:
         sizes = [*self._widest, *(disk.radius for disk in self.disks)]
         scale = [size for size, (_, _, w) in zip(sizes, parts(structure)) for _ in range(w.stop - w.start)]
         return balanced_matrix(M[np.ix_(rows, columns)] * np.array(scale), structure)[0], structure
-
-    def _values(self, found: ComplexArray) -> tuple[FloatArray, dict[str, ComplexArray]]:
-        """Deviations of the real elements and values of the others in a perturbation of the scaled response."""
-        reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
-        for k, group in enumerate(self.groups):
-            reals[k] = found[row, column].real
-            row, column = row + len(group), column + len(group)
-        for disk in self.disks:
-            rows = disk.outputs if disk.full else len(disk.channels)
-            columns = disk.inputs if disk.full else len(disk.channels)
-            size = (rows, columns) if disk.full else (1, 1)
-            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
-            row, column = row + rows, column + columns
-        return reals * self._widest, values
 
     # gain
 
