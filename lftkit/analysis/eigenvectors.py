@@ -86,43 +86,43 @@ def modes(A: FloatArray) -> Modes:
     return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), linalg.lapack.dgetrf(vectors)[:2])
 
 
-def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
-    """The modes `found` of `A` with all digits that the matrix holds.
+def corrected_modes(A: FloatArray, eigen: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
+    """The modes `eigen` of `A` with all digits that the matrix holds.
 
     With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
     once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
     their size are left as they are. The steps end where the relative change of the eigenvectors is below `converged`;
-    its square is the error that is left. Where the eigenvectors are no basis, `found` is returned.
+    its square is the error that is left. Where the eigenvectors are no basis, `eigen` is returned.
     """
-    if found.reciprocal_condition < EPS:
-        return found
-    A, best = np.asfortranarray(A), found
+    if eigen.reciprocal_condition < EPS:
+        return eigen
+    A, best = np.asfortranarray(A), eigen
     for _ in range(MAX_NEWTON_STEPS):
         poles_step, vectors_step = _newton_step(A, best)
         # a real pole stays real: an imaginary part of rounding would make half a pair of it
-        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
+        poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
         if not (np.isfinite(change) and change < 0.01):
-            return found
+            return eigen
         if change < converged:
             return replace(best, poles=best.poles + poles_step, low=vectors_step)
         best = replace(best, poles=best.poles + poles_step, vectors=best.vectors + vectors_step)
     return best
 
 
-def finely_corrected(A: FloatArray, found: Modes) -> Modes:
-    """The corrected modes `found` of `A`, with residuals that have seven digits more.
+def finely_corrected(A: FloatArray, eigen: Modes) -> Modes:
+    """The corrected modes `eigen` of `A`, with residuals that have seven digits more.
 
     For poles whose decay is below the error of :func:`corrected_modes`, about 2^-75 times the norm of A and the
     condition of the eigenvectors.
     """
-    A, best = np.asfortranarray(A), found
+    A, best = np.asfortranarray(A), eigen
     for _ in range(FINE_STEPS):
         poles_step, vectors_step = _newton_step(A, best, fine=True)
-        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
+        poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))
         if not (np.isfinite(change) and change < 0.01):
-            return found
+            return eigen
         vectors, low = two_sum(best.vectors, best.low + vectors_step)
         best = replace(best, poles=best.poles + poles_step, vectors=vectors, low=low)
     return best
@@ -228,6 +228,6 @@ def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, Co
     """
     if not len(A):
         return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
-    found = corrected_modes(np.asarray(A), modes(np.asarray(A)))
-    b = complex_rows(found.poles, found.excited(np.asarray(B)))
-    return found.poles, b, complex_columns(found.poles, found.observed(np.asarray(C)))
+    eigen = corrected_modes(np.asarray(A), modes(np.asarray(A)))
+    b = complex_rows(eigen.poles, eigen.excited(np.asarray(B)))
+    return eigen.poles, b, complex_columns(eigen.poles, eigen.observed(np.asarray(C)))

@@ -106,12 +106,12 @@ class FrequencyResponse:
             empty = np.zeros(0, dtype=complex)
             return cls(empty, np.zeros((len(d), 0), complex), np.zeros((0, d.shape[1]), complex), d, None)
         a, b, c = balanced(a, b, c)
-        found = modes(a)
-        if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
-            found = corrected_modes(a, found, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
+        eigen = modes(a)
+        if EPS * np.abs(eigen.poles).max() > rounding * eigen.reciprocal_condition * np.abs(eigen.poles.real).min():
+            eigen = corrected_modes(a, eigen, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
         if fine:
-            found = finely_corrected(a, found)
-        form = cls._with_modes(found, a, b, c, d)
+            eigen = finely_corrected(a, eigen)
+        form = cls._with_modes(eigen, a, b, c, d)
         if form.modal and check and not _reproduces(form, a, b, c, d):
             return cls._with_schur(a, b, c, d)
         return form
@@ -149,12 +149,12 @@ class FrequencyResponse:
         return cls(poles, left, right, D, None)
 
     @classmethod
-    def _with_modes(cls, found: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
+    def _with_modes(cls, eigen: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
         """Modal form where the eigenvectors are a good basis, else Schur form."""
-        if not found.reciprocal_condition * MAX_CONDITION >= 1.0:
+        if not eigen.reciprocal_condition * MAX_CONDITION >= 1.0:
             return cls._with_schur(a, b, c, d)
-        left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
-        return cls(found.poles, left, right, d, None)
+        left, right = complex_columns(eigen.poles, eigen.observed(c)), complex_rows(eigen.poles, eigen.excited(b))
+        return cls(eigen.poles, left, right, d, None)
 
     @classmethod
     def _with_schur(cls, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
@@ -380,10 +380,10 @@ def refined_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     right = np.hstack([B, np.zeros_like(B)])
     X, correction, settled = refined_solution(A, omega, right, lambda rest: _solved(factors, rest))
     if not settled:
-        found = finely_corrected(A, corrected_modes(A, modes(A)))
-        if found.reciprocal_condition > EPS:
+        eigen = finely_corrected(A, corrected_modes(A, modes(A)))
+        if eigen.reciprocal_condition > EPS:
             with np.errstate(all="ignore"):  # what is not finite does not settle
-                other = refined_solution(A, omega, right, lambda rest: found.resolvent(omega, rest), fine=True)
+                other = refined_solution(A, omega, right, lambda rest: eigen.resolvent(omega, rest), fine=True)
             X, correction = other[:2] if other[2] else (X, correction)
     high, low = matrix_product(C, X)
     value = high + (low + C @ correction)

@@ -120,24 +120,24 @@ class _Sections:
 
     def log_gain(self, x: FloatArray) -> FloatArray:
         """Logarithm of the gain at the frequencies, shape (N,)."""
-        found = np.full(len(self.log_omega), x[0])
+        log_gain = np.full(len(self.log_omega), x[0])
         for wz, dz, wp, dp in x[1 : 1 + 4 * self.pairs].reshape(-1, 4):
-            found += _second(self.log_omega, wz, dz) - _second(self.log_omega, wp, dp)
+            log_gain += _second(self.log_omega, wz, dz) - _second(self.log_omega, wp, dp)
         if self.single:
-            found += 0.5 * (np.logaddexp(2.0 * self.log_omega, 2.0 * x[-2]))
-            found -= 0.5 * np.logaddexp(2.0 * self.log_omega, 2.0 * x[-1])
-        return np.asarray(found)
+            log_gain += 0.5 * (np.logaddexp(2.0 * self.log_omega, 2.0 * x[-2]))
+            log_gain -= 0.5 * np.logaddexp(2.0 * self.log_omega, 2.0 * x[-1])
+        return np.asarray(log_gain)
 
     def least_squares(self) -> FloatArray:
         """The best parameters of some starts."""
         best, cost = self._start(0.0), math.inf
         for shift in (0.0, 0.7, -0.7) if self.pairs or self.single else (0.0,):
             start = self._start(shift)
-            found = sl_optimize.least_squares(
+            fit = sl_optimize.least_squares(
                 lambda x: self.weight * (self.log_gain(x) - self.target), start, bounds=self._bounds(len(start))
             )
-            if found.cost < cost:
-                best, cost = found.x, float(found.cost)
+            if fit.cost < cost:
+                best, cost = fit.x, float(fit.cost)
         return best
 
     def _start(self, shift: float) -> FloatArray:
@@ -165,7 +165,7 @@ class _Sections:
             over = self.log_gain(x[:-1]) - self.target
             return np.concatenate([over, x[-1] - self.weight * over])
 
-        found = sl_optimize.minimize(
+        fit = sl_optimize.minimize(
             lambda x: x[-1],
             first,
             jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
@@ -174,7 +174,7 @@ class _Sections:
             constraints=[{"type": "ineq", "fun": room}],
             options={"maxiter": 200, "ftol": 1e-9},
         )
-        x = self.raised(np.clip(found.x[:-1], lower, upper)) if np.all(np.isfinite(found.x)) else start
+        x = self.raised(np.clip(fit.x[:-1], lower, upper)) if np.all(np.isfinite(fit.x)) else start
         return x if self._excess(x) < self._excess(start) else start
 
     def raised(self, x: FloatArray) -> FloatArray:

@@ -244,15 +244,15 @@ class _Signs:
     def crossings(self, sign: Callable[[complex], float], left: Callable[[complex], float]) -> list[float]:
         """Frequencies at which `sign` of the response changes with nothing `left` [rad/s], rising."""
         signs = [sign(v) if np.isfinite(v) and abs(sign(v)) > noise * abs(v) else 0.0 for v, noise in self._values]
-        known = [i for i, value in enumerate(signs) if value]
-        found = []
-        for low, high in pairwise(known):
+        signed = [i for i, value in enumerate(signs) if value]
+        roots = []
+        for low, high in pairwise(signed):
             if signs[low] * signs[high] < 0.0:
                 ends = self.between[low], self.between[high]
                 root = float(sl_optimize.brentq(lambda w: sign(self.value(w)), *ends, xtol=1e-300, rtol=1e-14))
                 if abs(left(self.value(root))) < CROSSES:
-                    found.append(root)
-        return found
+                    roots.append(root)
+        return roots
 
     def ends(self) -> list[Point]:
         """Finite responses at zero frequency and at the highest one, which are real."""

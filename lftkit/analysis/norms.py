@@ -135,7 +135,19 @@ def hinf_norm(
         return _continuous(system, rtol, certificate)
     if certificate == "hamiltonian":
         raise InputError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
-    return _discrete(system, dt, rtol, certificate)
+    A, B, C, D = system
+    if len(A) == 0:
+        return _norm_of_feedthrough(A, D)
+    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
+        return found
+    peak = discrete_norm(system, rtol)
+    if peak is None:
+        poles = linalg.eigvals(balanced(A, B, C)[0])
+        worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
+        return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
+    if peak.upper < np.inf and not (B.any() and C.any()):
+        return _norm_of_feedthrough(A[:0, :0], D)
+    return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
 
 
 @checked
@@ -353,22 +365,6 @@ def is_stable(A: ArrayLike, dt: float = 0.0) -> bool:
     if not dt:
         return spectral_abscissa(a) < 0.0
     return not a.size or bool(np.abs(linalg.eigvals(a)).max() < 1.0)
-
-
-def _discrete(system: Matrices, dt: float, rtol: float, certificate: str) -> HInfNorm:
-    A, B, C, D = system
-    if len(A) == 0:
-        return _norm_of_feedthrough(A, D)
-    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
-        return found
-    peak = discrete_norm(system, rtol)
-    if peak is None:
-        poles = linalg.eigvals(balanced(A, B, C)[0])
-        worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
-        return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
-    if peak.upper < np.inf and not (B.any() and C.any()):
-        return _norm_of_feedthrough(A[:0, :0], D)
-    return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
 
 
 def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:

@@ -162,11 +162,11 @@ def _same_winding(first: Matrices, second: Matrices) -> tuple[bool, bool]:
         return True, True
     by_states = linalg.solve(inner, np.hstack([D2.T @ C1, B2.T]))
     mixed = C2.T @ linalg.solve(np.eye(len(D1)) + D1 @ D2.T, C1)
-    own, other = by_states[:, : len(A1)], by_states[:, len(A1) :]
-    matrix = np.block([[A1 - B1 @ own, -B1 @ other], [-mixed, C2.T @ D1 @ other - A2.T]])
+    by_first, by_second = by_states[:, : len(A1)], by_states[:, len(A1) :]
+    matrix = np.block([[A1 - B1 @ by_first, -B1 @ by_second], [-mixed, C2.T @ D1 @ by_second - A2.T]])
     matrix = in_balanced_units(matrix)[0]
-    found: Any = linalg.eig(matrix, left=True)
-    zeros, left, right = found
+    decomposition: Any = linalg.eig(matrix, left=True)
+    zeros, left, right = decomposition
     moved = np.sum(np.abs(left) * (np.abs(matrix) @ np.abs(right)), axis=0)
     certain = np.all(np.abs(zeros.real * np.sum(left.conj() * right, axis=0)) > len(matrix) * EPS * moved)
     return bool(np.sum(zeros.real > 0.0) == len(A2)), bool(certain)

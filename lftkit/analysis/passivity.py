@@ -109,9 +109,9 @@ def _index(search: _Index, peak: float) -> PassivityIndex:
         worst = search.violated(lower)
         if worst is None:
             return PassivityIndex(value, lower, omega)
-        found = search.at(worst)
-        if found < lower:
-            value, omega = found, worst
+        index = search.at(worst)
+        if index < lower:
+            value, omega = index, worst
             if value < -FAR * scale:
                 return PassivityIndex(-math.inf, -math.inf, omega)
         else:

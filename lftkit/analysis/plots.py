@@ -95,8 +95,7 @@ def bode_band(
     phase = np.rad2deg(np.unwrap(np.angle(response), axis=1))
     phase -= 360.0 * np.round((phase[:, :1] - phase[0, 0]) / 360.0)
     for axes, values in ((upper, np.abs(response)), (lower, phase)):
-        members = len(models) - 1
-        if members:
+        if len(models) > 1:
             axes.fill_between(
                 w,
                 values.min(axis=0),
@@ -104,7 +103,7 @@ def bode_band(
                 color=BAND,
                 alpha=0.6,
                 linewidth=0,
-                label=f"{members} members",
+                label=f"{len(models) - 1} members",
             )
         axes.plot(w, values[0], color=LINE, linewidth=1.4, label="nominal")
         axes.grid(True, which="major", color="#dddddd", linewidth=0.6)

@@ -107,10 +107,10 @@ def stability_profile(
     lower, upper, points = [], [], []
     for w in frequencies:
         M = _response(unit, float(w))[np.ix_(rows, columns)]
-        found = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
-        lower.append(found.lower)
-        upper.append(found.upper)
-        delta = np.zeros(M.T.shape) if found.perturbation is None else found.perturbation
+        bounds = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
+        lower.append(bounds.lower)
+        upper.append(bounds.upper)
+        delta = np.zeros(M.T.shape) if bounds.perturbation is None else bounds.perturbation
         at = [float(delta[w_part.start, z_part.start].real) for _, z_part, w_part in blocks]
         points.append({p.name: float(p.from_normalised(value)) for p, value in zip(bare.parameters, at)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))

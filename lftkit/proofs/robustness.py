@@ -181,9 +181,9 @@ def robust_stability(
             return stability_over_axis(chosen, ends, largest, options)
         cells = StabilityByCells(chosen, ends, largest, options)
         both = options.method is None and not chosen.dt and options.max_tests > FEW_CELLS and axis_takes(chosen, ends)
-        found = cells.run(FEW_CELLS if both else None)
-        if not both or found.status != "out_of_time":
-            return found
+        bounds = cells.run(FEW_CELLS if both else None)
+        if not both or bounds.status != "out_of_time":
+            return bounds
         rest = replace(options, wall_limit=max(cells.until - time.monotonic(), 1e-3))
         return stability_over_axis(chosen, ends, largest, rest, (cells.factor, cells.worst))
 
@@ -311,13 +311,13 @@ class PerformanceProblem:
             left = until - time.monotonic()
             if left <= 0.0:
                 break
-            found, member = self._attempt(aim, PART * left)
-            if found.status == "closed":
-                lower, proof = aim, found.proof
+            bounds, member = self._attempt(aim, PART * left)
+            if bounds.status == "closed":
+                lower, proof = aim, bounds.proof
                 break
-            met = self._first_on_way(member) if found.status in ("violated", "unstable") else None
-            if met is not None:
-                worst, aim = met, met[0] / (1.0 + SHARE * gap)
+            crossing = self._first_on_way(member) if bounds.status in ("violated", "unstable") else None
+            if crossing is not None:
+                worst, aim = crossing, crossing[0] / (1.0 + SHARE * gap)
             else:
                 aim *= LESS
         upper, member = (np.inf, first) if worst is None else worst

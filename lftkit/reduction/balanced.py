@@ -78,9 +78,9 @@ def hankel_singular_values(system: Any) -> FloatArray:
     >>> hankel_singular_values(transfer([6.0], [1.0, 1.0])).round(9).tolist()
     [3.0]
     """
-    given = as_system(system)
-    parts = state_parts(*given.matrices[:3], given.dt)
-    values = balancing(*parts.stable, given.dt).hankel
+    plant = as_system(system)
+    parts = state_parts(*plant.matrices[:3], plant.dt)
+    values = balancing(*parts.stable, plant.dt).hankel
     return np.concatenate([np.full(len(parts.other[0]), np.inf), values])
 
 
@@ -130,11 +130,11 @@ def balred(
         raise InputError(f"one of order and error must be given, got {order} and {error}")
     if error is not None and not error >= 0.0:
         raise InputError(f"error must be at least 0, got {error}")
-    given = as_system(system)
-    A, B, C, D = given.matrices
-    parts = state_parts(A, B, C, given.dt)
-    weights = _weight(weight_in, "weight_in", given), _weight(weight_out, "weight_out", given)
-    part = _StablePart(System(*parts.stable, D, given.inputs, given.outputs, given.name, given.dt), *weights)
+    plant = as_system(system)
+    A, B, C, D = plant.matrices
+    parts = state_parts(A, B, C, plant.dt)
+    weights = _weight(weight_in, "weight_in", plant), _weight(weight_out, "weight_out", plant)
+    part = _StablePart(System(*parts.stable, D, plant.inputs, plant.outputs, plant.name, plant.dt), *weights)
     if error is not None and part.weighted:
         raise InputError(f"order must be given where there are weights, got error {error}")
     first = part.balancings[0]
@@ -147,12 +147,12 @@ def balred(
         if kept < 0:
             raise InputError(f"order must be at least {fixed}, the number of poles that are not stable, got {order}")
     if kept >= part.system.order:
-        return ReducedSystem(given, first.hankel, 0.0, np.inf if part.weighted else 0.0)
+        return ReducedSystem(plant, first.hankel, 0.0, np.inf if part.weighted else 0.0)
     reduced = part.reduced(kept, method)
     tail = np.inf if part.weighted else float(tails[min(kept, first.order)])
     whole = linalg.block_diag(reduced.A, parts.other[0]), np.vstack([reduced.B, parts.other[1]])
     observed = np.hstack([reduced.C, parts.other[2]])
-    system = System(*whole, observed, reduced.D, given.inputs, given.outputs, given.name, given.dt)
+    system = System(*whole, observed, reduced.D, plant.inputs, plant.outputs, plant.name, plant.dt)
     return ReducedSystem(system, first.hankel, error_bound(part.error(reduced), tail), tail)
 
 
@@ -219,14 +219,14 @@ class _StablePart:
 def _weight(weight: System | None, name: str, of: System) -> System | None:
     if weight is None:
         return None
-    given = as_system(weight)
-    there, needed = (given.D.shape[0], of.D.shape[1]) if name == "weight_in" else (given.D.shape[1], of.D.shape[0])
+    system = as_system(weight)
+    there, needed = (system.D.shape[0], of.D.shape[1]) if name == "weight_in" else (system.D.shape[1], of.D.shape[0])
     if there != needed:
         side = "outputs" if name == "weight_in" else "inputs"
         raise InputError(f"{name} must have {needed} {side}, got {there}")
-    if len(state_parts(*given.matrices[:3], given.dt).other[0]):
-        raise InputError(f"{name} must be stable, got poles {given.poles()}")
-    return given
+    if len(state_parts(*system.matrices[:3], system.dt).other[0]):
+        raise InputError(f"{name} must be stable, got poles {system.poles()}")
+    return system
 
 
 def _matched(full: Matrices, order: int, dt: float) -> Matrices:
@@ -291,24 +291,24 @@ def ncfmr(system: Any, order: int) -> ReducedSystem:
     >>> found.system.order, bool(found.error_bound < 0.02)
     (2, True)
     """
-    given = as_system(system)
+    plant = as_system(system)
     number = as_integer(order, "order")
     if number < 0:
         raise InputError(f"order must be at least 0, got {number}")
-    A, B, C, D = continuous(given).matrices
-    factors = right_coprime_factors((A, B, C, D), given.name)
-    found = balancing(*factors[:3])
-    kept = min(number, found.order)
-    if kept >= given.order:
-        return ReducedSystem(given, found.hankel, 0.0, 0.0)
-    reduced = (*found.coordinates(*factors[:3], kept), factors[3])
-    ports = given.inputs, (Port("factors", sum(D.shape)),)
+    A, B, C, D = continuous(plant).matrices
+    factors = right_coprime_factors((A, B, C, D), plant.name)
+    balanced_factors = balancing(*factors[:3])
+    kept = min(number, balanced_factors.order)
+    if kept >= plant.order:
+        return ReducedSystem(plant, balanced_factors.hankel, 0.0, 0.0)
+    reduced = (*balanced_factors.coordinates(*factors[:3], kept), factors[3])
+    ports = plant.inputs, (Port("factors", sum(D.shape)),)
     error = System(*factors, *ports) - System(*reduced, *ports)
-    tail = 2.0 * float(found.hankel[kept:].sum())
+    tail = 2.0 * float(balanced_factors.hankel[kept:].sum())
     a, b, c, d = reduced
     drive, feedback, seen = linalg.solve(d[len(C) :].T, b.T).T, c[len(C) :], c[: len(C)]
     matrices = a - drive @ feedback, drive, seen - D @ feedback, D
-    if given.dt:
-        matrices = to_discrete(*matrices, given.dt)
-    lower = System(*matrices, given.inputs, given.outputs, given.name, given.dt)
-    return ReducedSystem(lower, found.hankel, error_bound(error, tail), tail)
+    if plant.dt:
+        matrices = to_discrete(*matrices, plant.dt)
+    lower = System(*matrices, plant.inputs, plant.outputs, plant.name, plant.dt)
+    return ReducedSystem(lower, balanced_factors.hankel, error_bound(error, tail), tail)

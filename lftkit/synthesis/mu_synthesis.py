@@ -200,7 +200,7 @@ class _Candidate:
     @cached_property
     def upper(self) -> FloatArray:
         """Upper bounds (N,)."""
-        return np.array([found.upper for found in self._bounds])
+        return np.array([bounds.upper for bounds in self._bounds])
 
     @property
     def peak(self) -> float:
@@ -216,12 +216,12 @@ class _Candidate:
     @cached_property
     def scales(self) -> FloatArray:
         """Scales of the blocks over that of the last one (N, blocks)."""
-        found = np.ones((len(self.omega), len(self.structure)))
-        for row, bounds in zip(found, self._bounds):
+        scales = np.ones((len(self.omega), len(self.structure)))
+        for row, bounds in zip(scales, self._bounds):
             if bounds.certificate is not None:
                 D = np.array([d[0, 0].real for d in bounds.certificate.D])
                 row[:] = np.sqrt(D / D[-1])
-        return np.clip(found, 1.0 / LARGEST_SCALE, LARGEST_SCALE)
+        return np.clip(scales, 1.0 / LARGEST_SCALE, LARGEST_SCALE)
 
     def fitted(self, largest: int, worse: float = WORSE) -> tuple[System, ...]:
         """A system for the scale of each element, of the least order with which the peak is hardly worse."""

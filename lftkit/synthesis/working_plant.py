@@ -60,10 +60,10 @@ class WorkingPlant:
     @classmethod
     def of(cls, plant: ExtendedPlant) -> WorkingPlant:
         """The scaled plant of one in other units."""
-        found = cls(plant, 1.0, 1.0, *(np.ones(k) for k in (*plant.B2.shape, len(plant.C2))))
+        working = cls(plant, 1.0, 1.0, *(np.ones(k) for k in (*plant.B2.shape, len(plant.C2))))
         for _ in range(ROUNDS):
-            found = found._with_units_of_states()._with_units_of_signals()
-        return found
+            working = working._with_units_of_states()._with_units_of_signals()
+        return working
 
     @property
     def full_rank(self) -> tuple[bool, bool]:
@@ -93,8 +93,8 @@ class WorkingPlant:
 
     def lowest_level(self) -> tuple[float, float] | None:
         """Levels of the H-infinity norm without and with a controller, in the units of the user."""
-        found = lowest_level(self.plant)
-        return None if found is None else (self.level * found[0], self.level * found[1])
+        levels = lowest_level(self.plant)
+        return None if levels is None else (self.level * levels[0], self.level * levels[1])
 
     def gain_out_of_reach(self) -> float:
         """Lower bound of the H-infinity norm for all controllers, in the units of the user."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,19 +17,7 @@ from lftkit.uncertainty.elements import Element
 S = TypeVar("S", bound="Arithmetic")
 
 
-class Timed(Protocol):
-    """What is asked for the sampling period."""
-
-    @property
-    def order(self) -> int:
-        """Number of states."""
-
-    @property
-    def dt(self) -> float:
-        """Sampling period [s]; 0: continuous time."""
-
-
-def common_period(systems: Iterable[Timed]) -> float:
+def common_period(systems: Iterable[Arithmetic]) -> float:
     """Sampling period [s] of systems that are combined; gains without states fit every period.
 
     Raises
@@ -131,8 +119,7 @@ class Arithmetic:
         """Sum; a number is added to every entry of the transfer matrix."""
         return self._sum(other, (1.0, 1.0))
 
-    def __radd__(self: S, other: Any) -> S:
-        return self._sum(other, (1.0, 1.0))
+    __radd__ = __add__
 
     def __sub__(self: S, other: Any) -> S:
         return self._sum(other, (1.0, -1.0))

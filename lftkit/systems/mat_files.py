@@ -145,7 +145,16 @@ def _matrices_of(fields: Mapping[str, Any]) -> bool:
 
 def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
     lower = {key.lower(): value for key, value in fields.items()}
-    _require_explicit(lower, f"{path}: {name}")
+    # Refuse what would be lost: delays, a descriptor matrix, another unit of time
+    file = f"{path}: {name}"
+    for key in DELAYS:
+        if np.size(lower.get(key, ())) and np.any(_full(lower[key]) != 0):
+            raise InputError(f"{file} must have no delays (pade or absorbDelay in MATLAB), got {key}")
+    E = _full(lower.get("e", ()))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError(f"{file} must be an explicit state space (ss(G, 'explicit') in MATLAB), got a matrix E")
+    if (unit := "".join(_texts(lower.get("timeunit"))) or "seconds") != "seconds":
+        raise InputError(f"{file} must have the TimeUnit seconds (chgTimeUnit in MATLAB), got {unit}")
     try:
         A, B, C, D = (_full(lower[key]) for key in "abcd")
         elements, channels = _elements(lower.get(BLOCKS))
@@ -191,18 +200,6 @@ def _number(value: Any, key: str) -> float:
     if entries.size != 1 or entries.dtype.kind not in "biuf":
         raise InputError(f"{key} must be a number, got {', '.join(map(str, entries[:3])) or 'none'}")
     return float(entries[0])
-
-
-def _require_explicit(fields: Mapping[str, Any], name: str) -> None:
-    """Refuse what would be lost: delays, a descriptor matrix, another unit of time."""
-    for key in DELAYS:
-        if np.size(fields.get(key, ())) and np.any(_full(fields[key]) != 0):
-            raise InputError(f"{name} must have no delays (pade or absorbDelay in MATLAB), got {key}")
-    E = _full(fields.get("e", ()))
-    if E.size and not np.array_equal(E, np.eye(len(E))):
-        raise InputError(f"{name} must be an explicit state space (ss(G, 'explicit') in MATLAB), got a matrix E")
-    if (unit := "".join(_texts(fields.get("timeunit"))) or "seconds") != "seconds":
-        raise InputError(f"{name} must have the TimeUnit seconds (chgTimeUnit in MATLAB), got {unit}")
 
 
 def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:

@@ -227,28 +227,22 @@ def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float, scal
     A, B = M[np.ix_(inside, inside)], M[np.ix_(inside, others)]
     scale = scaling(A)
     scaled = A * scale / scale[:, None]
-    Q = _reachable(scaled, B / scale[:, None], tolerance)
-    if Q.shape[1] == size:
-        return M, size
-    lift, drop = scale[:, None] * Q, Q.T / scale
-    rows_before, rows_after = M[:start], M[start + size :]
-    M = np.vstack([rows_before, drop @ M[inside], rows_after])
-    M = np.hstack([M[:, :start], M[:, inside] @ lift, M[:, start + size :]])
-    return M, Q.shape[1]
-
-
-def _reachable(A: FloatArray, B: FloatArray, tolerance: float) -> FloatArray:
-    """Orthonormal basis of the smallest A-invariant subspace that contains the columns of B."""
-    n = A.shape[0]
+    # Orthonormal basis of the smallest A-invariant subspace that contains the columns of B
+    B = B / scale[:, None]
     sizes = np.sqrt(np.sum(B**2, axis=0))
     columns = B[:, sizes > 0] / sizes[sizes > 0]
-    allowed = tolerance * max(1.0, float(linalg.norm(A, 2)))
-    Q: FloatArray = np.zeros((n, 0))
+    allowed = tolerance * max(1.0, float(linalg.norm(scaled, 2)))
+    Q: FloatArray = np.zeros((size, 0))
     fresh = _orthonormal(columns, Q, tolerance)
     while fresh.shape[1]:
         Q = np.hstack([Q, fresh])
-        fresh = _orthonormal(A @ fresh, Q, allowed)
-    return Q
+        fresh = _orthonormal(scaled @ fresh, Q, allowed)
+    if Q.shape[1] == size:
+        return M, size
+    lift, drop = scale[:, None] * Q, Q.T / scale
+    M = np.vstack([M[:start], drop @ M[inside], M[start + size :]])
+    M = np.hstack([M[:, :start], M[:, inside] @ lift, M[:, start + size :]])
+    return M, Q.shape[1]
 
 
 def _orthonormal(columns: FloatArray, Q: FloatArray, allowed: float) -> FloatArray:

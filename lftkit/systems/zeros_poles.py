@@ -43,10 +43,8 @@ def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
     up, down = (_pairs(np.asarray(roots, dtype=complex).ravel()) for roots in (zeros, poles))
     if sum(map(len, up)) > sum(map(len, down)):
         raise InputError(f"zeros must be at most as many as poles, got {sum(map(len, up))} and {sum(map(len, down))}")
-    A: FloatArray = np.zeros((0, 0))
-    B: FloatArray = np.zeros((0, 1))
-    C: FloatArray = np.zeros((1, 0))
-    D: FloatArray = np.ones((1, 1))
+    unit: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+    A, B, C, D = unit
     for z, p in zip_longest(up, down, fillvalue=np.zeros(0, complex)):
         a, b, c, d = _section(z, p)
         A = np.block([[a, b @ C], [np.zeros((len(A), len(a))), A]])

@@ -43,9 +43,9 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
     resolvents, then exact arithmetic; where none of them closes the gap to `rtol`, the best bounds are returned, of the
     certificate ``none`` where there is no upper bound.
     """
-    given, unit = in_units(system)
-    found = _norm_in_units(given, rtol)
-    return found and replace(found, value=found.value * unit, upper=found.upper * unit)
+    balanced_system, unit = in_units(system)
+    peak = _norm_in_units(balanced_system, rtol)
+    return peak and replace(peak, value=peak.value * unit, upper=peak.upper * unit)
 
 
 def in_units(system: Matrices) -> tuple[Matrices, float]:
@@ -65,19 +65,19 @@ def stability_limit(system: Matrices) -> float:
     return 1.0 - 4.0 * EPS * len(system[0])
 
 
-def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
-    limit = stability_limit(given)
-    form, stable = circle_modes(given, limit)
+def _norm_in_units(system: Matrices, rtol: float) -> CirclePeak | None:
+    limit = stability_limit(system)
+    form, stable = circle_modes(system, limit)
     if stable is False:
         return None
     best = circle_norm(form, rtol) if form else None
     if best is None:
-        resolvents = CircleResolvents.of(given)
+        resolvents = CircleResolvents.of(system)
         if resolvents.gap.min() > 1.0 - limit:
             best = circle_norm(resolvents, rtol)
     if best is not None and best.upper <= best.value * (1.0 + rtol):
         return best
-    if (quotient := Quotient.of(given)) is not None:
+    if (quotient := Quotient.of(system)) is not None:
         if stable is None and not quotient.stable(limit):
             return None
         try:
@@ -86,7 +86,7 @@ def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
             pass
     if best is not None:
         return best
-    direct = float(largest_gains(given[3][None].astype(complex))[0])  # the norm is that of D at least
+    direct = float(largest_gains(system[3][None].astype(complex))[0])  # the norm is that of D at least
     return CirclePeak(direct, float("inf"), 0.0, "none")
 
 
@@ -146,14 +146,14 @@ class CircleModel:
 
     def _bounds(self, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gain at the centres that rounding does not exclude, and a bound of it on the intervals, both (N,)."""
-        found = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
-        square = _square(found.coefficients)
+        expansion = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
+        square = _square(expansion.coefficients)
         bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
         k = square.shape[-1]
         highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
         gains = np.sqrt(largest_eigenvalues(square[:, 0]))
-        slack = found.rounding * 2.0 + found.rest
-        return gains + 2.0 * found.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
+        slack = expansion.rounding * 2.0 + expansion.rest
+        return gains + 2.0 * expansion.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
 
 
 def _distance(response: CircleModes | CircleResolvents, theta: float) -> float:
@@ -213,19 +213,19 @@ def discrete_h2(system: Matrices) -> float | None:
     ArithmeticError
         More than 24 states, and rounding hides the norm.
     """
-    given, unit = in_units(system)
-    limit = stability_limit(given)
-    form, stable = circle_modes(given, limit)
+    balanced_system, unit = in_units(system)
+    limit = stability_limit(balanced_system)
+    form, stable = circle_modes(balanced_system, limit)
     if stable is False:
         return None
     if form is not None:
         variance, error = _of_modes(form)
         if error <= TRUSTED * variance:
             return unit * float(np.sqrt(variance))
-    if (quotient := Quotient.of(given)) is not None:
+    if (quotient := Quotient.of(balanced_system)) is not None:
         return unit * float(np.sqrt(quotient.variance())) if quotient.stable(limit) else None
     # Variance by both Gramians, which must agree
-    A, B, C, D = given
+    A, B, C, D = balanced_system
     hidden = f"rounding hides the H2 norm of a discrete-time system of order {len(A)}"
     if np.abs(modes(A).poles).max() >= limit:
         raise ArithmeticError(hidden)

@@ -92,14 +92,14 @@ class HamiltonianModel:
             return end if end.gain > level else None
         edges = np.unique([self.band[0], *inside, min(self.band[1], 2.0 * float(inside[-1]))])
         candidates = np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])])
-        found, modal = self._highest(candidates)
-        if not found.gain > level:  # the response may be less precise than a direct solution
+        highest, modal = self._highest(candidates)
+        if not highest.gain > level:  # the response may be less precise than a direct solution
             gains = [direct_gain(self.system, float(omega)) for omega in candidates]
             best = int(np.argmax(gains))
-            found = Peak(float(candidates[best]), gains[best])
-        if found.gain > level:
-            return found
-        return found._replace(possible=modal) if modal > level else None
+            highest = Peak(float(candidates[best]), gains[best])
+        if highest.gain > level:
+            return highest
+        return highest._replace(possible=modal) if modal > level else None
 
     def _highest(self, frequencies: FloatArray) -> tuple[Peak, float]:
         """The highest peak near some of the frequencies inside the band, and its gain in the response."""

@@ -79,14 +79,14 @@ def cancellation(response: FrequencyResponse) -> float:
 
 def peak_frequencies(poles: Iterable[complex]) -> FloatArray:
     """Finite frequencies of possible peaks [rad/s], ascending: zero, resonances, magnitudes of the poles."""
-    found = {0.0}
+    omega = {0.0}
     for pole in poles:
         decay, height, size = -pole.real, pole.imag, abs(pole)
         if height >= -4.0 * EPS * size:
-            found.add(size)
+            omega.add(size)
             if height > abs(decay):
-                found.add(((height - decay) * (height + decay)) ** 0.5)
-    return np.array(sorted(found))
+                omega.add(((height - decay) * (height + decay)) ** 0.5)
+    return np.array(sorted(omega))
 
 
 def highest_peak_of(
@@ -181,8 +181,8 @@ def squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> tuple[f
         G, G1, G2 = G.T, G1.T, G2.T
     if len(G) == 1:
         g, g1, g2 = G[0], G1[0], G2[0]
-        own = 2.0 * float(np.vdot(g, g2).real + np.vdot(g1, g1).real)
-        return float(np.vdot(g, g).real), 2.0 * float(np.vdot(g, g1).real), own
+        curvature = 2.0 * float(np.vdot(g, g2).real + np.vdot(g1, g1).real)
+        return float(np.vdot(g, g).real), 2.0 * float(np.vdot(g, g1).real), curvature
     H = G.conj().T
     values, vectors, _ = lapack.zheev(G @ H)
     u = vectors[:, -1]
@@ -190,5 +190,5 @@ def squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> tuple[f
     slope = G1 @ x + G @ x1  # the derivative of G G^H, times u
     couplings = np.abs(vectors.conj().T @ slope)[:-1]
     others = couplings * couplings / np.maximum(values[-1] - values[:-1], 1e-300)
-    own = 2.0 * float(np.vdot(u, G2 @ x).real + np.vdot(x1, x1).real)
-    return float(values[-1]), float(np.vdot(u, slope).real), own + 2.0 * float(others.sum())
+    curvature = 2.0 * float(np.vdot(u, G2 @ x).real + np.vdot(x1, x1).real)
+    return float(values[-1]), float(np.vdot(u, slope).real), curvature + 2.0 * float(others.sum())

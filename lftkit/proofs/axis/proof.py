@@ -121,7 +121,6 @@ def axis_proof(content: Content) -> AxisProof:
     count = len(plant["parameters"])
     arrays = arrays_of(arrays, ARRAYS, count, [f"{side}_" for side in SIDES])
     below, above = (unpacked(arrays, count, f"{side}_") for side in SIDES)
-    arrays_of_system = {name: arrays[name] for name in ARRAYS}
     return AxisProof(
         kind=claim["property"],
         level=claim["level"],
@@ -129,7 +128,9 @@ def axis_proof(content: Content) -> AxisProof:
         nominal=plant["nominal"],
         box=box_of_claim(header),
         band=(low, math.inf if high is None else high),
-        system=AxisModel(**arrays_of_system, groups=plant["groups"], kinds=plant["kinds"], beyond=False),
+        system=AxisModel(
+            **{name: arrays[name] for name in ARRAYS}, groups=plant["groups"], kinds=plant["kinds"], beyond=False
+        ),
         border=header["border"],
         below=below,
         above=above,

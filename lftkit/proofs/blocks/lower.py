@@ -73,29 +73,8 @@ class SmallestPerturbation:
         """Delta at which a search from the vector w ends, nearly singular; None where it leaves the numbers."""
         w = start / max(float(linalg.norm(start)), TINY)
         pivot = int(np.argmax(np.abs(w)))
-        x0 = self._first(w / w[pivot])
-        bounds: list[tuple[float | None, float | None]] = [(None, None)] * (self.count - 1) + [(0.0, None)]
-        bounds[pivot], bounds[self.width + pivot] = (1.0, 1.0), (0.0, 0.0)
-        slope = np.zeros(self.count)
-        slope[-1] = 1.0
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")  # steps out of the bounds are clipped
-            result = sl_optimize.minimize(
-                lambda x: x[-1],
-                x0,
-                jac=lambda x: slope,
-                method="SLSQP",
-                bounds=bounds,
-                constraints=[
-                    {"type": "eq", "fun": self.equalities, "jac": self.equality_slopes},
-                    {"type": "ineq", "fun": self.inequalities, "jac": self.inequality_slopes},
-                ],
-                options={"maxiter": self.iterations, "ftol": 1e-10},
-            )
-        return self._delta(result.x) if np.all(np.isfinite(result.x)) else None
-
-    def _first(self, w: ComplexArray) -> FloatArray:
-        """Variables with the scalars that fit ``w = delta z`` best, and a size that has room for them."""
+        # Variables with the scalars that fit ``w = delta z`` best, and a size that has room for them
+        w = w / w[pivot]
         x = np.zeros(self.count)
         x[: self.width], x[self.width : 2 * self.width] = w.real, w.imag
         values = np.array(
@@ -113,7 +92,25 @@ class SmallestPerturbation:
         x[self._re], x[self._im] = values.real, values.imag[~self.real]
         sizes = [np.sqrt(float(np.vdot(w[own], w[own]).real) / self._square(w, z)) for z, own in self.full]
         x[-1] = max([1e-6, *self.real_sizes(values[self.real].real), *np.abs(values[~self.real]), *sizes])
-        return x
+        bounds: list[tuple[float | None, float | None]] = [(None, None)] * (self.count - 1) + [(0.0, None)]
+        bounds[pivot], bounds[self.width + pivot] = (1.0, 1.0), (0.0, 0.0)
+        slope = np.zeros(self.count)
+        slope[-1] = 1.0
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")  # steps out of the bounds are clipped
+            result = sl_optimize.minimize(
+                lambda x: x[-1],
+                x,
+                jac=lambda x: slope,
+                method="SLSQP",
+                bounds=bounds,
+                constraints=[
+                    {"type": "eq", "fun": self.equalities, "jac": self.equality_slopes},
+                    {"type": "ineq", "fun": self.inequalities, "jac": self.inequality_slopes},
+                ],
+                options={"maxiter": self.iterations, "ftol": 1e-10},
+            )
+        return self._delta(result.x) if np.all(np.isfinite(result.x)) else None
 
     def real_sizes(self, values: FloatArray) -> FloatArray:
         """Sizes of real scalars: values over the side on which they are; infinite where that has no width."""
@@ -225,7 +222,7 @@ def lower_bound(
     """
     search = _Search(M, structure, iterations, sides)
     rng = np.random.default_rng(seed)
-    found: list[Perturbation] = []
+    perturbations: list[Perturbation] = []
     for number in range(starts):
         start = search.first(number, rng)
         candidate = search.by_power(start)
@@ -233,10 +230,10 @@ def lower_bound(
             candidates = [search.by_local_search(start), search.by_local_search(search.excited(candidate))]
         else:
             candidates = [search.scaled(candidate)]
-        found += [c for c in candidates if c is not None]
-        if any(enough * size <= 1.0 for size, _ in found):
+        perturbations += [c for c in candidates if c is not None]
+        if any(enough * size <= 1.0 for size, _ in perturbations):
             break
-    size, matrix = min(found, key=lambda p: p[0], default=(np.inf, None))
+    size, matrix = min(perturbations, key=lambda p: p[0], default=(np.inf, None))
     return 1.0 / size, matrix
 
 

@@ -35,7 +35,6 @@ from lftkit.proofs.trusted.entries import (
     truth,
     word,
 )
-from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
 from lftkit.proofs.trusted.proof import Strip, require
 from lftkit.proofs.trusted.sampled_loop import LoopProof
@@ -91,7 +90,10 @@ def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
     else:
         kind, strips = LOOP, list(proof.strips)
         claim = {"property": "gain", "level": proof.level, "band": proof.band, **claim}
-    plant, arrays = _plant(proof.model, proof.names)
+    plant: dict[str, Any] = {"parameters": proof.names, **{name: getattr(proof.model, name) for name in MODEL}}
+    if proof.model.added:
+        plant |= {name: getattr(proof.model, name) for name in ADDED}
+    plant, arrays = plant, {name: np.asarray(getattr(proof.model, name)) for name in OF_ARRAYS}
     header = header_entries(kind, claim, plant, about=dict(proof.about))
     write_content(path, (header, arrays | packed(strips, len(proof.names))))
 
@@ -122,11 +124,3 @@ def _read(
         LoopModel(**parts, **{name: plant[name] for name in (*MODEL, *ADDED) if name in plant}),
         unpacked(arrays, len(names)),
     )
-
-
-def _plant(model: Loop, names: tuple[str, ...]) -> Content:
-    """Header and arrays of a model in a file."""
-    plant: dict[str, Any] = {"parameters": names, **{name: getattr(model, name) for name in MODEL}}
-    if model.added:
-        plant |= {name: getattr(model, name) for name in ADDED}
-    return plant, {name: np.asarray(getattr(model, name)) for name in OF_ARRAYS}

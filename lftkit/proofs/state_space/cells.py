@@ -153,17 +153,17 @@ class CellTest:
         scale = balanced(maps, self.n + self.q)
         for disk in self.disks:  # one scale for all channels of a matrix of dynamics
             if disk.full:
-                own = [self.n + channel for channel in disk.channels]
-                both = own[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
-                scale[own] = float(np.exp(np.mean(np.log(scale[both]))))
+                channels = [self.n + channel for channel in disk.channels]
+                both = channels[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
+                scale[channels] = float(np.exp(np.mean(np.log(scale[both]))))
         blocks = self._blocks(maps, scale)
-        found = find_scalings(blocks, until=until)
-        if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
-            found = find_scalings(blocks, until=until, penalty=BOUND)
-        axis = self._axis(found, cell)
-        if found.margin <= 0.0:
+        optimum = find_scalings(blocks, until=until)
+        if optimum.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in optimum.G) > FREE:
+            optimum = find_scalings(blocks, until=until, penalty=BOUND)
+        axis = self._axis(optimum, cell)
+        if optimum.margin <= 0.0:
             return None, axis
-        return self._unscaled(found, scale, factors, level, cell), axis
+        return self._unscaled(optimum, scale, factors, level, cell), axis
 
     def _maps(self, cell: Cell) -> tuple[ComplexArray, list[float]]:
         """Normalised matrix M from (w, d) to (z, e), every w = delta z with delta in [-1, 1]; widths of the blocks.

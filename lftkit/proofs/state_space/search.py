@@ -15,7 +15,7 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
-from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.corners import CornerSearch, abscissas, earliest_unstable_corner
 from lftkit.systems.system import System
 
@@ -64,15 +64,6 @@ def member_gain(system: System, point: FloatArray, band: tuple[float, float], ga
     if whole:
         norm = hinf_norm(*data.matrices, rtol=1e-4)
         return Member(norm.value, point, norm.omega)
-    return _peak_in_band(data.matrices, poles, point, band)
-
-
-def _peak_in_band(
-    matrices: Matrices,
-    poles: ComplexArray,
-    point: FloatArray,
-    band: tuple[float, float],
-) -> Member:
     low, high = band
     least, most = pole_range(poles)
     top = high if np.isfinite(high) else 100.0 * max(1.0, low, most)
@@ -80,7 +71,7 @@ def _peak_in_band(
     omega = np.unique([low, *frequency_grid(poles, floor, top, points=60, offsets=(0.0,))])
 
     def at(w: float) -> float:
-        return float(linalg.norm(refined_response(*matrices, w), 2)) if min(matrices[3].shape) else 0.0
+        return float(linalg.norm(refined_response(*data.matrices, w), 2)) if min(data.matrices[3].shape) else 0.0
 
     gains = np.array([at(float(w)) for w in omega])
     best = int(np.argmax(gains))
@@ -108,15 +99,15 @@ def worst_member(
             shares += _unstable_shares(system, ends, seed)
         shares += list(rng.integers(0, 2, (MAX_CORNERS, size)).astype(float))
     shares += list(rng.random((SAMPLES, size))) if size else []
-    found = []
+    members = []
     for share in shares:
-        found.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band))
-        if np.isinf(found[-1].gain):
-            return found[-1]
-    found.sort(key=lambda member: -member.gain)
+        members.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band))
+        if np.isinf(members[-1].gain):
+            return members[-1]
+    members.sort(key=lambda member: -member.gain)
     if size <= ALL_CORNERS:
-        return climbed(system, box, band, found[0])
-    return max((climbed(system, box, band, start) for start in found[:CLIMBS]), key=lambda member: member.gain)
+        return climbed(system, box, band, members[0])
+    return max((climbed(system, box, band, start) for start in members[:CLIMBS]), key=lambda member: member.gain)
 
 
 def _unstable_shares(system: System, ends: FloatArray, seed: int) -> list[FloatArray]:
@@ -303,10 +294,10 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])
     grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
-    found = abscissas(system, grid[:, None] * per_channel)
-    if not np.any(found >= 0.0):
+    abscissae = abscissas(system, grid[:, None] * per_channel)
+    if not np.any(abscissae >= 0.0):
         return np.inf
-    first = int(np.argmax(found >= 0.0))
+    first = int(np.argmax(abscissae >= 0.0))
 
     def abscissa(factor: float) -> float:
         return min(float(abscissas(system, factor * per_channel[None])[0]), LARGE)

@@ -134,11 +134,11 @@ def upper_bound(
         if level <= no * (1.0 + rtol) ** 2:
             break
         middle = math.sqrt(level * no)
-        found = scaling.certificate(middle, 1e-2 * rtol)
-        if found is None:
+        certificate = scaling.certificate(middle, 1e-2 * rtol)
+        if certificate is None:
             no = middle
         else:
-            level, best = found.level, found
+            level, best = certificate.level, certificate
     return best.level, best
 
 

@@ -76,10 +76,24 @@ def realised(
         It is not proper, or has no value at the nominal elements; without `shift` also where s occurs more often than
         there are states.
     """
-    factored, channels = _factored(_eliminated(e), elements)
+    # The coefficients of s and of the elements in factors of least rank, and the element of each row of Delta
+    e = _eliminated(e)
+    rows, columns = e.constant.shape
+    left: list[FloatArray] = [np.zeros((rows, 0))]
+    right: list[FloatArray] = [np.zeros((0, columns))]
+    names: list[str] = []
+    for element in elements:
+        pairs = [rank_factors(e.coefficients[element.name])] if element.name in e.coefficients else []
+        for _, L, R in (d for d in e.dynamics if d[0] == element.name):
+            d = width(element)
+            pairs.append((np.pad(L, ((0, 0), (0, d - L.shape[1]))), np.pad(R, ((0, d - R.shape[0]), (0, 0)))))
+        for L, R in pairs:
+            left.append(L)
+            right.append(R)
+            names += [element.name] * L.shape[1]
+    factored, channels = (e, *rank_factors(e.operator), np.hstack(left), np.vstack(right)), tuple(names)
     try:
-        matrices = _direct(factored)
-        made = System(*matrices, inputs, outputs, dt=dt, channels=channels, elements=tuple(elements))
+        made = System(*_direct(factored), inputs, outputs, dt=dt, channels=channels, elements=tuple(elements))
     except ValueError:
         if not shift:
             raise
@@ -115,24 +129,6 @@ def _eliminated(e: Affine) -> Affine:
         n -= 1
     dynamics = tuple((name, L, R) for (name, _, _), L, R in zip(e.dynamics, lefts, rights))
     return Affine(stack[0], stack[1], dict(zip(e.coefficients, stack[2:])), dynamics, n)
-
-
-def _factored(e: Affine, elements: Sequence[Element]) -> tuple[Factored, tuple[str, ...]]:
-    """The coefficients of s and of the elements in factors of least rank, and the element of each row of Delta."""
-    rows, columns = e.constant.shape
-    left: list[FloatArray] = [np.zeros((rows, 0))]
-    right: list[FloatArray] = [np.zeros((0, columns))]
-    channels: list[str] = []
-    for element in elements:
-        pairs = [rank_factors(e.coefficients[element.name])] if element.name in e.coefficients else []
-        for _, L, R in (d for d in e.dynamics if d[0] == element.name):
-            d = width(element)
-            pairs.append((np.pad(L, ((0, 0), (0, d - L.shape[1]))), np.pad(R, ((0, d - R.shape[0]), (0, 0)))))
-        for L, R in pairs:
-            left.append(L)
-            right.append(R)
-            channels += [element.name] * L.shape[1]
-    return (e, *rank_factors(e.operator), np.hstack(left), np.vstack(right)), tuple(channels)
 
 
 Factored = tuple[Affine, FloatArray, FloatArray, FloatArray, FloatArray]
