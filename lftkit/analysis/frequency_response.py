@@ -127,7 +127,7 @@ class FrequencyResponse:
     def of_modal_form(
         cls, form: ModalForm, excited: FloatArray, observed: FloatArray, D: FloatArray
     ) -> FrequencyResponse:
-        """Of a system that is known in modal coordinates: nothing is computed twice.
+        """Response of a system that is known in modal coordinates: nothing is computed twice.
 
         Parameters
         ----------

@@ -209,7 +209,7 @@ def _second(log_omega: FloatArray, log_corner: float, log_damping: float) -> Flo
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """What :func:`ucover` finds.
+    """Uncertain system of :func:`ucover`, its weight and the envelope of the members.
 
     Attributes
     ----------

@@ -124,7 +124,7 @@ def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omeg
 
 
 def _chordal_distance(graph: ComplexArray, other: ComplexArray) -> float:
-    """Of right factors ``[N1; M1]`` and left ones ``[N2, M2]`` at a frequency, normalised here."""
+    """Chordal distance of right factors ``[N1; M1]`` and left ones ``[N2, M2]`` at a frequency, normalised here."""
     p = len(other)
     swapped = np.hstack([-other[:, -p:], other[:, :-p]])
     inner, outer = linalg.qr(graph, mode="r")[0], linalg.qr(other.conj().T, mode="r")[0]

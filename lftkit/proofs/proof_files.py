@@ -105,7 +105,7 @@ def write_content(path: Path, content: Content) -> None:
 
 
 def header_entries(kind: str, claim: Mapping[str, Any], plant: Mapping[str, Any], **others: Any) -> dict[str, Any]:
-    """What every header begins with, and the others of a kind."""
+    """Header of a file: entries that every one begins with, and the others of a kind."""
     return {"format": FORMAT, "kind": kind, "claim": dict(claim), "plant": dict(plant), **others}
 
 

@@ -167,7 +167,7 @@ def error_bound(error: System, tail: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _StablePart:
-    """What is reduced, and the weights of the error."""
+    """Stable system that is reduced, and the weights of the error."""
 
     system: System
     before: System | None

@@ -120,7 +120,7 @@ class _Walk:
         return 8 + size
 
     def matrix(self, depth: int) -> None:
-        """What follows the tag of a matrix."""
+        """Content of a matrix behind its tag."""
         if depth > MAT_DEPTH:
             raise InputError(f"cells and structures must be nested at most {MAT_DEPTH} levels deep, got more")
         flags, _ = struct.unpack(self.order + "II", self.stream.read(16)[8:])

@@ -64,7 +64,7 @@ is what is left where the other says nothing, as all that it has are stable mode
 
 @dataclass(frozen=True)
 class ProvenLowerBound:
-    """What no controller of any order can do better, proven.
+    """Proven lower bound of the H-infinity norm that controllers of any order can reach.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
 
 @dataclass(frozen=True)
 class _Half:
-    """What a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`.
+    """Motion that a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`.
 
     Columns of `basis`, orthonormal, are all x that can be other than zero there.
     """

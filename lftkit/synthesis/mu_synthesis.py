@@ -190,7 +190,7 @@ class _Candidate:
 
     @cached_property
     def responses(self) -> ComplexArray:
-        """Of the loop, (N, z, w)."""
+        """Frequency response of the loop, (N, z, w)."""
         return self.closed.response(self.omega)
 
     @cached_property

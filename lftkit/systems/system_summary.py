@@ -18,7 +18,7 @@ SHOWN = 4
 
 
 class WithPorts(Protocol):
-    """What the line needs of a system: ports and number of states."""
+    """A system with ports and a number of states, for a line about it."""
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -34,7 +34,7 @@ class WithPorts(Protocol):
 
 
 class Summarised(WithPorts, Protocol):
-    """What a summary needs as well: name, period, elements and their occurrences."""
+    """A system with name, period, elements and their occurrences, for a summary."""
 
     @property
     def name(self) -> str:

@@ -149,7 +149,7 @@ class SmallestPerturbation:
         return np.concatenate([slopes.real, slopes.imag])
 
     def inequalities(self, x: FloatArray) -> FloatArray:
-        """What each block has left to the size: real scalars on both sides, complex scalars, full blocks."""
+        """Distance of each block from the size: real scalars on both sides, complex scalars, full blocks."""
         w, deltas, size = self._unpacked(x)
         real, other = deltas[self.real].real, deltas[~self.real]
         seen = [(self.M[z] @ w, w[own]) for z, own in self.full]

@@ -129,7 +129,7 @@ def from_middle(
 
 
 def middle_of(model: SearchedResponses, box: Sequence[Interval]) -> Matrices:
-    """Of each channel ``z = cz z' + sz w'`` and ``w = cw z' + sw w'`` with w' = 0 in the middle, +-z' at the ends."""
+    """Coefficients (q,) of ``z = cz z' + sz w'`` and ``w = cw z' + sw w'``, w' = 0 in the middle, +-z' at the ends."""
     q = model.sizes[0]
     cz, sz, cw, sw = np.ones(q), np.zeros(q), np.zeros(q), np.zeros(q)
     for group, angle, (low, high) in zip(map(list, model.groups), model.angle, box):

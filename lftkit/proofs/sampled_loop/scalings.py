@@ -180,7 +180,7 @@ class ScalingTest:
         return y
 
     def losses(self, y: FloatArray) -> FloatArray:
-        """What the interval of each parameter costs: the largest is the one to bisect. None of a disk is."""
+        """Loss of margin by the interval of each parameter: the largest is the one to bisect. None of a disk is."""
         losses = self.problem.result(y).losses[: len(self.groups)]
         return np.where([kind == REAL for kind in self.model.kinds], losses, -np.inf)
 

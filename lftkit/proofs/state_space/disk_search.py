@@ -98,7 +98,7 @@ class DiskSearch:
         return [[i for i, channel in enumerate(self.system.channels) if channel == name] for name in names]
 
     def response(self, omega: float) -> ComplexArray:
-        """Of all channels at a frequency, which may be infinite."""
+        """Response (q + p, q + m) of all channels at a frequency, which may be infinite."""
         if math.isinf(omega) or not self.system.order:
             return np.asarray(self.system.D, complex)
         return np.asarray(response(self.system.lft, 1j * omega), complex)
@@ -373,6 +373,6 @@ def _moved(parameter: RealParameter, nominal: float) -> RealParameter:
 
 
 def _between(value: ComplexArray, aim: ComplexArray, part: float, disk: DiskChannels) -> ComplexArray:
-    """Of rank one and full norm, between two values: the gain has no maximum inside."""
+    """Value of rank one and full norm between two values: the gain has no maximum inside."""
     left, _, right = linalg.svd(value + part * (aim - value), full_matrices=False)
     return np.asarray(disk.radius * left[:, :1] @ right[:1], complex)

@@ -52,7 +52,7 @@ def statement(
     band: tuple[float, float],
     radii: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """What a proof claims, without cells: the system, the box, the band, the level; `radii` as for a cell test.
+    """Claim of a proof, without cells: the system, the box, the band, the level; `radii` as for a cell test.
 
     The band is that of the axis: in discrete time ``tan(omega dt / 2)``.
     """

@@ -44,7 +44,7 @@ class ElementPolynomial:
         return max((power for power, _ in self.terms), default=-1)
 
     def coefficient(self, power: int) -> dict[tuple[str, ...], float]:
-        """What stands before a power of s: products of elements with their numbers."""
+        """Coefficient of a power of s: products of elements with their numbers."""
         return {names: number for (own, names), number in self.terms.items() if own == power}
 
 
