@@ -12,17 +12,21 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from lftkit.analysis.cover import Cover, ucover
-    from lftkit.analysis.disk_margin import DiskMargin, disk_margin
-    from lftkit.analysis.magnitude_fit import fit_magnitude
-    from lftkit.analysis.margins import LoopMargins, SensitivityPeaks, loop_margins, sensitivity_peaks
+    from lftkit.analysis.magnitude_fit import Cover, fit_magnitude, ucover
+    from lftkit.analysis.margins import (
+        DiskMargin,
+        LoopMargins,
+        SensitivityPeaks,
+        disk_margin,
+        loop_margins,
+        sensitivity_peaks,
+    )
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, linf_norm, spectral_abscissa
     from lftkit.analysis.nu_gap import NuGap, nu_gap
     from lftkit.analysis.passivity import PassivityIndex, passivity_index
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
     from lftkit.errors import InputError
-    from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values
-    from lftkit.reduction.coprime import ncfmr
+    from lftkit.reduction.balanced import ReducedSystem, balred, hankel_singular_values, ncfmr
     from lftkit.systems.connection.feedback import cascade, close_loop
     from lftkit.systems.connection.filters import high_pass, transfer
     from lftkit.systems.connection.interconnection import (
@@ -55,8 +59,7 @@ if TYPE_CHECKING:
     from lftkit.systems.symbolic.expressions import Expression, matrix
     from lftkit.systems.symbolic.variables import complex_gain, dynamic, real, s, z
     from lftkit.systems.system import System, from_control, state_space, static_gain
-    from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
-    from lftkit.uncertainty.parameters import RealParameter
+    from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, RealParameter
 
 __all__ = [
     "ComplexParameter",
@@ -132,17 +135,21 @@ __all__ = [
 ]
 
 _MODULES = {
-    "analysis.cover": ("Cover", "ucover"),
-    "analysis.disk_margin": ("DiskMargin", "disk_margin"),
-    "analysis.magnitude_fit": ("fit_magnitude",),
-    "analysis.margins": ("LoopMargins", "SensitivityPeaks", "loop_margins", "sensitivity_peaks"),
+    "analysis.magnitude_fit": ("Cover", "fit_magnitude", "ucover"),
+    "analysis.margins": (
+        "DiskMargin",
+        "LoopMargins",
+        "SensitivityPeaks",
+        "disk_margin",
+        "loop_margins",
+        "sensitivity_peaks",
+    ),
     "analysis.nu_gap": ("NuGap", "nu_gap"),
     "analysis.passivity": ("PassivityIndex", "passivity_index"),
     "analysis.norms": ("HInfNorm", "h2_norm", "hinf_norm", "hinf_norms", "linf_norm", "spectral_abscissa"),
     "errors": ("InputError",),
     "analysis.plots": ("bode_band", "pole_map", "sigma_plot"),
-    "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values"),
-    "reduction.coprime": ("ncfmr",),
+    "reduction.balanced": ("ReducedSystem", "balred", "hankel_singular_values", "ncfmr"),
     "systems.delay": ("pade_delay",),
     "systems.exchange": (
         "as_system",
@@ -175,8 +182,7 @@ _MODULES = {
     "systems.sampling": ("discretise", "sampled"),
     "systems.system": ("System", "from_control", "state_space", "static_gain"),
     "systems.symbolic.variables": ("complex_gain", "dynamic", "real", "s", "z"),
-    "uncertainty.elements": ("ComplexParameter", "DynamicElement"),
-    "uncertainty.parameters": ("RealParameter",),
+    "uncertainty.elements": ("ComplexParameter", "DynamicElement", "RealParameter"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

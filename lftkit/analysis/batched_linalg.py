@@ -7,13 +7,6 @@ loops written in C, which ``scipy.linalg`` does in Python only. At a thousand fr
 from __future__ import annotations
 
 import numpy as np
-from numpy.linalg import det as _det
-from numpy.linalg import eigh as _eigh
-from numpy.linalg import eigvals as _eigvals
-from numpy.linalg import eigvalsh as _eigvalsh
-from numpy.linalg import inv as _inv
-from numpy.linalg import solve as _solve
-from numpy.linalg import svd as _svd
 
 from lftkit.arrays import ComplexArray, FloatArray
 
@@ -29,24 +22,24 @@ def solve(M: ComplexArray, X: ComplexArray) -> ComplexArray:
         Y[:, 0] = (d * X[:, 0] - b * X[:, 1]) / determinant
         Y[:, 1] = (a * X[:, 1] - c * X[:, 0]) / determinant
         return Y
-    return np.asarray(_solve(M, X))
+    return np.asarray(np.linalg.solve(M, X))
 
 
 def inverses(M: ComplexArray) -> ComplexArray:
     """Inverse of each matrix of the stack `M` (N, k, k)."""
-    return np.asarray(_inv(M))
+    return np.asarray(np.linalg.inv(M))
 
 
 def determinants(M: ComplexArray) -> ComplexArray:
     """Determinant of each matrix of the stack `M` (N, k, k)."""
     if M.shape[1] == 2:
         return np.asarray(M[:, 0, 0] * M[:, 1, 1] - M[:, 0, 1] * M[:, 1, 0], dtype=complex)
-    return np.asarray(_det(M), dtype=complex)
+    return np.asarray(np.linalg.det(M), dtype=complex)
 
 
 def eigenvalues(M: ComplexArray) -> ComplexArray:
     """Eigenvalues of each matrix of the stack `M` (N, k, k): shape (N, k)."""
-    return np.asarray(_eigvals(M), dtype=complex)
+    return np.asarray(np.linalg.eigvals(M), dtype=complex)
 
 
 def largest_gains(T: ComplexArray) -> FloatArray:
@@ -61,12 +54,7 @@ def largest_gains(T: ComplexArray) -> FloatArray:
         return np.zeros(len(T))
     if min(T.shape[1:]) == 1:
         return np.asarray(np.sqrt(np.sum(np.abs(T) ** 2, axis=(1, 2))))
-    gram = _small_gram(T)
-    if gram.shape[1] == 2:
-        half = 0.5 * (gram[:, 0, 0] - gram[:, 1, 1]).real
-        middle = 0.5 * (gram[:, 0, 0] + gram[:, 1, 1]).real
-        return np.asarray(np.sqrt(middle + np.hypot(half, np.abs(gram[:, 0, 1]))))
-    return np.asarray(np.sqrt(np.maximum(_eigvalsh(gram)[:, -1], 0.0)))
+    return np.asarray(np.sqrt(largest_eigenvalues(_small_gram(T))))
 
 
 def largest_eigenvalues(M: ComplexArray) -> FloatArray:
@@ -79,17 +67,17 @@ def largest_eigenvalues(M: ComplexArray) -> FloatArray:
     if k == 2:
         half, middle = 0.5 * (M[:, 0, 0] - M[:, 1, 1]).real, 0.5 * (M[:, 0, 0] + M[:, 1, 1]).real
         return np.asarray(np.maximum(middle + np.hypot(half, np.abs(M[:, 0, 1])), 0.0))
-    return np.asarray(np.maximum(_eigvalsh(M)[:, -1], 0.0))
+    return np.asarray(np.maximum(np.linalg.eigvalsh(M)[:, -1], 0.0))
 
 
 def singular_values(T: ComplexArray) -> FloatArray:
     """All singular values of each matrix of the stack `T` (N, p, m), largest first: shape (N, min(p, m))."""
-    return np.asarray(_svd(T, compute_uv=False))
+    return np.asarray(np.linalg.svd(T, compute_uv=False))
 
 
 def singular_triples(T: ComplexArray) -> tuple[ComplexArray, FloatArray, ComplexArray]:
     """U (N, p, k), singular values (N, k) and Vh (N, k, m) of each matrix of the stack `T` (N, p, m), k = min(p, m)."""
-    U, values, Vh = _svd(T, full_matrices=False)
+    U, values, Vh = np.linalg.svd(T, full_matrices=False)
     return np.asarray(U), np.asarray(values), np.asarray(Vh)
 
 
@@ -113,7 +101,7 @@ def leading_pairs(T: ComplexArray) -> tuple[FloatArray, ComplexArray, ComplexArr
     """All singular values (descending) and vectors of a stack of a few matrices: s (N, r), U (N, p, r), V (N, m, r)."""
     wide = T.shape[1] <= T.shape[2]
     gram = T @ T.conj().swapaxes(1, 2) if wide else T.conj().swapaxes(1, 2) @ T
-    values, vectors = _eigh_of_two(gram) if gram.shape[1] == 2 else _eigh(gram)
+    values, vectors = _eigh_of_two(gram) if gram.shape[1] == 2 else np.linalg.eigh(gram)
     s = np.sqrt(np.maximum(values[:, ::-1], 0.0))
     first = vectors[:, :, ::-1]
     other = (T.conj().swapaxes(1, 2) if wide else T) @ first / np.maximum(s, 1e-300)[:, None, :]

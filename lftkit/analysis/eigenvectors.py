@@ -86,43 +86,43 @@ def modes(A: FloatArray) -> Modes:
     return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), linalg.lapack.dgetrf(vectors)[:2])
 
 
-def corrected_modes(A: FloatArray, found: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
-    """The modes `found` of `A` with all digits that the matrix holds.
+def corrected_modes(A: FloatArray, eigen: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
+    """The modes `eigen` of `A` with all digits that the matrix holds.
 
     With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
     once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
     their size are left as they are. The steps end where the relative change of the eigenvectors is below `converged`;
-    its square is the error that is left. Where the eigenvectors are no basis, `found` is returned.
+    its square is the error that is left. Where the eigenvectors are no basis, `eigen` is returned.
     """
-    if found.reciprocal_condition < EPS:
-        return found
-    A, best = np.asfortranarray(A), found
+    if eigen.reciprocal_condition < EPS:
+        return eigen
+    A, best = np.asfortranarray(A), eigen
     for _ in range(MAX_NEWTON_STEPS):
         poles_step, vectors_step = _newton_step(A, best)
         # a real pole stays real: an imaginary part of rounding would make half a pair of it
-        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
+        poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
         if not (np.isfinite(change) and change < 0.01):
-            return found
+            return eigen
         if change < converged:
             return replace(best, poles=best.poles + poles_step, low=vectors_step)
         best = replace(best, poles=best.poles + poles_step, vectors=best.vectors + vectors_step)
     return best
 
 
-def finely_corrected(A: FloatArray, found: Modes) -> Modes:
-    """The corrected modes `found` of `A`, with residuals that have seven digits more.
+def finely_corrected(A: FloatArray, eigen: Modes) -> Modes:
+    """The corrected modes `eigen` of `A`, with residuals that have seven digits more.
 
     For poles whose decay is below the error of :func:`corrected_modes`, about 2^-75 times the norm of A and the
     condition of the eigenvectors.
     """
-    A, best = np.asfortranarray(A), found
+    A, best = np.asfortranarray(A), eigen
     for _ in range(FINE_STEPS):
         poles_step, vectors_step = _newton_step(A, best, fine=True)
-        poles_step = np.where(found.poles.imag == 0, poles_step.real, poles_step)
+        poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))
         if not (np.isfinite(change) and change < 0.01):
-            return found
+            return eigen
         vectors, low = two_sum(best.vectors, best.low + vectors_step)
         best = replace(best, poles=best.poles + poles_step, vectors=vectors, low=low)
     return best
@@ -156,25 +156,15 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     return A, B / units[:, None], C * units
 
 
-def eigenvector_residual(A: FloatArray, modes: Modes) -> FloatArray:
-    """``A W - W L`` for the eigenvectors W (without `low`) and the poles L, in the real form, rounded once."""
-    first = np.flatnonzero(modes.poles.imag > 0)
-    partner = np.arange(len(modes.poles))
-    partner[first], partner[first + 1] = first + 1, first
-    return _residual(A, modes.vectors, modes.poles, partner)
-
-
 def _newton_step(A: FloatArray, modes: Modes, fine: bool = False) -> tuple[ComplexArray, FloatArray]:
     """Corrections of the eigenvalues (n,) and of the eigenvectors (n, n), the latter in the real form."""
     poles, W = modes.poles, modes.vectors
     n = len(poles)
     first = np.flatnonzero(poles.imag > 0)
-    partner = np.arange(n)
-    partner[first], partner[first + 1] = first + 1, first
     heads = np.flatnonzero(poles.imag >= 0)  # one column for each pair
-    residual = _fine_residual(A, modes, partner) if fine else _residual(A, W, poles, partner)
+    residual = _fine_residual(A, modes) if fine else eigenvector_residual(A, modes)
     off = linalg.lapack.dgetrs(*modes.factors, residual)[0]
-    columns = off[:, heads] + 1j * np.where(poles.imag[heads] > 0, off[:, partner[heads]], 0.0)
+    columns = off[:, heads] + 1j * np.where(poles.imag[heads] > 0, off[:, _partners(poles)[heads]], 0.0)
     x, y = columns[first], columns[first + 1]
     columns[first], columns[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
     size = np.abs(poles)
@@ -194,8 +184,9 @@ def _newton_step(A: FloatArray, modes: Modes, fine: bool = False) -> tuple[Compl
     return shift, step
 
 
-def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: IntArray) -> FloatArray:
-    """``A W - W L`` with the block-diagonal L of `poles`, rounded once."""
+def eigenvector_residual(A: FloatArray, modes: Modes) -> FloatArray:
+    """``A W - W L`` for the eigenvectors W (without `low`) and the poles L, in the real form, rounded once."""
+    W, poles, partner = modes.vectors, modes.poles, _partners(modes.poles)
     total, low = matrix_product(A, W)
     first, second = halves(W)
     for factor, X1, X2 in ((-poles.real, first, second), (poles.imag, first[:, partner], second[:, partner])):
@@ -207,9 +198,14 @@ def _residual(A: FloatArray, W: FloatArray, poles: ComplexArray, partner: IntArr
     return total + low
 
 
-def _fine_residual(A: FloatArray, modes: Modes, partner: IntArray) -> FloatArray:
-    """As :func:`_residual` for the eigenvectors with what is to be added to them, with seven digits more."""
-    poles, W, low = modes.poles, modes.vectors, modes.low
+def _partners(poles: ComplexArray) -> IntArray:
+    """Place of the conjugate of each pole (n,), of a real one its own."""
+    return np.asarray(np.arange(len(poles)) + (poles.imag > 0) - (poles.imag < 0))
+
+
+def _fine_residual(A: FloatArray, modes: Modes) -> FloatArray:
+    """As :func:`eigenvector_residual` for the eigenvectors with what is to be added to them, with seven digits more."""
+    poles, W, low, partner = modes.poles, modes.vectors, modes.low, _partners(modes.poles)
     parts, rest = fine_product(A, W)
     rest = rest + A @ low - low * poles.real + low[:, partner] * poles.imag
     for factor, X in ((-poles.real, W), (poles.imag, W[:, partner])):
@@ -232,9 +228,6 @@ def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, Co
     """
     if not len(A):
         return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
-    found = corrected_modes(np.asarray(A), modes(np.asarray(A)))
-    b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
-    for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
-        b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
-        c[:, k], c[:, k + 1] = c[:, k] + 1j * c[:, k + 1], c[:, k] - 1j * c[:, k + 1]
-    return found.poles, b, c
+    eigen = corrected_modes(np.asarray(A), modes(np.asarray(A)))
+    b = complex_rows(eigen.poles, eigen.excited(np.asarray(B)))
+    return eigen.poles, b, complex_columns(eigen.poles, eigen.observed(np.asarray(C)))

@@ -106,12 +106,12 @@ class FrequencyResponse:
             empty = np.zeros(0, dtype=complex)
             return cls(empty, np.zeros((len(d), 0), complex), np.zeros((0, d.shape[1]), complex), d, None)
         a, b, c = balanced(a, b, c)
-        found = modes(a)
-        if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
-            found = corrected_modes(a, found, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
+        eigen = modes(a)
+        if EPS * np.abs(eigen.poles).max() > rounding * eigen.reciprocal_condition * np.abs(eigen.poles.real).min():
+            eigen = corrected_modes(a, eigen, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
         if fine:
-            found = finely_corrected(a, found)
-        form = cls._with_modes(found, a, b, c, d)
+            eigen = finely_corrected(a, eigen)
+        form = cls._with_modes(eigen, a, b, c, d)
         if form.modal and check and not _reproduces(form, a, b, c, d):
             return cls._with_schur(a, b, c, d)
         return form
@@ -127,7 +127,7 @@ class FrequencyResponse:
     def of_modal_form(
         cls, form: ModalForm, excited: FloatArray, observed: FloatArray, D: FloatArray
     ) -> FrequencyResponse:
-        """Of a system that is known in modal coordinates: nothing is computed twice.
+        """Response of a system that is known in modal coordinates: nothing is computed twice.
 
         Parameters
         ----------
@@ -149,12 +149,12 @@ class FrequencyResponse:
         return cls(poles, left, right, D, None)
 
     @classmethod
-    def _with_modes(cls, found: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
+    def _with_modes(cls, eigen: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
         """Modal form where the eigenvectors are a good basis, else Schur form."""
-        if not found.reciprocal_condition * MAX_CONDITION >= 1.0:
+        if not eigen.reciprocal_condition * MAX_CONDITION >= 1.0:
             return cls._with_schur(a, b, c, d)
-        left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
-        return cls(found.poles, left, right, d, None)
+        left, right = complex_columns(eigen.poles, eigen.observed(c)), complex_rows(eigen.poles, eigen.excited(b))
+        return cls(eigen.poles, left, right, d, None)
 
     @classmethod
     def _with_schur(cls, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
@@ -191,22 +191,22 @@ class FrequencyResponse:
         if not finite.all():
             out[finite] = self.at(w[finite])
             return out
-        self._refuse_poles(w)
-        if self.triangular is None and (len(w) <= FEW or n * p * m > LARGE):
+        # Raise where a frequency is that of a pole on the imaginary axis, to rounding
+        for pole, width in zip(self.on_axis, _rounding(self.on_axis, np.abs(self.poles).max())):
+            hit = np.abs(np.abs(w) - pole) <= width
+            if hit.any():
+                raise PoleError(_at_pole(float(w[hit][0])))
+        if self.triangular is not None:
+            return self.at_points(1j * w)
+        if len(w) <= FEW or n * p * m > LARGE:
             for i, x in enumerate(w):
                 out[i] += (self.left / (1j * x - self.poles)) @ self.right
             return out
-        if self.triangular is None:
-            rows = max(1, MAX_ENTRIES // (n * m))
-            for start in range(0, p, rows):
-                part = slice(start, start + rows)
-                numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
-                self._modal_sum(w, numerators, out[:, part])
-            return out
-        identity = np.eye(n)
-        for i, x in enumerate(w):
-            shifted = 1j * x * identity - self.triangular
-            out[i] += self.left @ linalg.solve_triangular(shifted, self.right, check_finite=False)
+        rows = max(1, MAX_ENTRIES // (n * m))
+        for start in range(0, p, rows):
+            part = slice(start, start + rows)
+            numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
+            self._modal_sum(w, numerators, out[:, part])
         return out
 
     def at_points(self, s: ComplexArray) -> ComplexArray:
@@ -303,13 +303,6 @@ class FrequencyResponse:
             out.real[start : start + step] += (cosine @ numerators).reshape(shape)
             out.imag[start : start + step] += (sine @ numerators).reshape(shape)
 
-    def _refuse_poles(self, w: FloatArray) -> None:
-        """Raise where a frequency is that of a pole on the imaginary axis, to rounding."""
-        for pole, width in zip(self.on_axis, _rounding(self.on_axis, np.abs(self.poles).max())):
-            hit = np.abs(np.abs(w) - pole) <= width
-            if hit.any():
-                raise PoleError(_at_pole(float(w[hit][0])))
-
 
 def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
     """Frequency response ``C (j omega - A)^-1 B + D``.
@@ -387,10 +380,10 @@ def refined_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     right = np.hstack([B, np.zeros_like(B)])
     X, correction, settled = refined_solution(A, omega, right, lambda rest: _solved(factors, rest))
     if not settled:
-        found = finely_corrected(A, corrected_modes(A, modes(A)))
-        if found.reciprocal_condition > EPS:
+        eigen = finely_corrected(A, corrected_modes(A, modes(A)))
+        if eigen.reciprocal_condition > EPS:
             with np.errstate(all="ignore"):  # what is not finite does not settle
-                other = refined_solution(A, omega, right, lambda rest: found.resolvent(omega, rest), fine=True)
+                other = refined_solution(A, omega, right, lambda rest: eigen.resolvent(omega, rest), fine=True)
             X, correction = other[:2] if other[2] else (X, correction)
     high, low = matrix_product(C, X)
     value = high + (low + C @ correction)
@@ -449,8 +442,7 @@ def _agree(exact: ComplexArray, other: ComplexArray, tolerance: float) -> bool:
 
 
 def _reproduces(form: FrequencyResponse, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    """Whether the modal form agrees with direct solutions at three frequencies."""
     sizes = np.quantile(np.abs(form.poles), [0.1, 0.4, 0.8])
-    for w in 1.01 * np.where(sizes > 0, sizes, 1.0):
-        if not _agree(refined_response(a, b, c, d, float(w))[None], form.at(w), AGREEMENT):
-            return False
-    return True
+    omega = 1.01 * np.where(sizes > 0, sizes, 1.0)
+    return all(_agree(refined_response(a, b, c, d, float(w))[None], form.at(w), AGREEMENT) for w in omega)

@@ -60,7 +60,7 @@ class LftResponse:
 
     @classmethod
     def of(cls, matrix: ComplexArray, channels: int) -> LftResponse:
-        """Of a matrix ([N,] q + p, q + m) whose first `channels` = q rows and columns are those of Delta."""
+        """Response of a matrix ([N,] q + p, q + m) whose first `channels` = q rows and columns are those of Delta."""
         q = channels
         return cls(matrix[..., :q, :q], matrix[..., q:, :q], matrix[..., :q, q:], matrix[..., q:, q:])
 
@@ -182,7 +182,7 @@ class RepeatedClosed:
 
     @classmethod
     def of(cls, lft: LftResponse, repeated: BoolArray) -> RepeatedClosed | None:
-        """Of an LFT at one frequency; None where the eigenvectors of the channels are no basis."""
+        """Closed form of an LFT at one frequency; None where the eigenvectors of the channels are no basis."""
         M, T12, T21, others = lft.M, lft.T12, lft.T21, ~repeated
         poles, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(M[np.ix_(repeated, repeated)]))
         lu, pivots, info = linalg.lapack.zgetrf(vectors)
@@ -249,6 +249,3 @@ def feedback(gain: ComplexArray, entering: ComplexArray, *, balanced: bool = Fal
 def rows_times(rows: ComplexArray, matrices: ComplexArray) -> ComplexArray:
     """``row @ matrix`` of N rows (N, p) and matrices (N, p, m): shape (N, m)."""
     return np.asarray((rows[:, None, :] @ matrices)[:, 0])
-
-
-__all__ = ["GainSlopes", "LftResponse", "RepeatedClosed", "feedback", "rows_times"]

@@ -1,4 +1,4 @@
-"""Stable minimum-phase systems whose gain fits given values, or stays above them.
+"""Stable minimum-phase systems whose gain fits given values, or stays above them, as the weight of a cover does.
 
 The gain is a product of sections of first and second order with poles and zeros in the left half-plane, so that the fit
 is a smooth problem without constraints on phase: least squares of the logarithm, then the least largest distance.
@@ -6,21 +6,27 @@ is a smooth problem without constraints on phase: least squares of the logarithm
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import optimize
+from scipy import linalg, optimize
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number, as_positive
+from lftkit.systems import lft
 from lftkit.systems.arguments import checked
+from lftkit.systems.exchange import as_system
 from lftkit.systems.matrices import frequencies, real_array
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete, warped_frequency
 from lftkit.systems.system import System
+from lftkit.uncertainty.elements import DynamicElement
 
 sl_optimize: Any = optimize
 BEYOND = 5.0
@@ -29,6 +35,8 @@ DAMPING = 1e-3, 1e2
 """Least and largest damping ratio of a section of second order."""
 OVER = 1e-9
 """Part by which a gain that must stay above is above at least: more than rounding."""
+LEAST = 1e-6
+"""Relative error, over the largest one, in the place of a smaller one: a weight has no zeros on the axis."""
 
 
 @checked
@@ -112,24 +120,24 @@ class _Sections:
 
     def log_gain(self, x: FloatArray) -> FloatArray:
         """Logarithm of the gain at the frequencies, shape (N,)."""
-        found = np.full(len(self.log_omega), x[0])
+        log_gain = np.full(len(self.log_omega), x[0])
         for wz, dz, wp, dp in x[1 : 1 + 4 * self.pairs].reshape(-1, 4):
-            found += _second(self.log_omega, wz, dz) - _second(self.log_omega, wp, dp)
+            log_gain += _second(self.log_omega, wz, dz) - _second(self.log_omega, wp, dp)
         if self.single:
-            found += 0.5 * (np.logaddexp(2.0 * self.log_omega, 2.0 * x[-2]))
-            found -= 0.5 * np.logaddexp(2.0 * self.log_omega, 2.0 * x[-1])
-        return np.asarray(found)
+            log_gain += 0.5 * (np.logaddexp(2.0 * self.log_omega, 2.0 * x[-2]))
+            log_gain -= 0.5 * np.logaddexp(2.0 * self.log_omega, 2.0 * x[-1])
+        return np.asarray(log_gain)
 
     def least_squares(self) -> FloatArray:
         """The best parameters of some starts."""
         best, cost = self._start(0.0), math.inf
         for shift in (0.0, 0.7, -0.7) if self.pairs or self.single else (0.0,):
             start = self._start(shift)
-            found = sl_optimize.least_squares(
+            fit = sl_optimize.least_squares(
                 lambda x: self.weight * (self.log_gain(x) - self.target), start, bounds=self._bounds(len(start))
             )
-            if found.cost < cost:
-                best, cost = found.x, float(found.cost)
+            if fit.cost < cost:
+                best, cost = fit.x, float(fit.cost)
         return best
 
     def _start(self, shift: float) -> FloatArray:
@@ -157,7 +165,7 @@ class _Sections:
             over = self.log_gain(x[:-1]) - self.target
             return np.concatenate([over, x[-1] - self.weight * over])
 
-        found = sl_optimize.minimize(
+        fit = sl_optimize.minimize(
             lambda x: x[-1],
             first,
             jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
@@ -166,7 +174,7 @@ class _Sections:
             constraints=[{"type": "ineq", "fun": room}],
             options={"maxiter": 200, "ftol": 1e-9},
         )
-        x = self.raised(np.clip(found.x[:-1], lower, upper)) if np.all(np.isfinite(found.x)) else start
+        x = self.raised(np.clip(fit.x[:-1], lower, upper)) if np.all(np.isfinite(fit.x)) else start
         return x if self._excess(x) < self._excess(start) else start
 
     def raised(self, x: FloatArray) -> FloatArray:
@@ -180,22 +188,16 @@ class _Sections:
 
     def system(self, x: FloatArray) -> System:
         """The system with these parameters, its states in units of its frequencies."""
-        A: FloatArray = np.zeros((0, 0))
-        B: FloatArray = np.zeros((0, 1))
-        C: FloatArray = np.zeros((1, 0))
-        D: FloatArray = np.array([[math.exp(x[0])]])
-        parts = []
+        one, parts = np.eye(1), []
         for wz, dz, wp, dp in np.exp(x[1 : 1 + 4 * self.pairs].reshape(-1, 4)):
             b = np.array([[0.0], [1.0]])
             a = np.array([[0.0, wp], [-wp, -2.0 * dp * wp]])
-            parts.append((a, b, np.array([[(wz * wz - wp * wp) / wp, 2.0 * (dz * wz - dp * wp)]])))
+            parts.append((a, b, np.array([[(wz * wz - wp * wp) / wp, 2.0 * (dz * wz - dp * wp)]]), one))
         if self.single:
             zero, pole = np.exp(x[-2:])
-            parts.append((np.array([[-pole]]), np.array([[1.0]]), np.array([[zero - pole]])))
-        for a, b, c in parts:
-            A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-            B, C = np.vstack([B, b @ D]), np.hstack([C, c])
-        return System(A, B, C, D, (Port("in", 1),), (Port("out", 1),), "fit")
+            parts.append((np.array([[-pole]]), one, np.array([[zero - pole]]), one))
+        gain: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[math.exp(x[0])]])
+        return System(*functools.reduce(lft.series, parts, gain), (Port("in", 1),), (Port("out", 1),), "fit")
 
 
 def _second(log_omega: FloatArray, log_corner: float, log_damping: float) -> FloatArray:
@@ -203,3 +205,111 @@ def _second(log_omega: FloatArray, log_corner: float, log_damping: float) -> Flo
     ratio = np.exp(-2.0 * np.abs(log_omega - log_corner))
     inner = (1.0 - ratio) ** 2 + 4.0 * math.exp(2.0 * log_damping) * ratio
     return np.asarray(2.0 * np.maximum(log_omega, log_corner) + 0.5 * np.log(np.maximum(inner, 1e-300)))
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Uncertain system of :func:`ucover`, its weight and the envelope of the members.
+
+    Attributes
+    ----------
+    system : System
+        ``G0 (1 + W delta)`` with the ports of the nominal system.
+    weight : System
+        W: stable and minimum phase.
+    omega : ndarray, shape (N,)
+        Frequencies [rad/s].
+    envelope : ndarray, shape (N,)
+        Largest relative error of the members, ``|Gk / G0 - 1|``, which ``|W|`` is nowhere below at these frequencies.
+    """
+
+    system: System
+    weight: System
+    omega: FloatArray
+    envelope: FloatArray
+
+
+@checked
+def ucover(
+    members: Sequence[Any] | ArrayLike, nominal: Any, order: int, omega: ArrayLike, *, name: str = "delta"
+) -> Cover:
+    """Uncertain system that contains given members on a grid (ucover in MATLAB, multiplicative).
+
+    Parameters
+    ----------
+    members : sequence of System, or array_like of complex, shape (K, N)
+        Systems of one input and one output, or their responses at `omega`: for instance measured ones.
+    nominal : System, or what :func:`lftkit.as_system` takes
+        G0: certain, one input and one output, continuous or sampled.
+    order : int
+        Of the weight W.
+    omega : array_like, shape (N,)
+        Frequencies [rad/s], positive, rising; below pi / dt for sampled systems. **Between them nothing is promised**:
+        resonances of members need points of their own.
+    name : str
+        Of the element.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, responses that are not finite, a nominal response of zero, members that are all the
+        nominal one; as for :func:`lftkit.fit_magnitude`.
+
+    Examples
+    --------
+    A gain from 1.5 to 2.5 around 2, which is 25 % at every frequency:
+
+    >>> from lftkit import s
+    >>> lags = [(k / (s + 1)).system("u", "y") for k in (1.5, 1.8, 2.5)]
+    >>> found = ucover(lags, (2 / (s + 1)).system("u", "y"), 0, np.geomspace(0.01, 100.0, 20))
+    >>> round(found.weight.D.item(), 6), found.system.occurrences()
+    (0.25, {'delta': 1})
+    """
+    G0 = as_system(nominal)
+    G0.require_siso()
+    w = frequencies(omega)
+    if (
+        isinstance(members, Sequence)
+        and len(members)
+        and not isinstance(members[0], Sequence | np.ndarray | complex | float | np.number)
+    ):
+        systems = [as_system(one) for one in members]
+        for one in systems:
+            one.require_siso()
+        responses = np.array([one.response(w)[:, 0, 0] for one in systems])
+    else:
+        try:
+            responses = np.atleast_2d(np.asarray(members, dtype=complex))
+        except (TypeError, ValueError):
+            raise InputError(f"members must be systems or their responses, got {type(members).__name__}") from None
+    if responses.ndim != 2 or responses.shape[1] != len(w) or not responses.size:
+        raise InputError(f"members must be responses of shape (K, {len(w)}), got {responses.shape}")
+    if not np.all(np.isfinite(responses)):
+        raise InputError("members must have finite responses, got one that is not")
+    centre = G0.response(w)[:, 0, 0]
+    if np.any(centre == 0.0):
+        raise InputError(f"{G0.name}: the response must not be zero, got zero at {w[centre == 0.0][0]:g} rad/s")
+    envelope = (np.abs(responses - centre) / np.abs(centre)).max(axis=0)
+    if not envelope.max() > 0.0:
+        raise InputError("members must differ from the nominal system, got equal responses")
+    weight = fit_magnitude(w, np.maximum(envelope, LEAST * envelope.max()), order, above=True, dt=G0.dt)
+    # G0 (1 + W delta): w = delta z, z = W u, y = G0 (u + w)
+    (A, B, C, D), (a, b, c, d) = G0.matrices, weight.matrices
+    none, zero = np.zeros((len(a), 1)), np.zeros((1, len(a)))
+    return Cover(
+        System(
+            linalg.block_diag(a, A),
+            np.block([[none, b], [B, B]]),
+            np.block([[c, np.zeros((1, len(A)))], [zero, C]]),
+            np.block([[np.zeros((1, 1)), d], [D, D]]),
+            G0.inputs,
+            G0.outputs,
+            G0.name,
+            G0.dt,
+            (name,),
+            (DynamicElement(name),),
+        ),
+        weight,
+        w,
+        envelope,
+    )

@@ -73,59 +73,55 @@ class ModalForm:
         A = np.asarray(A, dtype=float)
         a, units = in_balanced_units(A)
         if not len(A):
-            return cls._whole(a, units)
-        found = corrected_modes(a, modes(a), CONVERGED)
+            return cls.whole(a, units)
+        eigen = corrected_modes(a, modes(a), CONVERGED)
         # Poles, pairs together, whose left and right eigenvectors are nearly orthogonal
-        n = len(found.poles)
-        if found.reciprocal_condition < EPS:
-            U, values, Vt = linalg.svd(found.vectors)  # parallel columns are those of the null space
+        n = len(eigen.poles)
+        if eigen.reciprocal_condition < EPS:
+            U, values, Vt = linalg.svd(eigen.vectors)  # parallel columns are those of the null space
             inverse = (Vt.T / np.maximum(values, EPS * values[0])) @ U.T
         else:
-            inverse = linalg.lapack.dgetrs(*found.factors, np.eye(n))[0]
-        size = np.asarray(linalg.norm(found.vectors, axis=0) * linalg.norm(inverse, axis=1))
-        first = np.flatnonzero(found.poles.imag > 0)
+            inverse = linalg.lapack.dgetrs(*eigen.factors, np.eye(n))[0]
+        size = np.asarray(linalg.norm(eigen.vectors, axis=0) * linalg.norm(inverse, axis=1))
+        first = np.flatnonzero(eigen.poles.imag > 0)
         size[first] = size[first + 1] = np.maximum(size[first], size[first + 1])
         parallel = np.asarray(~(size < PARALLEL))
         if parallel.any():
-            return cls._with_block(a, units, found, parallel)
-        if found.reciprocal_condition * MAX_CONDITION < 1.0:
-            return cls._whole(a, units)
-        return cls._of_vectors(units, found, ~parallel, np.zeros((0, 0)), np.zeros((len(a), 0)))
+            return cls._with_block(a, units, eigen, parallel)
+        if eigen.reciprocal_condition * MAX_CONDITION < 1.0:
+            return cls.whole(a, units)
+        return cls._of_vectors(units, eigen, ~parallel, np.zeros((0, 0)), np.zeros((len(a), 0)))
 
     @classmethod
     def _of_vectors(
-        cls, units: FloatArray, found: Modes, kept: BoolArray, block: FloatArray, added: FloatArray
+        cls, units: FloatArray, eigen: Modes, kept: BoolArray, block: FloatArray, added: FloatArray
     ) -> ModalForm:
         """Coordinates of the poles that are `kept`, by their size, and of `block` in the basis `added` (n, d)."""
 
         def rising(which: BoolArray) -> IntArray:
             place = np.flatnonzero(which & kept)
-            return np.asarray(place[np.lexsort((place, np.abs(found.poles[place])))])
+            return np.asarray(place[np.lexsort((place, np.abs(eigen.poles[place])))])
 
-        heads, real = rising(found.poles.imag > 0), rising(found.poles.imag == 0)
+        heads, real = rising(eigen.poles.imag > 0), rising(eigen.poles.imag == 0)
         # Some of the columns, and further ones behind them (n, d)
         order = np.concatenate([heads, heads + 1, real])
-        vectors = np.hstack([found.vectors[:, order], added])
-        low = np.hstack([found.low[:, order], np.zeros_like(added)])
-        poles = np.concatenate([found.poles[order], np.zeros(vectors.shape[1] - len(order))])
+        vectors = np.hstack([eigen.vectors[:, order], added])
+        low = np.hstack([eigen.low[:, order], np.zeros_like(added)])
+        poles = np.concatenate([eigen.poles[order], np.zeros(vectors.shape[1] - len(order))])
         basis = Modes(poles, vectors, low, linalg.lapack.dgetrf(vectors)[:2])
-        return cls(found.poles[heads], found.poles[real].real, block, units, basis)
+        return cls(eigen.poles[heads], eigen.poles[real].real, block, units, basis)
 
     @classmethod
-    def whole(cls, A: FloatArray) -> ModalForm:
-        """The states themselves as coordinates: one block."""
-        return cls._whole(np.asarray(A, dtype=float), np.ones(len(A)))
-
-    @classmethod
-    def _whole(cls, a: FloatArray, units: FloatArray) -> ModalForm:
-        eye = np.eye(len(a))
+    def whole(cls, A: FloatArray, units: FloatArray | None = None) -> ModalForm:
+        """The states themselves, in these units, as coordinates: one block."""
+        a, eye = np.asarray(A, dtype=float), np.eye(len(A))
         basis = Modes(np.zeros(len(a), complex), eye, np.zeros_like(eye), (eye, np.arange(len(a), dtype=np.int32)))
-        return cls(np.zeros(0, complex), np.zeros(0), a, units, basis)
+        return cls(np.zeros(0, complex), np.zeros(0), a, np.ones(len(a)) if units is None else units, basis)
 
     @classmethod
-    def _with_block(cls, a: FloatArray, units: FloatArray, found: Modes, parallel: BoolArray) -> ModalForm:
+    def _with_block(cls, a: FloatArray, units: FloatArray, eigen: Modes, parallel: BoolArray) -> ModalForm:
         """The poles marked as parallel in a block, the others as they are."""
-        inside, outside = found.poles[parallel], found.poles[~parallel]
+        inside, outside = eigen.poles[parallel], eigen.poles[~parallel]
 
         def chosen(real: float, imaginary: float) -> bool:
             pole = complex(real, imaginary)
@@ -133,10 +129,10 @@ class ModalForm:
 
         T, Q, count = linalg.schur(a, output="real", sort=chosen)
         if count != parallel.sum():
-            return cls._whole(a, units)
-        form = cls._of_vectors(units, found, ~parallel, T[:count, :count], Q[:, :count])
+            return cls.whole(a, units)
+        form = cls._of_vectors(units, eigen, ~parallel, T[:count, :count], Q[:, :count])
         if not form.vectors.reciprocal_condition * MAX_CONDITION >= 1.0:
-            return cls._whole(a, units)
+            return cls.whole(a, units)
         return form
 
     @property
@@ -196,6 +192,3 @@ class ModalForm:
         """Distance of each value (K,) from the nearest pole: shape (K,); infinite without poles."""
         poles = np.concatenate([self.pairs, self.pairs.conj(), self.real, linalg.eigvals(self.block)])
         return np.asarray(np.abs(np.asarray(s) - poles[:, None]).min(axis=0, initial=np.inf))
-
-
-__all__ = ["ModalForm"]

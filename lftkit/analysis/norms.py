@@ -18,21 +18,19 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.circle.circle_h2 import discrete_h2
-from lftkit.analysis.circle.circle_norm import discrete_norm
+from lftkit.analysis.circle.circle_norm import discrete_h2, discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError
-from lftkit.analysis.given_system import given_system
-from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
-from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
 from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
-from lftkit.analysis.hinf.small_norm import MAX_STATES, Origin, SmallModel
+from lftkit.analysis.hinf.peak_search import largest_gain, response_at
+from lftkit.analysis.hinf.small_norm import MAX_STATES, HalfPlane, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_positive, is_number
 from lftkit.systems.arguments import checked
+from lftkit.systems.exchange import given_system
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 
@@ -137,7 +135,19 @@ def hinf_norm(
         return _continuous(system, rtol, certificate)
     if certificate == "hamiltonian":
         raise InputError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
-    return _discrete(system, dt, rtol, certificate)
+    A, B, C, D = system
+    if len(A) == 0:
+        return _norm_of_feedthrough(A, D)
+    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
+        return found
+    peak = discrete_norm(system, rtol)
+    if peak is None:
+        poles = linalg.eigvals(balanced(A, B, C)[0])
+        worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
+        return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
+    if peak.upper < np.inf and not (B.any() and C.any()):
+        return _norm_of_feedthrough(A[:0, :0], D)
+    return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
 
 
 @checked
@@ -245,7 +255,19 @@ def band_gain(
     if not len(a):
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
     if dt is not None and last < np.inf:
-        return _discrete_band_gain((a, b, c, d), band, dt, rtol, stable=stable)
+        # By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself
+        system = (a, b, c, d)
+        try:
+            mapped = to_continuous(*system, dt)
+        except ValueError:
+            return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
+        low, high = (warped_frequency(omega, dt) for omega in band)
+        norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
+        omega = unwarped_frequency(norm.omega, dt)
+        if not norm.value < np.inf:
+            return replace(norm, omega=omega)
+        value = largest_gain(response_at(system, exp(1j * omega * dt)))
+        return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
     system = *balanced(a, b, c), d
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol)
     poles = response.poles
@@ -254,23 +276,6 @@ def band_gain(
     if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
         return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
     return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol, band)), "hamiltonian")
-
-
-def _discrete_band_gain(
-    system: Matrices, band: tuple[float, float], dt: float, rtol: float, *, stable: bool
-) -> HInfNorm:
-    """By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself."""
-    try:
-        mapped = to_continuous(*system, dt)
-    except ValueError:
-        return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
-    low, high = (warped_frequency(omega, dt) for omega in band)
-    norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
-    omega = unwarped_frequency(norm.omega, dt)
-    if not norm.value < np.inf:
-        return replace(norm, omega=omega)
-    value = largest_gain(response_at(system, exp(1j * omega * dt)))
-    return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
 @checked
@@ -314,7 +319,11 @@ def h2_norm(
         if EPS * np.abs(T).max() > SCHUR_ROUNDING * np.abs(np.diag(T)).min():
             response = FrequencyResponse.of(a, b, c, d, check=False, fine=True)
             if response.modal:
-                return _h2_of_modes(response)
+                poles, left, right = response.poles, response.left, response.right
+                if poles.real.max() >= 0.0 or response.on_axis.size:
+                    return float("inf")
+                terms = (left.T @ left.conj()) * (right @ right.conj().T) / (poles[:, None] + poles.conj())
+                return float(np.sqrt(max(-terms.sum().real, 0.0)))
         if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
@@ -332,15 +341,6 @@ def _is_discrete(dt: float | None) -> bool:
     if not (is_number(dt) and 0 <= dt < np.inf):
         raise InputError(f"dt must be a sampling period, or None or 0 for continuous time, got {dt!r}")
     return dt > 0
-
-
-def _h2_of_modes(response: FrequencyResponse) -> float:
-    """H2 norm of a modal form without feedthrough."""
-    poles, left, right = response.poles, response.left, response.right
-    if poles.real.max() >= 0.0 or response.on_axis.size:
-        return float("inf")
-    terms = (left.T @ left.conj()) * (right @ right.conj().T) / (poles[:, None] + poles.conj())
-    return float(np.sqrt(max(-terms.sum().real, 0.0)))
 
 
 def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:
@@ -367,32 +367,16 @@ def is_stable(A: ArrayLike, dt: float = 0.0) -> bool:
     return not a.size or bool(np.abs(linalg.eigvals(a)).max() < 1.0)
 
 
-def _discrete(system: Matrices, dt: float, rtol: float, certificate: str) -> HInfNorm:
-    A, B, C, D = system
-    if len(A) == 0:
-        return _norm_of_feedthrough(A, D)
-    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
-        return found
-    peak = discrete_norm(system, rtol)
-    if peak is None:
-        poles = linalg.eigvals(balanced(A, B, C)[0])
-        worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
-        return HInfNorm(np.inf, np.inf, worst / dt, "unstable")
-    if peak.upper < np.inf and not (B.any() and C.any()):
-        return _norm_of_feedthrough(A[:0, :0], D)
-    return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
-
-
 def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
     """By a map to continuous time, or None where it could lose what decides."""
     A, B, C, D = system
     for plane in HalfPlane.of((*balanced(A, B, C), D)):
-        if found := _small(plane.matrices, rtol, Origin(plane.response, plane.condition)):
+        if found := _small(plane.matrices, rtol, plane):
             return HInfNorm(found.value, found.upper, plane.angle(found.omega) / dt, "hamiltonian")
     return None
 
 
-def _small(system: Matrices, rtol: float, origin: Origin | None = None) -> NormBracket | None:
+def _small(system: Matrices, rtol: float, origin: HalfPlane | None = None) -> NormBracket | None:
     """Both sides for few states, or None where rounding could decide."""
     try:
         return bracketed_norm(SmallModel.of(system, rtol, origin))

@@ -13,17 +13,18 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.analysis.coprime_factors import right_coprime_factors
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.riccati import right_coprime_factors
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
+from lftkit.systems import lft
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import common_period
 from lftkit.systems.exchange import as_system
-from lftkit.systems.operand import common_period
-from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency
-from lftkit.systems.system import System
+from lftkit.systems.sampled.bilinear import unwarped_frequency
+from lftkit.systems.sampled.image import continuous
 
 EPS = float(np.finfo(float).eps)
 FLOOR = 1e-12
@@ -87,18 +88,17 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     if one.D.shape != two.D.shape:
         raise InputError(f"systems must have the same size, got {one.D.shape} and {two.D.shape}")
     dt = common_period([one, two])
-    plants = [_continuous(system, dt) for system in (one, two)]
+    plants = [continuous(system).matrices for system in (one, two)]
     right = right_coprime_factors(plants[0], one.name)
     flipped = right_coprime_factors(_transposed(plants[1]), two.name)
     p, m = one.D.shape
     left = _transposed(flipped)
     # N2 M1 - M2 N1 of left factors [N2, M2] and right ones [N1; M1]
     a, b, c, d = left
-    A, B, C, D = right
     swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
-    into, through = b @ swap, d @ swap
-    whole = np.block([[A, np.zeros((len(A), len(a)))], [into @ C, a]])
-    norm = hinf_norm(*_beside_floor((whole, np.vstack([B, into @ D]), np.hstack([through @ C, c]), through @ D)))
+    A, B, C, D = lft.series(right, (a, b @ swap, c, d @ swap))
+    # Further outputs of gain FLOOR: of equal systems the difference is rounding alone
+    norm = hinf_norm(A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)]))
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
     value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
@@ -109,20 +109,9 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     return NuGap(value, upper, omega, True) if same else NuGap(1.0, 1.0, omega, False)
 
 
-def _continuous(system: System, dt: float) -> Matrices:
-    return to_continuous(*system.matrices, dt) if dt else system.matrices
-
-
 def _transposed(system: Matrices) -> Matrices:
     A, B, C, D = system
     return A.T, C.T, B.T, D.T
-
-
-def _beside_floor(system: Matrices) -> Matrices:
-    """The system with further outputs of gain :data:`FLOOR`: of equal systems the difference is rounding alone."""
-    A, B, C, D = system
-    m = D.shape[1]
-    return A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)])
 
 
 def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omega: float) -> list[ComplexArray]:
@@ -135,7 +124,7 @@ def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omeg
 
 
 def _chordal_distance(graph: ComplexArray, other: ComplexArray) -> float:
-    """Of right factors ``[N1; M1]`` and left ones ``[N2, M2]`` at a frequency, normalised here."""
+    """Chordal distance of right factors ``[N1; M1]`` and left ones ``[N2, M2]`` at a frequency, normalised here."""
     p = len(other)
     swapped = np.hstack([-other[:, -p:], other[:, :-p]])
     inner, outer = linalg.qr(graph, mode="r")[0], linalg.qr(other.conj().T, mode="r")[0]
@@ -173,11 +162,11 @@ def _same_winding(first: Matrices, second: Matrices) -> tuple[bool, bool]:
         return True, True
     by_states = linalg.solve(inner, np.hstack([D2.T @ C1, B2.T]))
     mixed = C2.T @ linalg.solve(np.eye(len(D1)) + D1 @ D2.T, C1)
-    own, other = by_states[:, : len(A1)], by_states[:, len(A1) :]
-    matrix = np.block([[A1 - B1 @ own, -B1 @ other], [-mixed, C2.T @ D1 @ other - A2.T]])
+    by_first, by_second = by_states[:, : len(A1)], by_states[:, len(A1) :]
+    matrix = np.block([[A1 - B1 @ by_first, -B1 @ by_second], [-mixed, C2.T @ D1 @ by_second - A2.T]])
     matrix = in_balanced_units(matrix)[0]
-    found: Any = linalg.eig(matrix, left=True)
-    zeros, left, right = found
+    decomposition: Any = linalg.eig(matrix, left=True)
+    zeros, left, right = decomposition
     moved = np.sum(np.abs(left) * (np.abs(matrix) @ np.abs(right)), axis=0)
     certain = np.all(np.abs(zeros.real * np.sum(left.conj() * right, axis=0)) > len(matrix) * EPS * moved)
     return bool(np.sum(zeros.real > 0.0) == len(A2)), bool(certain)

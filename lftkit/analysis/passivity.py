@@ -109,9 +109,9 @@ def _index(search: _Index, peak: float) -> PassivityIndex:
         worst = search.violated(lower)
         if worst is None:
             return PassivityIndex(value, lower, omega)
-        found = search.at(worst)
-        if found < lower:
-            value, omega = found, worst
+        index = search.at(worst)
+        if index < lower:
+            value, omega = index, worst
             if value < -FAR * scale:
                 return PassivityIndex(-math.inf, -math.inf, omega)
         else:
@@ -195,14 +195,13 @@ class _Index:
 
     def violated(self, level: float) -> float | None:
         """A frequency at which the index is below a level [rad/s]; None where there is none."""
-        index = linear_fraction(self.system.matrices, self._fraction(level))
+        if self.side == "input":
+            fraction = -1.0, self.scale + level, 1.0, self.scale - level
+        else:
+            fraction = (-2.0 * level, 1.0, 0.0, 1.0) if level > 0.0 else (0.0, 1.0, -2.0 * level, 1.0)
+        index = linear_fraction(self.system.matrices, fraction)
         last = math.pi / self.system.dt if self.system.dt else math.inf
         if index is None:
             return last
         norm = band_gain(*index, (0.0, last), dt=self.system.dt or None, rtol=0.1 * ALLOWED, stable=False)
         return None if norm.upper <= 1.0 + ALLOWED else norm.omega
-
-    def _fraction(self, level: float) -> Fraction:
-        if self.side == "input":
-            return -1.0, self.scale + level, 1.0, self.scale - level
-        return (-2.0 * level, 1.0, 0.0, 1.0) if level > 0.0 else (0.0, 1.0, -2.0 * level, 1.0)

@@ -82,10 +82,10 @@ def bode_band(
     (0.3333, 'x / force [m/N]')
     """
     system = as_system(system)
-    row, column = _index(system.outputs, output, "output"), _index(system.inputs, input, "input")
+    row, label_out, unit_out = _signal(system.outputs, output, "output")
+    column, label_in, unit_in = _signal(system.inputs, input, "input")
     models = _members(system, samples, seed)
     w = _frequencies(models, omega)
-    out, into = _port(system.outputs, output), _port(system.inputs, input)
     ports = (Port("u", 1),), (Port("y", 1),)
     parts = [(m.A, m.B[:, [column]], m.C[[row]], m.D[[row]][:, [column]]) for m in models]
     one = [frequency_response(System(*matrices, *ports), w) for matrices in parts]
@@ -95,8 +95,7 @@ def bode_band(
     phase = np.rad2deg(np.unwrap(np.angle(response), axis=1))
     phase -= 360.0 * np.round((phase[:, :1] - phase[0, 0]) / 360.0)
     for axes, values in ((upper, np.abs(response)), (lower, phase)):
-        members = len(models) - 1
-        if members:
+        if len(models) > 1:
             axes.fill_between(
                 w,
                 values.min(axis=0),
@@ -104,11 +103,11 @@ def bode_band(
                 color=BAND,
                 alpha=0.6,
                 linewidth=0,
-                label=f"{members} members",
+                label=f"{len(models) - 1} members",
             )
         axes.plot(w, values[0], color=LINE, linewidth=1.4, label="nominal")
         axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
-    upper.set(yscale="log", ylabel=f"{_label(output, out)} / {_label(input, into)} [{out.unit}/{into.unit}]")
+    upper.set(yscale="log", ylabel=f"{label_out} / {label_in} [{unit_out}/{unit_in}]")
     lower.set(xscale="log", xlabel="frequency [rad/s]", ylabel="phase [deg]")
     upper.legend(frameon=False)
     return figure
@@ -206,22 +205,13 @@ def _frequencies(models: Sequence[System], omega: ArrayLike | None) -> FloatArra
     return frequency_grid(poles, min(low, 1.0) / MARGIN, max(high, 1.0) * MARGIN, points=300)
 
 
-def _port(ports: Sequence[Port], channel: Channel) -> Port:
-    name = channel if isinstance(channel, str) else channel[0]
-    return next(p for p in ports if p.name == name)
-
-
-def _label(channel: Channel, port: Port) -> str:
-    index = 0 if isinstance(channel, str) else channel[1]
-    return port.name if port.size == 1 else f"{port.name}[{index}]"
-
-
-def _index(ports: Sequence[Port], channel: Channel, kind: str) -> int:
+def _signal(ports: Sequence[Port], channel: Channel, kind: str) -> tuple[int, str, str]:
+    """Row or column of a signal among all of its side, its label and its unit."""
     name, index = (channel, 0) if isinstance(channel, str) else channel
     slices = port_slices(ports)
     if name not in slices:
         raise InputError(f"{kind} port must be one of {', '.join(slices)}, got {name!r}")
-    size = slices[name].stop - slices[name].start
-    if not 0 <= index < size:
-        raise InputError(f"index of {kind} port {name} must be from 0 to {size - 1}, got {index}")
-    return int(slices[name].start + index)
+    port = next(p for p in ports if p.name == name)
+    if not 0 <= index < port.size:
+        raise InputError(f"index of {kind} port {name} must be from 0 to {port.size - 1}, got {index}")
+    return slices[name].start + index, name if port.size == 1 else f"{name}[{index}]", port.unit

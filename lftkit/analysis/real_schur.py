@@ -68,15 +68,12 @@ class RealSchur:
         turn[first, first + 1], turn[first + 1, first] = points.imag, -points.imag
         columns = np.empty((len(self.form), 2 * count))
         columns[:, first], columns[:, first + 1] = forcing.real, forcing.imag
-        found, scale, _ = linalg.lapack.dtrsyl(
+        solution, scale, _ = linalg.lapack.dtrsyl(
             self.form, turn, -(self.basis.T @ (columns / self.units[:, None])), isgn=-1
         )
-        found = self.units[:, None] * (self.basis @ found) / scale
-        return np.asarray(found[:, first] + 1j * found[:, first + 1])
+        solution = self.units[:, None] * (self.basis @ solution) / scale
+        return np.asarray(solution[:, first] + 1j * solution[:, first + 1])
 
 
 def _any(real: float, imaginary: float) -> bool:  # LAPACK asks for it though nothing is sorted
     return False
-
-
-__all__ = ["RealSchur"]

@@ -31,7 +31,7 @@ Checked = CheckedProof | CheckedLoop | CheckedNoise | CheckedLowerBound
 
 
 class ProofKind(NamedTuple):
-    """What belongs to a kind of proofs: the proof of a file's content, its type, its check."""
+    """A kind of proofs: how one is made of a file's content, its type, its check."""
 
     made: Callable[[Content], Any]
     type: type

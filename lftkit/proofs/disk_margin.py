@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.analysis.disk_margin import DiskMargin, as_skew, disk_gains, disk_phase, margin_of_shifted
+from lftkit.analysis.margins import DiskMargin, as_skew, disk_gains, disk_phase, margin_of_shifted
 from lftkit.analysis.margins import sensitivity as closed_sensitivity
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError

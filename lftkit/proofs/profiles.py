@@ -28,7 +28,7 @@ from lftkit.proofs.trusted.structured import parts
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 
 sl_optimize: Any = optimize
 RAISED = 2.0
@@ -107,10 +107,10 @@ def stability_profile(
     lower, upper, points = [], [], []
     for w in frequencies:
         M = _response(unit, float(w))[np.ix_(rows, columns)]
-        found = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
-        lower.append(found.lower)
-        upper.append(found.upper)
-        delta = np.zeros(M.T.shape) if found.perturbation is None else found.perturbation
+        bounds = mu(M, structure, rtol=rtol, starts=starts, seed=seed)
+        lower.append(bounds.lower)
+        upper.append(bounds.upper)
+        delta = np.zeros(M.T.shape) if bounds.perturbation is None else bounds.perturbation
         at = [float(delta[w_part.start, z_part.start].real) for _, z_part, w_part in blocks]
         points.append({p.name: float(p.from_normalised(value)) for p, value in zip(bare.parameters, at)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.proofs.trusted.entries import FORMAT, Form, array, record, refuse
-from lftkit.proofs.trusted.proof import Box, Interval, Strip
+from lftkit.proofs.trusted.proof import Box, Strip
 
 Content = tuple[dict[str, Any], dict[str, Any]]
 """Header and arrays."""
@@ -105,13 +105,8 @@ def write_content(path: Path, content: Content) -> None:
 
 
 def header_entries(kind: str, claim: Mapping[str, Any], plant: Mapping[str, Any], **others: Any) -> dict[str, Any]:
-    """What every header begins with, and the others of a kind."""
+    """Header of a file: entries that every one begins with, and the others of a kind."""
     return {"format": FORMAT, "kind": kind, "claim": dict(claim), "plant": dict(plant), **others}
-
-
-def named_box(names: Sequence[str], box: Box) -> dict[str, Interval]:
-    """Box of a claim, by names of the parameters."""
-    return dict(zip(names, box))
 
 
 def box_of_claim(header: Mapping[str, Any]) -> Box:

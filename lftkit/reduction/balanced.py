@@ -1,4 +1,4 @@
-"""Balanced truncation with a bound of its error, continuous and sampled, with weights where they matter.
+"""Balanced truncation with a bound of its error: with weights where they matter, and of coprime factors.
 
 The states of poles that are not stable stay as they are. Sources: Enns, CDC 1984 (weights); Liu and Anderson, Int. J.
 Control 50 (1989) (equal gain at zero frequency); Wang, Sreeram and Liu, IEEE TAC 44 (1999) (weights on both sides).
@@ -14,14 +14,17 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.riccati import right_coprime_factors
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
-from lftkit.reduction.balancing import Balancing, balancing
-from lftkit.reduction.gramians import gramian_factor, state_parts
+from lftkit.reduction.balancing import Balancing, balancing, gramian_factor, state_parts
 from lftkit.support.scalars import as_integer
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.exchange import as_system
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 METHODS = ("truncate", "matchdc")
@@ -75,9 +78,9 @@ def hankel_singular_values(system: Any) -> FloatArray:
     >>> hankel_singular_values(transfer([6.0], [1.0, 1.0])).round(9).tolist()
     [3.0]
     """
-    given = as_system(system)
-    parts = state_parts(*given.matrices[:3], given.dt)
-    values = balancing(*parts.stable, given.dt).hankel
+    plant = as_system(system)
+    parts = state_parts(*plant.matrices[:3], plant.dt)
+    values = balancing(*parts.stable, plant.dt).hankel
     return np.concatenate([np.full(len(parts.other[0]), np.inf), values])
 
 
@@ -127,24 +130,29 @@ def balred(
         raise InputError(f"one of order and error must be given, got {order} and {error}")
     if error is not None and not error >= 0.0:
         raise InputError(f"error must be at least 0, got {error}")
-    given = as_system(system)
-    A, B, C, D = given.matrices
-    parts = state_parts(A, B, C, given.dt)
-    weights = _weight(weight_in, "weight_in", given), _weight(weight_out, "weight_out", given)
-    part = _StablePart(System(*parts.stable, D, given.inputs, given.outputs, given.name, given.dt), *weights)
+    plant = as_system(system)
+    A, B, C, D = plant.matrices
+    parts = state_parts(A, B, C, plant.dt)
+    weights = _weight(weight_in, "weight_in", plant), _weight(weight_out, "weight_out", plant)
+    part = _StablePart(System(*parts.stable, D, plant.inputs, plant.outputs, plant.name, plant.dt), *weights)
     if error is not None and part.weighted:
         raise InputError(f"order must be given where there are weights, got error {error}")
     first = part.balancings[0]
     tails = 2.0 * np.append(np.cumsum(first.hankel[::-1])[::-1], 0.0)  # by the number of states that are kept
     fixed = len(parts.other[0])
-    kept = int(np.argmax(tails <= error)) if error is not None else _checked_order(order, fixed, given) - fixed
+    if error is not None:
+        kept = int(np.argmax(tails <= error))
+    else:
+        kept = as_integer(order, "order") - fixed
+        if kept < 0:
+            raise InputError(f"order must be at least {fixed}, the number of poles that are not stable, got {order}")
     if kept >= part.system.order:
-        return ReducedSystem(given, first.hankel, 0.0, np.inf if part.weighted else 0.0)
+        return ReducedSystem(plant, first.hankel, 0.0, np.inf if part.weighted else 0.0)
     reduced = part.reduced(kept, method)
     tail = np.inf if part.weighted else float(tails[min(kept, first.order)])
     whole = linalg.block_diag(reduced.A, parts.other[0]), np.vstack([reduced.B, parts.other[1]])
     observed = np.hstack([reduced.C, parts.other[2]])
-    system = System(*whole, observed, reduced.D, given.inputs, given.outputs, given.name, given.dt)
+    system = System(*whole, observed, reduced.D, plant.inputs, plant.outputs, plant.name, plant.dt)
     return ReducedSystem(system, first.hankel, error_bound(part.error(reduced), tail), tail)
 
 
@@ -159,7 +167,7 @@ def error_bound(error: System, tail: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _StablePart:
-    """What is reduced, and the weights of the error."""
+    """Stable system that is reduced, and the weights of the error."""
 
     system: System
     before: System | None
@@ -211,21 +219,14 @@ class _StablePart:
 def _weight(weight: System | None, name: str, of: System) -> System | None:
     if weight is None:
         return None
-    given = as_system(weight)
-    there, needed = (given.D.shape[0], of.D.shape[1]) if name == "weight_in" else (given.D.shape[1], of.D.shape[0])
+    system = as_system(weight)
+    there, needed = (system.D.shape[0], of.D.shape[1]) if name == "weight_in" else (system.D.shape[1], of.D.shape[0])
     if there != needed:
         side = "outputs" if name == "weight_in" else "inputs"
         raise InputError(f"{name} must have {needed} {side}, got {there}")
-    if len(state_parts(*given.matrices[:3], given.dt).other[0]):
-        raise InputError(f"{name} must be stable, got poles {given.poles()}")
-    return given
-
-
-def _checked_order(order: int | None, least: int, given: System) -> int:
-    number = as_integer(order, "order")
-    if number < least:
-        raise InputError(f"order must be at least {least}, the number of poles that are not stable, got {number}")
-    return number
+    if len(state_parts(*system.matrices[:3], system.dt).other[0]):
+        raise InputError(f"{name} must be stable, got poles {system.poles()}")
+    return system
 
 
 def _matched(full: Matrices, order: int, dt: float) -> Matrices:
@@ -249,3 +250,65 @@ def _definite(A: FloatArray, factor: FloatArray, dt: float) -> FloatArray:
     driving = P - A @ P @ A.T if dt else -(A @ P + P @ A.T)
     values, vectors = linalg.eigh(0.5 * (driving + driving.T))
     return gramian_factor(A, vectors * np.sqrt(np.abs(values)), dt)
+
+
+@checked
+def ncfmr(system: Any, order: int) -> ReducedSystem:
+    """System of lower order by balanced truncation of its normalised right coprime factors (ncfmr in MATLAB).
+
+    A bound that closed loops understand, also of unstable systems. Source: McFarlane and Glover, Robust Controller
+    Design Using Normalized Coprime Factor Plant Descriptions (1990); Meyer, IEEE TAC 35 (1990). Sampled systems go
+    through the bilinear map, which keeps gains and the gap metric.
+
+    With ``G = N M^-1`` and ``N~N + M~M = 1`` the stable system ``[N; M]`` is reduced to ``[Nr; Mr]``, which is
+    normalised again, and ``Gr = Nr Mr^-1``. The error is at least the gap and the nu-gap between G and Gr. **A
+    controller whose margin for G is above the error bound stabilises Gr, too**, and the other way round; the margin is
+    ``1 / value`` of :func:`lftkit.synthesis.ncfsyn`.
+
+    Parameters
+    ----------
+    system : System, or what :func:`lftkit.as_system` takes
+        G: certain, continuous or sampled, stable or not, stabilisable and detectable.
+    order : int
+        At most this number of states.
+
+    Returns
+    -------
+    ReducedSystem
+        `hankel_values` and `error_bound` are those of the coprime factors.
+
+    Raises
+    ------
+    ValueError
+        A negative order; a mode that is not stable and not reached or not seen.
+
+    Examples
+    --------
+    A double integrator with a fast lag:
+
+    >>> from lftkit import s
+    >>> found = ncfmr((1 / (s**2 * (0.01 * s + 1))).system("u", "y"), 2)
+    >>> found.system.order, bool(found.error_bound < 0.02)
+    (2, True)
+    """
+    plant = as_system(system)
+    number = as_integer(order, "order")
+    if number < 0:
+        raise InputError(f"order must be at least 0, got {number}")
+    A, B, C, D = continuous(plant).matrices
+    factors = right_coprime_factors((A, B, C, D), plant.name)
+    balanced_factors = balancing(*factors[:3])
+    kept = min(number, balanced_factors.order)
+    if kept >= plant.order:
+        return ReducedSystem(plant, balanced_factors.hankel, 0.0, 0.0)
+    reduced = (*balanced_factors.coordinates(*factors[:3], kept), factors[3])
+    ports = plant.inputs, (Port("factors", sum(D.shape)),)
+    error = System(*factors, *ports) - System(*reduced, *ports)
+    tail = 2.0 * float(balanced_factors.hankel[kept:].sum())
+    a, b, c, d = reduced
+    drive, feedback, seen = linalg.solve(d[len(C) :].T, b.T).T, c[len(C) :], c[: len(C)]
+    matrices = a - drive @ feedback, drive, seen - D @ feedback, D
+    if plant.dt:
+        matrices = to_discrete(*matrices, plant.dt)
+    lower = System(*matrices, plant.inputs, plant.outputs, plant.name, plant.dt)
+    return ReducedSystem(lower, balanced_factors.hankel, error_bound(error, tail), tail)

@@ -42,35 +42,32 @@ def check_output(
         Another suffix, another kind of file is there (a folder, a device, a pipe), its folder is missing or may not be
         written to, the name is too long.
     """
-    try:
-        _check(Path(path), what, new, folder)
-    except OSError as error:
-        raise InputError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
-    if suffixes and Path(path).suffix.lower() not in suffixes:
-        raise InputError(f"{what} must end in {' or '.join(suffixes)}, got {path}")
-
-
-def _check(path: Path, what: str, new: bool, folder: bool) -> None:
+    path = Path(path)
     if "\0" in str(path) or not path.name or len(os.fsencode(path.name)) > MAX_NAME - RESERVED:
         raise InputError(f"{what} must have a name of at most {MAX_NAME - RESERVED} bytes, got {str(path)[:80]!r}")
-    if path.exists() or path.is_symlink():
-        if new:
-            raise InputError(f"{what} must have a new name, got {path}: it exists already, and it is never overwritten")
-        if path.is_dir() != folder:
-            raise InputError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
-        _check_kind(path, what)
-    parent = path.absolute().parent
-    while folder and not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir():
-        raise InputError(
-            f"the folder of {what} must exist, got {parent}{' is not a folder' if parent.exists() else ''}"
-        )
-    try:  # permissions do not tell of a file system that takes no files
+    try:
+        if path.exists() or path.is_symlink():
+            if new:
+                raise InputError(
+                    f"{what} must have a new name, got {path}: it exists already, and it is never overwritten"
+                )
+            if path.is_dir() != folder:
+                raise InputError(f"{what} must be a {'folder' if folder else 'file'}, got {path}")
+            _check_kind(path, what)
+        parent = path.absolute().parent
+        while folder and not parent.exists():
+            parent = parent.parent
+        if not parent.is_dir():
+            raise InputError(
+                f"the folder of {what} must exist, got {parent}{' is not a folder' if parent.exists() else ''}"
+            )
+        # permissions do not tell of a file system that takes no files
         with tempfile.TemporaryFile(dir=path if path.is_dir() else parent):
             pass
     except OSError as error:
         raise InputError(f"{what} must be a path that can be written, got {path}: {error.strerror}") from None
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(f"{what} must end in {' or '.join(suffixes)}, got {path}")
 
 
 def _check_kind(path: Path, what: str) -> None:

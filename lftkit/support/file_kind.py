@@ -109,6 +109,3 @@ def kind_of_file(path: str | os.PathLike[str]) -> str | None:
         return None
     known = next((kind for mark, kind in MARKS if head.startswith(mark)), None)
     return known or kind_of_text(head.decode("utf-8", "replace"))
-
-
-__all__ = ["kind_of_file", "kind_of_text"]

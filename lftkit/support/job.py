@@ -115,7 +115,7 @@ class Job:
             )
 
     def state(self) -> dict[str, Any] | None:
-        """What :meth:`save` kept; None where the record is missing, damaged, of another job, or without a state."""
+        """State that :meth:`save` kept; None where the record is missing, damaged, of another job, or has none."""
         try:
             there = load_json(read_text(self.record), self.record)
         except (OSError, ValueError):

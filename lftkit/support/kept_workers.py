@@ -74,7 +74,7 @@ class KeptWorkers(Workers):
         return len(self._known)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-        """What :meth:`map` gives, one by one."""
+        """Results of :meth:`map`, one by one."""
         self._calls += 1
         call = self._calls
         missing = [k for k in range(len(items)) if (call, k) not in self._known]

@@ -120,7 +120,7 @@ class _Walk:
         return 8 + size
 
     def matrix(self, depth: int) -> None:
-        """What follows the tag of a matrix."""
+        """Content of a matrix behind its tag."""
         if depth > MAT_DEPTH:
             raise InputError(f"cells and structures must be nested at most {MAT_DEPTH} levels deep, got more")
         flags, _ = struct.unpack(self.order + "II", self.stream.read(16)[8:])
@@ -226,21 +226,22 @@ class _Walk:
             raise InputError(f"a name must be text, got the data type {kind}")
         return found.decode("latin-1")
 
-    def integers(self, most: int) -> list[int]:
-        kind, found = self.content(4 * most)
+    def integers(self, most: int) -> NDArray[np.int64]:
+        """An element of integers of 4 bytes, of at most so many bytes."""
+        kind, found = self.content(most)
         if kind not in INT32 or len(found) % 4:
-            raise InputError(f"sizes must be integers of 4 bytes, got the data type {kind}")
-        return list(struct.unpack(f"{self.order}{len(found) // 4}i", found))
+            raise InputError(f"sizes and indices must be integers of 4 bytes, got the data type {kind}")
+        return np.frombuffer(found, self.order + "i4").astype(np.int64)
 
     def shape(self) -> list[int]:
-        found = self.integers(MOST_DIMENSIONS)
+        found: list[int] = self.integers(4 * MOST_DIMENSIONS).tolist()
         if len(found) < 2 or min(found) < 0:
             raise InputError(f"a matrix must have two or more dimensions of 0 or more, got {found}")
         return found
 
     def names(self) -> int:
         """Pass the names of fields; how many there are."""
-        length = self.integers(1)
+        length: list[int] = self.integers(4).tolist()
         kind, found = self.content(MAT_ELEMENTS)
         if len(length) != 1 or length[0] < 1 or len(found) % length[0] or kind not in TEXTS:
             raise InputError(f"names of fields must have one length, got {length} in {len(found)} bytes")
@@ -250,7 +251,7 @@ class _Walk:
         """Row indices, starts of the columns, values."""
         if len(shape) != 2 or shape[1] >= self.most:
             raise InputError(f"a sparse matrix must have two dimensions, got {shape}")
-        rows, starts = self.indices(), self.indices()
+        rows, starts = (self.integers(min(self.most, UNPACKED)) for _ in range(2))
         used = starts[: shape[1] + 1]
         if len(used) != shape[1] + 1 or used[0] != 0 or np.any(np.diff(used) < 0) or used[-1] > len(rows):
             raise InputError(f"columns of a sparse matrix must begin in order within {len(rows)} values")
@@ -260,12 +261,6 @@ class _Walk:
             kind, size = self.data()
             if size < used[-1] * SIZES[kind] and size < used[-1]:  # of logical values a byte each
                 raise InputError(f"a sparse matrix must have {used[-1]} values, got {size} bytes")
-
-    def indices(self) -> NDArray[np.int64]:
-        kind, found = self.content(min(self.most, UNPACKED))
-        if kind not in INT32 or len(found) % 4:
-            raise InputError(f"indices must be integers of 4 bytes, got the data type {kind}")
-        return np.frombuffer(found, self.order + "i4").astype(np.int64)
 
 
 def check_mat(path: str | os.PathLike[str]) -> None:

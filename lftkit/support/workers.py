@@ -80,7 +80,7 @@ class Workers:
         return list(self.each(function, items))
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-        """What :meth:`map` gives, one by one."""
+        """Results of :meth:`map`, one by one."""
         if self.count == 1 or len(items) < 2:
             return map(function, items)
         if self._pool is None:

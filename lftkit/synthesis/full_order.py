@@ -22,8 +22,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.support.scalars import as_positive
 from lftkit.synthesis.lower_bound import ProvenLowerBound, confirmed_optimum, lower_bound_proof
-from lftkit.synthesis.riccati_controllers import FullOrderEstimator
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, sampled_lqg
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
@@ -135,85 +134,85 @@ def hinfsyn(
     >>> round(found.value, 4), round(found.lower, 4)
     (1.4142, 1.4142)
     """
-    given = standard_plant(plant, measured, commanded)
-    generalised = _generalised(given)
+    standard = standard_plant(plant, measured, commanded)
+    generalised = _generalised(standard)
     if level is not None:
         as_positive(level, "level")
     proven = lower_bound_proof(plant, measured, commanded) if certify else None
     if level is not None:
-        design = _at_level(given, generalised, level)
+        design = _at_level(standard, generalised, level)
     else:
-        design = _least(given, generalised, proven)
+        design = _least(standard, generalised, proven)
     if proven is None:
         return design
     return replace(design, lower=max(design.lower, proven.level), proof=proven.proof, reason=proven.reason)
 
 
-def _least(given: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerBound | None) -> FullOrderDesign:
+def _least(standard: StandardPlant, generalised: WorkingPlant, proven: ProvenLowerBound | None) -> FullOrderDesign:
     """The controller with the least norm and its bound, with weights where the equations have no solution without.
 
     Where the equations give no bound, and the gain out of reach is none that is near, there may be one with a proof.
     """
-    known = generalised.gain_out_of_reach()
-    measured, commanded = ([port.name for port in ports] for ports in (given.measured, given.commanded))
+    unreachable = generalised.gain_out_of_reach()
+    measured, commanded = ([port.name for port in ports] for ports in (standard.measured, standard.commanded))
 
     @functools.cache
     def level() -> float:
-        return (proven or lower_bound_proof(given.system, measured, commanded)).level
+        return (proven or lower_bound_proof(standard.system, measured, commanded)).level
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
         near = (1.0 - NEAR) * design.value
-        above = known if known <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
+        above = unreachable if unreachable <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
         lower = max(design.lower, min(above, design.value))
         if design.lower == -np.inf and lower < near:
             lower = max(lower, level())
         if design.lower == -np.inf and lower < near:
-            lower = max(lower, confirmed_optimum(given.system, measured, commanded, design.value))
+            lower = max(lower, confirmed_optimum(standard.system, measured, commanded, design.value))
         return replace(design, lower=lower if lower >= LEAST * design.value else -np.inf)
 
-    found = bounded(_controller_of_least_norm(given, generalised))
-    if not found.lower >= (1.0 - NEAR) * found.value:
-        better = _with_weights(given, generalised, of_states=True)
-        found = bounded(better) if better is not None and better.value < found.value else found
-    return found
+    best = bounded(_controller_of_least_norm(standard, generalised))
+    if not best.lower >= (1.0 - NEAR) * best.value:
+        better = _with_weights(standard, generalised, of_states=True)
+        best = bounded(better) if better is not None and better.value < best.value else best
+    return best
 
 
-def _controller_of_least_norm(given: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
+def _controller_of_least_norm(standard: StandardPlant, generalised: WorkingPlant) -> FullOrderDesign:
     """Without a bound where small weights of commands and measurements are needed.
 
     No controller is better than none where the plant has no gain; where the equations have no solution it is the best.
     """
     # The controller without gain and states; None where its loop is not stable
-    shape = sum(port.size for port in given.commanded), sum(port.size for port in given.measured)
+    shape = sum(port.size for port in standard.commanded), sum(port.size for port in standard.measured)
     nothing = np.zeros((0, 0)), np.zeros((0, shape[1])), np.zeros((shape[0], 0)), np.zeros(shape)
-    controller = System(*nothing, given.measured, given.commanded, "K", dt=given.system.dt)
-    closed = given.closed(controller)
+    controller = System(*nothing, standard.measured, standard.commanded, "K", dt=standard.system.dt)
+    closed = standard.closed(controller)
     value = norm_of_loop(closed)
     idle = FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
     if idle is not None and idle.value == 0.0:
         return replace(idle, lower=0.0)
-    found = _best(given, generalised) if all(generalised.full_rank) else None
-    found = found or _with_weights(given, generalised) or _with_weights(given, generalised, of_states=True)
-    found = found or idle
-    if found is None:
+    best = _best(standard, generalised) if all(generalised.full_rank) else None
+    best = best or _with_weights(standard, generalised) or _with_weights(standard, generalised, of_states=True)
+    best = best or idle
+    if best is None:
         raise InputError(
-            f"{given.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
+            f"{standard.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
             f"{REGULARISED[-1]:g} on commands, measurements and states too"
         )
-    return found
+    return best
 
 
 def _with_weights(
-    given: StandardPlant, generalised: WorkingPlant, *, of_states: bool = False
+    standard: StandardPlant, generalised: WorkingPlant, *, of_states: bool = False
 ) -> FullOrderDesign | None:
-    found = [_best(given, generalised.weighted(w, w if of_states else 0.0), w) for w in REGULARISED]
-    return min((one for one in found if one is not None), key=lambda one: one.value, default=None)
+    designs = [_best(standard, generalised.weighted(w, w if of_states else 0.0), w) for w in REGULARISED]
+    return min((one for one in designs if one is not None), key=lambda one: one.value, default=None)
 
 
 def controller_of_least_norm(plant: System, measured: Names, commanded: Names) -> System:
     """The controller of :func:`hinfsyn`, without looking for a bound where that is a problem of its own."""
-    given = standard_plant(plant, measured, commanded)
-    return _controller_of_least_norm(given, _generalised(given)).controller
+    standard = standard_plant(plant, measured, commanded)
+    return _controller_of_least_norm(standard, _generalised(standard)).controller
 
 
 @checked
@@ -236,40 +235,36 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     >>> round(h2syn(P, "y", "u").value, 6)
     1.414214
     """
-    given = standard_plant(plant, measured, commanded)
-    if given.system.dt:
-        return _sampled_h2(given)
-    generalised = _generalised(given)
+    standard = standard_plant(plant, measured, commanded)
+    if standard.system.dt:
+        # Its bound is the variance by both equations, and counts if the loop has the same
+        try:
+            matrices, least = sampled_lqg(standard.extended)
+            controller = System(*matrices, standard.measured, standard.commanded, "K", standard.system.dt)
+            closed = standard.closed(controller)
+            value = float(h2_norm(closed))
+        except (ValueError, ArithmeticError):
+            value = np.inf
+        if not np.isfinite(value):
+            raise InputError(
+                f"{standard.system.name}: must have no zeros on the unit circle in its weights, and no command or "
+                "measurement that follows from others, got some"
+            )
+        same = abs(value - least) <= REACHED * value
+        return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
+    generalised = _generalised(standard)
     if generalised.plant.D11.any():
-        raise InputError(f"{given.system.name}: D11 must be zero for a finite H2 norm, got a direct path")
+        raise InputError(f"{standard.system.name}: D11 must be zero for a finite H2 norm, got a direct path")
     for missing, full_rank in zip(NEEDED, generalised.full_rank):
         if not full_rank:
-            raise InputError(f"{given.system.name}: {missing}, got a matrix of lower rank")
+            raise InputError(f"{standard.system.name}: {missing}, got a matrix of lower rank")
     full = generalised.lqg()
     if full is None:
-        raise InputError(f"{given.system.name}: must have no zeros on the imaginary axis in its weights, got some")
-    controller = _controller(given, full)
-    closed = given.closed(controller)
+        raise InputError(f"{standard.system.name}: must have no zeros on the imaginary axis in its weights, got some")
+    controller = _controller(standard, full)
+    closed = standard.closed(controller)
     value = float(h2_norm(closed))
     return FullOrderDesign(controller, closed, value, value)
-
-
-def _sampled_h2(given: StandardPlant) -> FullOrderDesign:
-    """Its bound is the variance by both equations, and counts if the loop has the same."""
-    try:
-        matrices, least = sampled_lqg(given.extended)
-        controller = System(*matrices, given.measured, given.commanded, "K", given.system.dt)
-        closed = given.closed(controller)
-        value = float(h2_norm(closed))
-    except (ValueError, ArithmeticError):
-        value = np.inf
-    if not np.isfinite(value):
-        raise InputError(
-            f"{given.system.name}: must have no zeros on the unit circle in its weights, and no command or measurement "
-            "that follows from others, got some"
-        )
-    same = abs(value - least) <= REACHED * value
-    return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
 
 
 @checked
@@ -342,7 +337,7 @@ def mixsyn(
     return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
 
 
-def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
+def _best(standard: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
     """The controller with the least norm of those at levels a little above the lowest one, which is its bound.
 
     It has no bound where a `weight` was added, or where its norm is far above the level.
@@ -350,7 +345,7 @@ def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> Ful
     low, high = plant.lowest_level() or (0.0, 0.0)
     best: FullOrderDesign | None = None
     for level in (above * high for above in ABOVE if high):
-        design = _design(given, plant, level)
+        design = _design(standard, plant, level)
         best = min((one for one in (best, design) if one is not None), key=lambda one: one.value, default=None)
         if best is not None and best.value <= (1.0 + REACHED) * level:  # no other one is better by more than its level
             break
@@ -360,13 +355,13 @@ def _best(given: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> Ful
     return replace(best, lower=low if bounded else -np.inf, regularised=weight)
 
 
-def _design(given: StandardPlant, plant: WorkingPlant, level: float) -> FullOrderDesign | None:
+def _design(standard: StandardPlant, plant: WorkingPlant, level: float) -> FullOrderDesign | None:
     full = plant.central(level)
     if full is None:
         return None
     try:
-        controller = _controller(given, full)
-        closed = given.closed(controller)
+        controller = _controller(standard, full)
+        closed = standard.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
     value = norm_of_loop(closed)
@@ -381,21 +376,21 @@ def norm_of_loop(closed: System) -> float:
     return norm.value if norm.upper <= (1.0 + REACHED) * norm.value else norm.upper
 
 
-def _at_level(given: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:
+def _at_level(standard: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:
     changed = (generalised.weighted(w, states) for w in REGULARISED for states in (0.0, w))
     for plant in itertools.chain([generalised] if all(generalised.full_rank) else [], changed):
-        found = _design(given, plant, level)
-        if found is not None and found.value <= (1.0 + REACHED) * level:
-            return found
-    raise InputError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
+        design = _design(standard, plant, level)
+        if design is not None and design.value <= (1.0 + REACHED) * level:
+            return design
+    raise InputError(f"{standard.system.name}: level must be one that a controller reaches, got {level:g}")
 
 
-def _generalised(given: StandardPlant) -> WorkingPlant:
-    return WorkingPlant.of(replace(given, system=continuous(given.system)).extended)
+def _generalised(standard: StandardPlant) -> WorkingPlant:
+    return WorkingPlant.of(replace(standard, system=continuous(standard.system)).extended)
 
 
-def _controller(given: StandardPlant, full: FullOrderEstimator) -> System:
+def _controller(standard: StandardPlant, full: FullOrderEstimator) -> System:
     A, B, C, D = full.A + full.B @ full.F, full.B @ full.D - full.L, full.F, full.D
-    dt = given.system.dt
+    dt = standard.system.dt
     matrices = (A, B, C, D) if not dt else to_discrete(A, B, C, D, dt)
-    return System(*matrices, given.measured, given.commanded, "K", dt)
+    return System(*matrices, standard.measured, standard.commanded, "K", dt)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.analysis.riccati import riccati
-from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
 from lftkit.synthesis.full_order import ABOVE, FullOrderDesign, norm_of_loop
@@ -77,7 +76,11 @@ def ncfsyn(
         raise InputError(f"level must be above the least one, {least:.6g}, got {level:g}")
     best: tuple[float, System, System] | None = None
     for at in [above * least for above in ABOVE] if level is None else [level]:
-        K = _coprime_controller((A, B, C, D), X, Z, at)
+        # central controller of the normalised coprime factors at this level, positive feedback
+        F = -linalg.solve(S, D.T @ C + B.T @ X)
+        L = (1.0 - at**2) * np.eye(len(A)) + X @ Z
+        into = at**2 * linalg.solve(L.T, Z @ C.T)
+        K = A + B @ F + into @ (C + D @ F), into, B.T @ X, -D.T
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
@@ -89,16 +92,6 @@ def ncfsyn(
         raise InputError(f"{G.name}: must be stabilised at a level {where} to working precision, got an unstable loop")
     value, law, closed = best
     return FullOrderDesign(chain(W2, law, W1, names=(y, u)), closed, value, least)
-
-
-def _coprime_controller(plant: Matrices, X: FloatArray, Z: FloatArray, level: float) -> Matrices:
-    """Central controller of the normalised coprime factors at a level, positive feedback."""
-    A, B, C, D = plant
-    S = np.eye(B.shape[1]) + D.T @ D
-    F = -linalg.solve(S, D.T @ C + B.T @ X)
-    L = (1.0 - level**2) * np.eye(len(A)) + X @ Z
-    into = level**2 * linalg.solve(L.T, Z @ C.T)
-    return A + B @ F + into @ (C + D @ F), into, B.T @ X, -D.T
 
 
 def _four_blocks(shaped: System, law: System) -> System:

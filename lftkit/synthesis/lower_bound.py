@@ -14,7 +14,7 @@ measurements have no noise, their states are zero in all vectors, and X is of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,7 +64,7 @@ is what is left where the other says nothing, as all that it has are stable mode
 
 @dataclass(frozen=True)
 class ProvenLowerBound:
-    """What no controller of any order can do better, proven.
+    """Proven lower bound of the H-infinity norm that controllers of any order can reach.
 
     Attributes
     ----------
@@ -148,17 +148,17 @@ def confirmed_optimum(plant: System, measured: Names, commanded: Names, value: f
     problem = _problem(as_system(plant), measured, commanded)
     if problem is None:
         return -np.inf
-    known: list[float] = []
+    ratios: list[float] = []
     for scale, centred in FROM:
         working = _Working.of(problem, scale * value)
         program = _program(working.halves, [half.kernel for half in working.halves], (True, True))
-        squares = [float(one.v[-1]) for one in iterates(*program, centred)]
+        squares = [float(v[-1]) for v, _ in iterates(*program, centred)]
         ratio = scale * float(np.sqrt(max(squares[-1], 0.0))) if squares else 0.0
         if abs(ratio - 1.0) > CONFIRMED:
             continue
-        if any(abs(ratio - other) <= ACCURACY for other in known):
-            return float(min(*known, ratio, 1.0) * (1.0 - ACCURACY) * value)
-        known.append(ratio)
+        if any(abs(ratio - other) <= ACCURACY for other in ratios):
+            return float(min(*ratios, ratio, 1.0) * (1.0 - ACCURACY) * value)
+        ratios.append(ratio)
     return -np.inf
 
 
@@ -196,7 +196,7 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
 
 @dataclass(frozen=True)
 class _Half:
-    """What a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`.
+    """Motion that a controller does not see: ``rate = A x + B w, z = C x + D w`` for (x, w) in the kernel of `seen`.
 
     Columns of `basis`, orthonormal, are all x that can be other than zero there.
     """
@@ -250,10 +250,6 @@ class _Half:
         return self.basis.T @ x, self.basis.T @ (self.A @ x + self.B @ w), w, self.C @ x + self.D @ w
 
 
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    return np.asarray(linalg.qr(columns, mode="economic")[0])
-
-
 def _null_space(matrix: FloatArray) -> FloatArray:
     """Orthonormal columns that it maps to zero, for rows of any size."""
     if not len(matrix):
@@ -304,7 +300,7 @@ class _Working:
         this = cls(given, halves, (), units, level)
         maps = this.vectors(*(np.eye(half.seen.shape[1]) for half in halves))
         own = [
-            _Half(*side[:4], half.seen @ part, _orthonormal(half.basis / unit[:, None]))
+            _Half(*side[:4], half.seen @ part, np.asarray(linalg.qr(half.basis / unit[:, None], mode="economic")[0]))
             for side, half, part, unit in zip(
                 _sides(replace(given, A=A, B=B, C=scale * C, D=scale * D)), halves, maps, (units, 1.0 / units)
             )
@@ -355,46 +351,32 @@ class _Working:
 
 def _best(working: _Working, sides: Sides, centred: float) -> tuple[LowerBoundProof | None, float]:
     """The proof with the highest level that the check accepts, and the optimum of the program."""
-    known, optimum = [], np.inf
-    for value, unseen, unmoved in _dual_vectors(working.halves, sides, centred):
-        optimum = working.level * value
-        proof = working.claimed(*working.vectors(unseen, unmoved), 0.0)
-        if proof is not None:
-            known.append(proof)
+    plant, adjoint = working.halves
+    kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip(working.halves, sides)]
+    c, inequalities = _program(working.halves, kernels, sides)
+    n, m, second = plant.basis.shape[1], adjoint.basis.shape[1], kernels[1].shape[1]
+    proofs, optimum = [], np.inf
+    for v, dual in iterates(c, inequalities, centred):
+        if v[-1] > 0.0:
+            W = dual[2]
+            unseen = _met(plant, kernels[0] @ _root(dual[0]), W[:n, :n])
+            unmoved = _met(adjoint, kernels[1] @ _root(dual[1][:second, :second]), W[len(W) - m :, len(W) - m :])
+            optimum = working.level * float(np.sqrt(v[-1]))
+            proof = working.claimed(*working.vectors(unseen, unmoved / np.sqrt(v[-1])), 0.0)
+            if proof is not None:
+                proofs.append(proof)
     best: LowerBoundProof | None = None
-    for proof in sorted(known, key=lambda one: -one.level)[:CLAIMED]:
+    for proof in sorted(proofs, key=lambda one: -one.level)[:CLAIMED]:
         for below in BELOW:
             if best is not None and (1.0 - below) * proof.level <= best.level:
                 break
             claimed = working.claimed(proof.unseen, proof.unmoved, below)
-            if claimed is not None and _accepted(claimed):
-                best = claimed
-                break
+            if claimed is not None:
+                with suppress(ProofError):
+                    check_lower_bound(claimed)
+                    best = claimed
+                    break
     return best, optimum
-
-
-def _accepted(proof: LowerBoundProof) -> bool:
-    try:
-        check_lower_bound(proof)
-    except ProofError:
-        return False
-    return True
-
-
-def _dual_vectors(
-    halves: tuple[_Half, ...], sides: Sides, centred: float
-) -> Iterator[tuple[float, FloatArray, FloatArray]]:
-    """Square root of the objective, and both groups of vectors, for the iterates of the program."""
-    own, adjoint = halves
-    kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip(halves, sides)]
-    c, inequalities = _program(halves, kernels, sides)
-    n, m, second = own.basis.shape[1], adjoint.basis.shape[1], kernels[1].shape[1]
-    for one in iterates(c, inequalities, centred):
-        if one.v[-1] > 0.0:
-            W = one.dual[2]
-            first = _met(own, kernels[0] @ _root(one.dual[0]), W[:n, :n])
-            other = _met(adjoint, kernels[1] @ _root(one.dual[1][:second, :second]), W[len(W) - m :, len(W) - m :])
-            yield float(np.sqrt(one.v[-1])), first, other / np.sqrt(one.v[-1])
 
 
 def _met(half: _Half, V: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -164,7 +164,9 @@ def musyn(
     peaks, last, status = [best.peak], best, "iteration_limit"
     for _ in range(iterations - 1):
         try:
-            last = problem.candidate(problem.scaled(last.fitted(scaling_order)), grid)
+            last = problem.candidate(
+                _between(problem.standard.system, last.fitted(scaling_order), problem.structure), grid
+            )
         except ValueError:
             status = "no_controller"
             break
@@ -188,7 +190,7 @@ class _Candidate:
 
     @cached_property
     def responses(self) -> ComplexArray:
-        """Of the loop, (N, z, w)."""
+        """Frequency response of the loop, (N, z, w)."""
         return self.closed.response(self.omega)
 
     @cached_property
@@ -198,7 +200,7 @@ class _Candidate:
     @cached_property
     def upper(self) -> FloatArray:
         """Upper bounds (N,)."""
-        return np.array([found.upper for found in self._bounds])
+        return np.array([bounds.upper for bounds in self._bounds])
 
     @property
     def peak(self) -> float:
@@ -214,12 +216,12 @@ class _Candidate:
     @cached_property
     def scales(self) -> FloatArray:
         """Scales of the blocks over that of the last one (N, blocks)."""
-        found = np.ones((len(self.omega), len(self.structure)))
-        for row, bounds in zip(found, self._bounds):
+        scales = np.ones((len(self.omega), len(self.structure)))
+        for row, bounds in zip(scales, self._bounds):
             if bounds.certificate is not None:
                 D = np.array([d[0, 0].real for d in bounds.certificate.D])
                 row[:] = np.sqrt(D / D[-1])
-        return np.clip(found, 1.0 / LARGEST_SCALE, LARGEST_SCALE)
+        return np.clip(scales, 1.0 / LARGEST_SCALE, LARGEST_SCALE)
 
     def fitted(self, largest: int, worse: float = WORSE) -> tuple[System, ...]:
         """A system for the scale of each element, of the least order with which the peak is hardly worse."""
@@ -231,17 +233,16 @@ class _Candidate:
                 system = fit_magnitude(self.omega, self.scales[:, k], order, weight=weight)
                 scales = self.scales.copy()
                 scales[:, k] = np.abs(system.response(self.omega)[:, 0, 0])
-                tried.append((self._scaled_peak(scales), system))
+                # Largest norm of the scaled responses; phases of the scalings do not change it
+                rows = np.repeat(scales, [b.columns for b in self.structure], axis=1)
+                columns = np.repeat(scales, [b.rows for b in self.structure], axis=1)
+                tried.append(
+                    (float(largest_gains(rows[:, :, None] * self.responses / columns[:, None, :]).max()), system)
+                )
                 if tried[-1][0] <= worse * self.peak:
                     break
             fits.append(min(tried, key=lambda one: one[0])[1])
         return tuple(fits)
-
-    def _scaled_peak(self, scales: FloatArray) -> float:
-        """Largest norm of the scaled responses; phases of the scalings do not change it."""
-        rows = np.repeat(scales, [b.columns for b in self.structure], axis=1)
-        columns = np.repeat(scales, [b.rows for b in self.structure], axis=1)
-        return float(largest_gains(rows[:, :, None] * self.responses / columns[:, None, :]).max())
 
 
 @dataclass(frozen=True)
@@ -318,10 +319,6 @@ class _Problem:
         """The controller of a scaled plant."""
         controller = controller_of_least_norm(scaled, self.measured, self.commanded)
         return _Candidate(controller, self.standard.closed(controller), self.structure, omega)
-
-    def scaled(self, fits: tuple[System, ...]) -> System:
-        """The certain plant between the scalings and their inverses."""
-        return _between(self.standard.system, fits, self.structure)
 
     def design(
         self,

@@ -138,11 +138,7 @@ def _floats(values: list[Fraction]) -> FloatArray | None:
     whole = [int(value * common) for value in values]
     divisor = math.gcd(*whole)
     whole = [value // divisor for value in whole]
-    if max(map(abs, whole)).bit_length() > 1000:
+    if max(map(abs, whole)).bit_length() > 1000 or any(int(float(value)) != value for value in whole):
         return None
-    found = np.array(whole, dtype=float)
-    return found / 2.0 ** round(math.log2(np.abs(found).max())) if all(map(_exact, whole)) else None
-
-
-def _exact(value: int) -> bool:
-    return int(float(value)) == value
+    row = np.array(whole, dtype=float)
+    return np.asarray(row / 2.0 ** round(math.log2(np.abs(row).max())))

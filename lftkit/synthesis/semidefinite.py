@@ -38,18 +38,10 @@ class MatrixInequality:
     F: FloatArray
 
 
-@dataclass(frozen=True)
-class Iterate:
-    """Variables and dual matrices."""
-
-    v: FloatArray
-    dual: tuple[FloatArray, ...]
-
-
 def iterates(
     c: FloatArray, inequalities: Sequence[MatrixInequality], centred: float = 0.7, most: int = 60
-) -> Iterator[Iterate]:
-    """Iterates of the method, better and better until rounding ends it.
+) -> Iterator[tuple[FloatArray, tuple[FloatArray, ...]]]:
+    """Variables and dual matrices of the method's iterates, better and better until rounding ends it.
 
     Parameters
     ----------
@@ -66,8 +58,8 @@ def iterates(
     The largest eigenvalue of a symmetric matrix is the least v with ``v I - M >= 0``:
 
     >>> M = np.array([[2.0, 1.0], [1.0, 2.0]])
-    >>> *_, last = iterates(np.ones(1), [MatrixInequality(-M, np.eye(2)[None])])
-    >>> round(float(last.v[0]), 6), last.dual[0].round(5).tolist()
+    >>> *_, (v, dual) = iterates(np.ones(1), [MatrixInequality(-M, np.eye(2)[None])])
+    >>> round(float(v[0]), 6), dual[0].round(5).tolist()
     (3.0, [[0.5, 0.5], [0.5, 0.5]])
     """
     kept = [one for one in inequalities if len(one.constant)]
@@ -83,10 +75,8 @@ def iterates(
         if not np.all(np.isfinite(v)) or float(np.abs(v).max()) > LARGEST:
             return
         whole = iter(dual)
-        found = tuple(next(whole) if len(one.constant) else one.constant for one in inequalities)
-        products = _product(dual, slack) / size
-        yield Iterate(v, found)
-        if products < ENOUGH * float(np.abs(c @ v)):
+        yield v, tuple(next(whole) if len(one.constant) else one.constant for one in inequalities)
+        if _product(dual, slack) / size < ENOUGH * float(np.abs(c @ v)):
             return
 
 
@@ -98,7 +88,7 @@ def _step(
 ) -> Point:
     """One predictor and corrector."""
     v, slack, dual = point
-    inverses = [_inverse(S) for S in slack]
+    inverses = [np.asarray(linalg.cho_solve((lower_factor(S), True), np.eye(len(S)))) for S in slack]
     off = [one.constant + np.tensordot(v, one.F, 1) - S for one, S in zip(inequalities, slack)]
     rows = [one.F.reshape(len(c), -1) for one in inequalities]
     H: Any = sum(f @ (Z @ one.F @ I).reshape(len(c), -1).T for f, Z, one, I in zip(rows, dual, inequalities, inverses))
@@ -135,10 +125,6 @@ def lower_factor(matrix: FloatArray) -> FloatArray:
     if info:
         raise linalg.LinAlgError("the matrix must be positive definite, got another")
     return np.asarray(factor)
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    return np.asarray(linalg.cho_solve((lower_factor(matrix), True), np.eye(len(matrix))))
 
 
 def _factor(H: FloatArray) -> Callable[[FloatArray], FloatArray]:

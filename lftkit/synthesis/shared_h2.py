@@ -80,7 +80,7 @@ class SampledPlant:
 
 @dataclass(frozen=True)
 class SharedBound:
-    """What no linear controller does better.
+    """Lower bound of the largest root mean square of all linear controllers.
 
     Attributes
     ----------

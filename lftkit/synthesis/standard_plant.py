@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.extended_plant import ExtendedPlant
+from lftkit.systems import lft
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
 from lftkit.systems.ports import Port, names_of_ports
@@ -82,38 +84,38 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
     (seen, errors), (driven, disturbances) = groups
     # The system with other units of its states: the equations lose digits where they are far apart
     A, B, C, D = system.matrices
-    found = StandardPlant(
+    standard = StandardPlant(
         System(*balanced(A, B, C), D, system.inputs, system.outputs, system.name, system.dt),
         seen,
         driven,
         disturbances,
         errors,
     )
-    _require_stabilisable(found)
-    return found
+    _require_stabilisable(standard)
+    return standard
 
 
-def _require_stabilisable(given: StandardPlant) -> None:
+def _require_stabilisable(standard: StandardPlant) -> None:
     """Refuse a mode that is not stable and that no command reaches or no measurement sees."""
-    A, B, C, _ = given.system.matrices
-    B = B[:, given.system.input_indices([p.name for p in given.commanded])]
-    C = C[given.system.output_indices([p.name for p in given.measured])]
-    poles = given.system.poles()
+    A, B, C, _ = standard.system.matrices
+    B = B[:, standard.system.input_indices([p.name for p in standard.commanded])]
+    C = C[standard.system.output_indices([p.name for p in standard.measured])]
+    poles = standard.system.poles()
     scale = float(linalg.norm(A))
     for pole in poles:
-        slow = abs(pole) < 1.0 if given.system.dt else pole.real < -AXIS * scale
+        slow = abs(pole) < 1.0 if standard.system.dt else pole.real < -AXIS * scale
         if slow:
             continue
         shifted = A - pole * np.eye(len(A))
-        reached = f"reached from {', '.join(p.name for p in given.commanded)}"
-        seen = f"seen in {', '.join(p.name for p in given.measured)}"
+        reached = f"reached from {', '.join(p.name for p in standard.commanded)}"
+        seen = f"seen in {', '.join(p.name for p in standard.measured)}"
         for left, right, what in ((shifted, B, reached), (shifted.T, C.T, seen)):
             if not _has_full_row_rank(left, right):
                 where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
-                stable = "not stable" if pole.real >= 0.0 or given.system.dt else "not stable beyond rounding"
+                stable = "not stable" if pole.real >= 0.0 or standard.system.dt else "not stable beyond rounding"
                 raise InputError(
-                    f"{given.system.name}: the mode at {where} is {stable} and must be {what}; of a weight, move the "
-                    "pole to the left"
+                    f"{standard.system.name}: the mode at {where} is {stable} and must be {what}; of a weight, move "
+                    "the pole to the left"
                 )
 
 
@@ -166,10 +168,6 @@ def weight_of(name: str, given: Any, size: int, dt: float) -> System:
 
 def chain(*systems: System, names: tuple[Port, Port] | None = None) -> System:
     """Systems in series, the first one first; ports of the first and the last, or those of `names`."""
-    A, B, C, D = systems[0].matrices
-    for following in systems[1:]:
-        a, b, c, d = following.matrices
-        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
+    matrices = functools.reduce(lft.series, (system.matrices for system in systems))
     first, last = names or (systems[0].inputs[0], systems[-1].outputs[0])
-    return System(A, B, C, D, (first,), (last,), systems[-1].name, systems[0].dt)
+    return System(*matrices, (first,), (last,), systems[-1].name, systems[0].dt)

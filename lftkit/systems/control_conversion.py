@@ -43,7 +43,17 @@ def ports_and_matrices(
     import control
 
     if isinstance(system, control.TransferFunction):
-        matrices = _entries(system)
+        # State space of a transfer matrix, each entry with states of its own
+        rows, columns = system.noutputs, system.ninputs
+        A, B, C, D = (np.zeros(shape) for shape in ((0, 0), (0, columns), (rows, 0), (rows, columns)))
+        for i in range(rows):
+            for j in range(columns):
+                a, b, c, d = rational(system.num[i][j], system.den[i][j])
+                n, new = len(A), len(a)
+                A = np.block([[A, np.zeros((n, new))], [np.zeros((new, n)), a]])
+                B, C = np.vstack([B, np.zeros((new, columns))]), np.hstack([C, np.zeros((rows, new))])
+                B[n:, j], C[i, n:], D[i, j] = b, c, d
+        matrices = A, B, C, D
     elif isinstance(system, control.StateSpace):
         matrices = system.A, system.B, system.C, system.D
     else:
@@ -54,20 +64,6 @@ def ports_and_matrices(
     ports_in, columns = _side(system.input_labels, system.ninputs, units, inputs, "input")
     ports_out, rows = _side(system.output_labels, system.noutputs, units, outputs, "output")
     return (A, B[:, columns], C[rows], D[np.ix_(rows, columns)]), ports_in, ports_out
-
-
-def _entries(system: Any) -> Matrices:
-    """State space of a transfer matrix, each entry with states of its own."""
-    rows, columns = system.noutputs, system.ninputs
-    A, B, C, D = (np.zeros(shape) for shape in ((0, 0), (0, columns), (rows, 0), (rows, columns)))
-    for i in range(rows):
-        for j in range(columns):
-            a, b, c, d = rational(system.num[i][j], system.den[i][j])
-            n, new = len(A), len(a)
-            A = np.block([[A, np.zeros((n, new))], [np.zeros((new, n)), a]])
-            B, C = np.vstack([B, np.zeros((new, columns))]), np.hstack([C, np.zeros((rows, new))])
-            B[n:, j], C[i, n:], D[i, j] = b, c, d
-    return A, B, C, D
 
 
 def rational(num: ArrayLike, den: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray, float]:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.arrays import ComplexArray, IntArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.ports import total_size
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, width
-from lftkit.uncertainty.parameters import RealParameter, checked_values
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, RealParameter, checked_values, width
 
 Value = Any
 """A number of a real or complex element; a number, matrix or system of dynamics."""
@@ -99,10 +98,8 @@ def delta_system(channels: Sequence[str], elements: Sequence[Element], chosen: M
         A complex value.
     """
     q = len(channels)
-    A: FloatArray = np.zeros((0, 0))
-    B: FloatArray = np.zeros((0, q))
-    C: FloatArray = np.zeros((q, 0))
-    D: FloatArray = np.zeros((q, q))
+    whole: Matrices = np.zeros((0, 0)), np.zeros((0, q)), np.zeros((q, 0)), np.zeros((q, q))
+    A, B, C, D = whole
     for element, at in occurrences(channels, elements):
         value = chosen[element.name]
         rows, columns = at, at
@@ -137,21 +134,17 @@ def random_values(elements: Sequence[Element], rng: np.random.Generator, dt: flo
             size, angle = e.radius * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
             drawn[e.name] = e.nominal + size * complex(math.cos(angle), math.sin(angle))
         else:
-            drawn[e.name] = _all_pass(e, rng, dt)
+            k = min(e.outputs, e.inputs)
+            U = linalg.qr(rng.standard_normal((e.outputs, k)), mode="economic")[0]
+            V = linalg.qr(rng.standard_normal((e.inputs, k)), mode="economic")[0]
+            g = e.bound * rng.uniform()
+            if dt:
+                r = rng.uniform(-0.95, 0.95)  # (1 - r z) / (z - r)
+                a, through, factor = r, -r, 1.0 - r * r
+            else:
+                pole = 10.0 ** rng.uniform(-1.5, 1.5)
+                a, through, factor = -pole, 1.0, -2.0 * pole
+            eye = np.eye(k)
+            B, C, D = (np.asarray(M, dtype=float) for M in (V.T, g * factor * U, g * through * U @ V.T))
+            drawn[e.name] = a * eye, B, C, D
     return drawn
-
-
-def _all_pass(e: DynamicElement, rng: np.random.Generator, dt: float) -> Matrices:
-    k = min(e.outputs, e.inputs)
-    U = linalg.qr(rng.standard_normal((e.outputs, k)), mode="economic")[0]
-    V = linalg.qr(rng.standard_normal((e.inputs, k)), mode="economic")[0]
-    g = e.bound * rng.uniform()
-    if dt:
-        r = rng.uniform(-0.95, 0.95)  # (1 - r z) / (z - r)
-        a, through, factor = r, -r, 1.0 - r * r
-    else:
-        pole = 10.0 ** rng.uniform(-1.5, 1.5)
-        a, through, factor = -pole, 1.0, -2.0 * pole
-    eye = np.eye(k)
-    B, C, D = (np.asarray(M, dtype=float) for M in (V.T, g * factor * U, g * through * U @ V.T))
-    return a * eye, B, C, D

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
@@ -23,14 +24,14 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
 from lftkit.systems.zeros_poles import ROUNDING, zeros_poles
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, RealParameter
 
 FORMAT = "lftkit/system"
 VERSION = 1
 MATLAB = b"MATLAB 5.0"
 """First bytes of a .mat file of version 5 to 7.2."""
 _KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
+Given = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 
 
 @checked
@@ -233,3 +234,32 @@ def read_system(path: str | os.PathLike[str]) -> System:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def given_system(
+    A: Any, B: ArrayLike | None, C: ArrayLike | None, D: ArrayLike | None, dt: float | None
+) -> tuple[Given, float | None]:
+    """Matrices and period, of a system in place of A too.
+
+    Parameters
+    ----------
+    A : array_like, or what :func:`lftkit.as_system` takes
+        A certain system stands for all four matrices.
+    B, C, D : array_like or None
+    dt : float or None
+        Not beside a system, which has its own.
+
+    Raises
+    ------
+    ValueError
+        Some of the matrices only, a system beside another period, an uncertain system.
+    """
+    if B is not None and C is not None and D is not None:
+        return (A, B, C, D), dt
+    if not (B is None and C is None and D is None):
+        missing = [name for name, matrix in zip("BCD", (B, C, D)) if matrix is None]
+        raise InputError(f"matrices must be A, B, C and D, or one system, got no {' and no '.join(missing)}")
+    system = as_system(A)
+    if dt is not None and dt != system.dt:
+        raise InputError(f"dt must be that of the system, {system.dt:g} s, got {dt:g} s")
+    return system.matrices, system.dt or None

@@ -105,6 +105,13 @@ def _delta_first(sizes: Sequence[int], delta: Sequence[int]) -> list[int]:
     return first + rest
 
 
+def series(first: Matrices, second: Matrices) -> Matrices:
+    """``second`` after ``first``, whose states come first."""
+    (A1, B1, C1, D1), (A2, B2, C2, D2) = first, second
+    A = np.block([[A1, np.zeros((len(A1), len(A2)))], [B2 @ C1, A2]])
+    return A, np.vstack([B1, B2 @ D1]), np.hstack([D2 @ C1, C2]), D2 @ D1
+
+
 def close_loop(
     M: Matrices,
     q: int,

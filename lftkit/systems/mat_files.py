@@ -27,10 +27,12 @@ from lftkit.systems.arguments import checked
 from lftkit.systems.ports import Port
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels, zero_based
 from lftkit.systems.system import System
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 
 BLOCKS = "blocks"
 """Field with the elements of an uncertain system, in lower case."""
+BLOCK_FIELDS = "Name", "Nominal", "Range", "Occurrences", "Unit"
+"""Fields of each of its elements."""
 DELAYS = "inputdelay", "outputdelay", "iodelay", "internaldelay"
 """Fields of an `ss` object, in lower case, that a system here cannot have unless they are zero."""
 
@@ -64,7 +66,14 @@ def write_mat(path: str | os.PathLike[str], **systems: System) -> None:
         content[name] = {"A": A, "B": B, "C": C, "D": D, "Ts": system.dt, "Name": system.name}
         content[name] |= {"InputName": names[0], "OutputName": names[1], "InputUnit": units[0], "OutputUnit": units[1]}
         if system.elements:
-            content[name] |= {"Blocks": _blocks(system), "Normalized": 0.0}
+            # Field ``Blocks`` of a system whose channels are sorted by elements
+            rows = np.zeros(
+                (len(system.elements), 1),
+                dtype=[(k, object) for k in BLOCK_FIELDS],
+            )
+            for row, (e, count) in enumerate(zip(system.parameters, system.occurrences().values())):
+                rows[row, 0] = e.name, e.nominal, np.array([[e.lower, e.upper]]), float(count), e.unit
+            content[name] |= {"Blocks": rows, "Normalized": 0.0}
     file = Path(path)
     with atomic_file(file if file.suffix else file.with_suffix(".mat")) as made:
         io.savemat(made, content, appendmat=False)
@@ -136,7 +145,16 @@ def _matrices_of(fields: Mapping[str, Any]) -> bool:
 
 def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
     lower = {key.lower(): value for key, value in fields.items()}
-    _require_explicit(lower, f"{path}: {name}")
+    # Refuse what would be lost: delays, a descriptor matrix, another unit of time
+    file = f"{path}: {name}"
+    for key in DELAYS:
+        if np.size(lower.get(key, ())) and np.any(_full(lower[key]) != 0):
+            raise InputError(f"{file} must have no delays (pade or absorbDelay in MATLAB), got {key}")
+    E = _full(lower.get("e", ()))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError(f"{file} must be an explicit state space (ss(G, 'explicit') in MATLAB), got a matrix E")
+    if (unit := "".join(_texts(lower.get("timeunit"))) or "seconds") != "seconds":
+        raise InputError(f"{file} must have the TimeUnit seconds (chgTimeUnit in MATLAB), got {unit}")
     try:
         A, B, C, D = (_full(lower[key]) for key in "abcd")
         elements, channels = _elements(lower.get(BLOCKS))
@@ -184,18 +202,6 @@ def _number(value: Any, key: str) -> float:
     return float(entries[0])
 
 
-def _require_explicit(fields: Mapping[str, Any], name: str) -> None:
-    """Refuse what would be lost: delays, a descriptor matrix, another unit of time."""
-    for key in DELAYS:
-        if np.size(fields.get(key, ())) and np.any(_full(fields[key]) != 0):
-            raise InputError(f"{name} must have no delays (pade or absorbDelay in MATLAB), got {key}")
-    E = _full(fields.get("e", ()))
-    if E.size and not np.array_equal(E, np.eye(len(E))):
-        raise InputError(f"{name} must be an explicit state space (ss(G, 'explicit') in MATLAB), got a matrix E")
-    if (unit := "".join(_texts(fields.get("timeunit"))) or "seconds") != "seconds":
-        raise InputError(f"{name} must have the TimeUnit seconds (chgTimeUnit in MATLAB), got {unit}")
-
-
 def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:
     """Elements of the field ``Blocks``, and the name of each channel of Delta."""
     if table is None or not np.size(table):
@@ -240,16 +246,6 @@ def _in_own_units(system: System, elements: Sequence[RealParameter]) -> System:
     B[:, :q] /= ab[:, 0]
     D[:, :q] /= ab[:, 0]
     return replace(system, B=B, D=D)
-
-
-def _blocks(system: System) -> Any:
-    """Field ``Blocks`` of a system whose channels are sorted by elements."""
-    rows = np.zeros(
-        (len(system.elements), 1), dtype=[(k, object) for k in ("Name", "Nominal", "Range", "Occurrences", "Unit")]
-    )
-    for row, (e, count) in enumerate(zip(system.parameters, system.occurrences().values())):
-        rows[row, 0] = e.name, e.nominal, np.array([[e.lower, e.upper]]), float(count), e.unit
-    return rows
 
 
 def _with_units(ports: Sequence[Port], units: Sequence[str]) -> tuple[Port, ...]:

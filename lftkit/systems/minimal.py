@@ -29,7 +29,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.arguments import checked
-from lftkit.systems.delta import Value, delta_response
+from lftkit.systems.delta import delta_response
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import width
 
@@ -99,8 +99,13 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
     """
     given = system.sorted_channels()
     count = Counter(given.channels)
-    found = (_reduced(given, tolerance, scaling) for scaling in (_balanced_without_rounding, _balanced, _as_it_is))
-    kept = next((one for one in found if _is_same(one, given)), given)
+    scalings: tuple[Scaling, ...] = (  # balanced without what may be rounding, balanced, as it is
+        lambda A: in_balanced_units(np.where(np.abs(A) > ROUNDING * np.abs(A).max(initial=0.0), A, 0.0))[1],
+        lambda A: in_balanced_units(A)[1],
+        lambda A: np.ones(len(A)),
+    )
+    candidates = (_reduced(given, tolerance, scaling) for scaling in scalings)
+    kept = next((one for one in candidates if _is_same(one, given)), given)
     left = Counter(kept.channels)
     removed = {e.name: (count[e.name] - left[e.name]) // width(e) for e in given.elements}
     return Reduction(kept, given.order - kept.order, removed)
@@ -119,24 +124,16 @@ def _reduced(given: System, tolerance: float, scaling: Scaling) -> System:
             if not fixed[i]:
                 M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance, scaling)
         if sizes == before:
-            M, sizes = _jointly_reduced(M, sizes, fixed, tolerance, scaling)
+            # Reduce all blocks to what the inputs reach, and then to what the outputs see, through all blocks
+            # together
+            M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance, scaling)
+            turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance, scaling)
+            M, sizes = turned.T, sizes
         if sizes == before:
             break
     n = sizes[0]
     channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
     return replace(given, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
-
-
-def _balanced(A: FloatArray) -> FloatArray:
-    return in_balanced_units(A)[1]
-
-
-def _balanced_without_rounding(A: FloatArray) -> FloatArray:
-    return _balanced(np.where(np.abs(A) > ROUNDING * np.abs(A).max(initial=0.0), A, 0.0))
-
-
-def _as_it_is(A: FloatArray) -> FloatArray:
-    return np.ones(len(A))
 
 
 def _responses(system: System, given: System) -> ComplexArray:
@@ -146,25 +143,22 @@ def _responses(system: System, given: System) -> ComplexArray:
     speeds = np.unique(np.abs(linalg.eigvals(given.A) - centre)) if given.order else np.zeros(0)
     speeds = speeds[speeds > SLOWEST * speeds.max(initial=0.0)]
     speeds = np.quantile(speeds, np.linspace(0.0, 1.0, 7), method="nearest") if len(speeds) else np.ones(1)
-    found = []
+    found: list[ComplexArray] = []
     for speed in (0.1 * speeds[0], *(0.7 * speeds), 10.0 * speeds[-1]):
         point = centre + speed * np.exp(1.2j)  # beside the axis and the circle
         values = given.sample_values(rng)[0]
-        found.append(_response(system, complex(point), values))
+        point = complex(point)
+        n, q = system.order, len(system.channels)
+        delta = delta_response(system.channels, system.elements, values, point)
+        M = np.block([[system.A, system.B], [system.C, system.D]]).astype(complex)
+        inner = M[: n + q, : n + q].copy()
+        entering, leaving = M[: n + q, n + q :].copy(), M[n + q :, : n + q]
+        inner[n:], entering[n:] = delta @ inner[n:], delta @ entering[n:]
+        loop = np.diag([point] * n + [1.0] * q) - inner
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the two responses disagree where that matters
+            return np.asarray(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
     return np.array(found)
-
-
-def _response(system: System, point: complex, values: dict[str, Value]) -> ComplexArray:
-    n, q = system.order, len(system.channels)
-    delta = delta_response(system.channels, system.elements, values, point)
-    M = np.block([[system.A, system.B], [system.C, system.D]]).astype(complex)
-    inner = M[: n + q, : n + q].copy()
-    entering, leaving = M[: n + q, n + q :].copy(), M[n + q :, : n + q]
-    inner[n:], entering[n:] = delta @ inner[n:], delta @ entering[n:]
-    loop = np.diag([point] * n + [1.0] * q) - inner
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the two responses disagree where that matters
-        return np.asarray(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
 
 
 def _is_same(reduced: System, given: System) -> bool:
@@ -189,15 +183,6 @@ def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float, scali
         return M, 0
     turned, size = _keep_reachable(M.T, start, size, tolerance, scaling)
     return turned.T, size
-
-
-def _jointly_reduced(
-    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float, scaling: Scaling
-) -> tuple[FloatArray, list[int]]:
-    """Reduce all blocks to what the inputs reach, and then to what the outputs see, through all blocks together."""
-    M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance, scaling)
-    turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance, scaling)
-    return turned.T, sizes
 
 
 def _keep_jointly_reachable(
@@ -242,28 +227,22 @@ def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float, scal
     A, B = M[np.ix_(inside, inside)], M[np.ix_(inside, others)]
     scale = scaling(A)
     scaled = A * scale / scale[:, None]
-    Q = _reachable(scaled, B / scale[:, None], tolerance)
-    if Q.shape[1] == size:
-        return M, size
-    lift, drop = scale[:, None] * Q, Q.T / scale
-    rows_before, rows_after = M[:start], M[start + size :]
-    M = np.vstack([rows_before, drop @ M[inside], rows_after])
-    M = np.hstack([M[:, :start], M[:, inside] @ lift, M[:, start + size :]])
-    return M, Q.shape[1]
-
-
-def _reachable(A: FloatArray, B: FloatArray, tolerance: float) -> FloatArray:
-    """Orthonormal basis of the smallest A-invariant subspace that contains the columns of B."""
-    n = A.shape[0]
+    # Orthonormal basis of the smallest A-invariant subspace that contains the columns of B
+    B = B / scale[:, None]
     sizes = np.sqrt(np.sum(B**2, axis=0))
     columns = B[:, sizes > 0] / sizes[sizes > 0]
-    allowed = tolerance * max(1.0, float(linalg.norm(A, 2)))
-    Q: FloatArray = np.zeros((n, 0))
+    allowed = tolerance * max(1.0, float(linalg.norm(scaled, 2)))
+    Q: FloatArray = np.zeros((size, 0))
     fresh = _orthonormal(columns, Q, tolerance)
     while fresh.shape[1]:
         Q = np.hstack([Q, fresh])
-        fresh = _orthonormal(A @ fresh, Q, allowed)
-    return Q
+        fresh = _orthonormal(scaled @ fresh, Q, allowed)
+    if Q.shape[1] == size:
+        return M, size
+    lift, drop = scale[:, None] * Q, Q.T / scale
+    M = np.vstack([M[:start], drop @ M[inside], M[start + size :]])
+    M = np.hstack([M[:, :start], M[:, inside] @ lift, M[:, start + size :]])
+    return M, Q.shape[1]
 
 
 def _orthonormal(columns: FloatArray, Q: FloatArray, allowed: float) -> FloatArray:

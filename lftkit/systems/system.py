@@ -22,8 +22,7 @@ from lftkit.systems.delta import Value, chosen_values, delta_response, delta_sys
 from lftkit.systems.matrices import checked_matrices, frequencies
 from lftkit.systems.ports import Port, as_ports, names_of_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, Element, RealParameter, description, element_table, width
 
 if TYPE_CHECKING:
     import control
@@ -434,13 +433,13 @@ class System(Arithmetic):
         Complex and dynamic elements are divided by radius or bound.
         """
         q = len(self.channels)
-        scale = {e.name: _normalisation(e) for e in self.elements}
-        ab = np.array([scale[c] for c in self.channels]).reshape(q, 2)
+        normalised = {e.name: _normalised(e) for e in self.elements}
+        ab = np.array([normalised[c][:2] for c in self.channels]).reshape(q, 2)
         B, D = self.B.copy(), self.D.copy()
         B[:, :q] *= ab[:, 0]
         D[:, :q] *= ab[:, 0]
         D[np.arange(q), np.arange(q)] -= ab[:, 1]
-        return replace(self, B=B, D=D, elements=tuple(_normalised(e) for e in self.elements))
+        return replace(self, B=B, D=D, elements=tuple(e for *_, e in normalised.values()))
 
     # conversion
 
@@ -504,18 +503,13 @@ def _mapping(given: Any, what: str) -> dict[str, Any]:
     return dict(given or {})
 
 
-def _normalisation(element: Element) -> tuple[float, float]:
+def _normalised(element: Element) -> tuple[float, float, Element]:
+    """Coefficients of the map from the element of size 1 (:attr:`RealParameter.bilinear`), and that element."""
     if isinstance(element, RealParameter):
-        return element.bilinear
-    return (element.bound if isinstance(element, DynamicElement) else element.radius), 0.0
-
-
-def _normalised(element: Element) -> Element:
-    if isinstance(element, RealParameter):
-        return RealParameter(element.name, 0.0, -1.0, 1.0, "1", element.description)
+        return *element.bilinear, RealParameter(element.name, 0.0, -1.0, 1.0, "1", element.description)
     if isinstance(element, ComplexParameter):
-        return ComplexParameter(element.name, 0.0, 1.0, "1", element.description)
-    return replace(element, bound=1.0)
+        return element.radius, 0.0, ComplexParameter(element.name, 0.0, 1.0, "1", element.description)
+    return element.bound, 0.0, replace(element, bound=1.0)
 
 
 @checked
@@ -529,8 +523,7 @@ def state_space(
 @checked
 def static_gain(matrix: ArrayLike, inputs: Sequence[Port], outputs: Sequence[Port]) -> System:
     """Gain without states or elements: ``y = matrix u``."""
-    none = np.zeros((0, 0))
-    return System(none, none, none, matrix, tuple(inputs), tuple(outputs))  # type: ignore[arg-type]
+    return System.static(matrix, tuple(inputs), tuple(outputs), "system")
 
 
 @checked

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Protocol
 
+from lftkit.support.counted_nouns import counted
 from lftkit.uncertainty.elements import Element, description
 
 if TYPE_CHECKING:
@@ -17,45 +18,38 @@ SHOWN = 4
 
 
 class WithPorts(Protocol):
-    """What the line needs of a system: ports and number of states."""
+    """A system with ports and a number of states, for a line about it."""
 
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Ports of the inputs."""
-        ...
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Ports of the outputs."""
-        ...
 
     @property
     def order(self) -> int:
         """Number of states."""
-        ...
 
 
 class Summarised(WithPorts, Protocol):
-    """What a summary needs as well: name, period, elements and their occurrences."""
+    """A system with name, period, elements and their occurrences, for a summary."""
 
     @property
     def name(self) -> str:
         """Name of the system."""
-        ...
 
     @property
     def dt(self) -> float:
         """Sampling period [s]; 0: continuous time."""
-        ...
 
     @property
     def elements(self) -> tuple[Element, ...]:
         """Uncertain elements."""
-        ...
 
     def occurrences(self) -> dict[str, int]:
         """Number of repetitions of each element in Delta."""
-        ...
 
 
 def lines(system: Summarised) -> list[str]:
@@ -74,7 +68,7 @@ def lines(system: Summarised) -> list[str]:
     """
     size = sum(system.occurrences().values())
     head = f"System {system.name!r}: {_kind(system)}"
-    sides = [f"  {_count(sum(p.size for p in ports), kind)}: {_named(ports)}" for ports, kind in _sides(system)]
+    sides = [f"  {counted(sum(p.size for p in ports), kind)}: {_named(ports)}" for ports, kind in _sides(system)]
     if not system.elements:
         return [head, *sides]
     found = [f"{name} ({n})" for name, n in system.occurrences().items()]
@@ -105,10 +99,10 @@ def text(system: Summarised) -> str:
     """Ports with sizes and units, elements with range and occurrences in Delta."""
     found = [f"{system.name}: {_kind(system)}"]
     for ports, kind in _sides(system):
-        found += [f"{_count(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
+        found += [f"{counted(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
     rows = _element_rows(system)
     total = sum(system.occurrences().values())
-    found += [f"{_count(len(rows), 'element')}, {_count(total, 'occurrence')} in Delta:"] if rows else ["certain"]
+    found += [f"{counted(len(rows), 'element')}, {counted(total, 'occurrence')} in Delta:"] if rows else ["certain"]
     return "\n".join([*found, *_columns(rows)])
 
 
@@ -116,20 +110,16 @@ def html(system: Summarised) -> str:
     """The same as HTML: one line, ports and elements in tables that fold out."""
     parts = [f"<strong>{escape(system.name)}: {_kind(system)}</strong>"]
     for ports, kind in _sides(system):
-        head = _count(sum(p.size for p in ports), kind)
+        head = counted(sum(p.size for p in ports), kind)
         parts.append(_table(head, ("port", "size", "unit"), _port_rows(ports)))
     if rows := _element_rows(system):
-        head = f"{_count(len(rows), 'element')}, {_count(sum(system.occurrences().values()), 'occurrence')} in Delta"
+        head = f"{counted(len(rows), 'element')}, {counted(sum(system.occurrences().values()), 'occurrence')} in Delta"
         parts.append(_table(head, ("element", "range", "occurrences"), rows))
     return f"<div>{''.join(parts)}</div>"
 
 
 def _sides(system: WithPorts) -> tuple[tuple[tuple[Port, ...], str], ...]:
     return (system.inputs, "input"), (system.outputs, "output")
-
-
-def _count(number: int, kind: str) -> str:
-    return f"{number} {kind}{'' if number == 1 else 's'}"
 
 
 def _port_rows(ports: Sequence[Port]) -> list[Row]:

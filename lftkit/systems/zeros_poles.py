@@ -10,6 +10,7 @@ from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
@@ -42,10 +43,8 @@ def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
     up, down = (_pairs(np.asarray(roots, dtype=complex).ravel()) for roots in (zeros, poles))
     if sum(map(len, up)) > sum(map(len, down)):
         raise InputError(f"zeros must be at most as many as poles, got {sum(map(len, up))} and {sum(map(len, down))}")
-    A: FloatArray = np.zeros((0, 0))
-    B: FloatArray = np.zeros((0, 1))
-    C: FloatArray = np.zeros((1, 0))
-    D: FloatArray = np.ones((1, 1))
+    unit: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+    A, B, C, D = unit
     for z, p in zip_longest(up, down, fillvalue=np.zeros(0, complex)):
         a, b, c, d = _section(z, p)
         A = np.block([[a, b @ C], [np.zeros((len(A), len(a))), A]])
@@ -90,3 +89,33 @@ def _section(zeros: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, Floa
         A = np.diag(poles.real) + np.diag(np.ones(max(n - 1, 0)), 1)
         out = np.array([[rest[1] + rest[0] * poles[0].real, rest[0]]]) if n == 2 else rest.reshape(1, n)
     return A, into, out, np.array([[through]])
+
+
+def zeros_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> ComplexArray:
+    """Points at which the system matrix ``[A - s, B; C, D]`` loses rank; none of a system that is not square.
+
+    Zeros at infinity may be among them as large numbers: rounding makes them finite.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (m, n), (m, m)
+
+    Returns
+    -------
+    ndarray, complex
+        [rad/s], or of a sampled system in the z-plane.
+
+    Examples
+    --------
+    ``(s - 2) / (s + 1)``:
+
+    >>> zeros_of(np.array([[-1.0]]), np.array([[1.0]]), np.array([[-3.0]]), np.array([[1.0]])).round(9).tolist()
+    [(2+0j)]
+    """
+    n, (outputs, inputs) = len(A), np.shape(D)
+    if outputs != inputs:
+        return np.zeros(0, complex)
+    unit = np.zeros((n + inputs, n + inputs))
+    unit[:n, :n] = np.eye(n)
+    values = np.asarray(linalg.eigvals(np.block([[A, B], [C, D]]), unit), dtype=complex)
+    return np.asarray(values[np.isfinite(values)])

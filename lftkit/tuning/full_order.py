@@ -18,8 +18,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.reduction.balancing import truncated
 from lftkit.synthesis.extended_plant import ExtendedPlant
-from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg, sampled_lqg
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import extended_plant
 from lftkit.tuning.problem import Problem
@@ -90,7 +89,7 @@ def sampled_lqg_starts(
     for gain in gains[:MAX_REQUIREMENTS]:
         try:
             plant = _regularised(extended_plant(model, measured, commanded, 0, gain))
-            laws = [sampled_lqg(plant, direct=direct).matrices for direct in (False, True)]
+            laws = [sampled_lqg(plant, direct=direct)[0] for direct in (False, True)]
         except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
             continue
         starts = [_taken(structure, *law, model.dt) for law in laws]

@@ -5,7 +5,7 @@ The infimum of an H-infinity norm over all controllers is the lowest level at wh
 by the LQG controller. Both need every command in the error and noise on every measurement (D12 of full column rank, D21
 of full row rank), but for the H2 norm of a loop on samples. Without them an H-infinity norm has the bound of
 :func:`~lftkit.synthesis.hinfsyn`, by linear matrix inequalities, for the soft gains and the first model; for others and
-for more states it has that of single points (:mod:`lftkit.synthesis.out_of_reach`). With a delay or with a band of
+for more states it has that of single points (:mod:`lftkit.synthesis.working_plant`). With a delay or with a band of
 frequencies there is none here. A bound is numerical, not a proof: it counts only if a controller nearly reaches it on
 the assembled loop.
 """
@@ -22,8 +22,8 @@ from lftkit.arrays import FloatArray
 from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.synthesis.full_order import h2syn, hinfsyn
 from lftkit.synthesis.lower_bound import MAX_ORDER as MAX_STATES
-from lftkit.synthesis.out_of_reach import gain_out_of_reach
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.synthesis.working_plant import gain_out_of_reach
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.system import System

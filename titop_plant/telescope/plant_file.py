@@ -34,7 +34,7 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from titop_plant.interface import COMMAND_PORTS, TRUTH_PORTS
 from titop_plant.sensors import GAUGE_PORT, MEASURED_SENSORS
 from titop_plant.telescope.layout import IMBALANCE_CHANNELS, speed_names

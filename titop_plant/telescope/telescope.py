@@ -22,7 +22,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.trusted.digests import digest
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement

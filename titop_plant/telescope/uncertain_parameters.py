@@ -8,7 +8,7 @@ import random
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from titop_plant.telescope.layout import ANGLE, MountedBody, WheelOnBoard
 from titop_plant.telescope.tables.uncertain import is_factor
 

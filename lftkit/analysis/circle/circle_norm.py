@@ -1,4 +1,4 @@
-"""H-infinity norm in discrete time: gains on the unit circle, and a test that covers the circle by intervals.
+"""H-infinity and H2 norm in discrete time: gains on the unit circle, and a test that covers the circle by intervals.
 
 Nothing is mapped to continuous time. On each interval the square of the response is a polynomial; its Bernstein
 coefficients bound it (the basis functions are positive and add up to 1, and the largest eigenvalue is convex).
@@ -8,39 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Protocol
 
 import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
-from lftkit.analysis.circle.circle_response import ORDER, CircleResolvents, Expansion, circle_modes
+from lftkit.analysis.circle.circle_response import ANGLE, ORDER, CircleModes, CircleResolvents, circle_modes
 from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
-from lftkit.analysis.eigenvectors import EPS, balanced
-from lftkit.analysis.hinf.interval_cover import PEAK_CUTS, above_level
-from lftkit.analysis.hinf.level_iteration import Peak, UndecidedError, bracketed_norm
+from lftkit.analysis.eigenvectors import EPS, balanced, modes
+from lftkit.analysis.hinf.level_iteration import PEAK_CUTS, Peak, UndecidedError, above_level, bracketed_norm
 from lftkit.analysis.hinf.peak_search import highest_peak
+from lftkit.analysis.riccati import stein
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 GROWTH = 2.0  # of the intervals away from a pole
 MARGIN = 0.9  # part of `rtol` between a gain and the level above it: the rest is for its rounding
-
-
-class Expandable(Protocol):
-    """A stable response on the unit circle."""
-
-    @property
-    def angle(self) -> FloatArray:
-        """Angles of the poles [rad]."""
-
-    @property
-    def gap(self) -> FloatArray:
-        """Distances of the poles from the circle."""
-
-    def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
-        """Expansions around angles."""
-
-    def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Response and two derivatives."""
+TRUSTED = 1e-9  # relative error of the variance by rounding, at most
+AGREEMENT = 1e-6  # relative difference of the sums with B and with C, at most
 
 
 @dataclass(frozen=True)
@@ -60,9 +43,9 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
     resolvents, then exact arithmetic; where none of them closes the gap to `rtol`, the best bounds are returned, of the
     certificate ``none`` where there is no upper bound.
     """
-    given, unit = in_units(system)
-    found = _norm_in_units(given, rtol)
-    return found and replace(found, value=found.value * unit, upper=found.upper * unit)
+    balanced_system, unit = in_units(system)
+    peak = _norm_in_units(balanced_system, rtol)
+    return peak and replace(peak, value=peak.value * unit, upper=peak.upper * unit)
 
 
 def in_units(system: Matrices) -> tuple[Matrices, float]:
@@ -82,19 +65,19 @@ def stability_limit(system: Matrices) -> float:
     return 1.0 - 4.0 * EPS * len(system[0])
 
 
-def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
-    limit = stability_limit(given)
-    form, stable = circle_modes(given, limit)
+def _norm_in_units(system: Matrices, rtol: float) -> CirclePeak | None:
+    limit = stability_limit(system)
+    form, stable = circle_modes(system, limit)
     if stable is False:
         return None
     best = circle_norm(form, rtol) if form else None
     if best is None:
-        resolvents = CircleResolvents.of(given)
+        resolvents = CircleResolvents.of(system)
         if resolvents.gap.min() > 1.0 - limit:
             best = circle_norm(resolvents, rtol)
     if best is not None and best.upper <= best.value * (1.0 + rtol):
         return best
-    if (quotient := Quotient.of(given)) is not None:
+    if (quotient := Quotient.of(system)) is not None:
         if stable is None and not quotient.stable(limit):
             return None
         try:
@@ -103,11 +86,11 @@ def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
             pass
     if best is not None:
         return best
-    direct = float(largest_gains(given[3][None].astype(complex))[0])  # the norm is that of D at least
+    direct = float(largest_gains(system[3][None].astype(complex))[0])  # the norm is that of D at least
     return CirclePeak(direct, float("inf"), 0.0, "none")
 
 
-def circle_norm(response: Expandable, rtol: float) -> CirclePeak | None:
+def circle_norm(response: CircleModes | CircleResolvents, rtol: float) -> CirclePeak | None:
     """H-infinity norm of a stable response; None where intervals do not show it.
 
     The two sides are `rtol` apart unless rounding forbids it; then they are as far apart as rounding makes them.
@@ -125,7 +108,7 @@ class CircleModel:
     Its frequencies are angles [rad].
     """
 
-    response: Expandable
+    response: CircleModes | CircleResolvents
     rtol: float
 
     def first_peak(self) -> Peak:
@@ -163,23 +146,23 @@ class CircleModel:
 
     def _bounds(self, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gain at the centres that rounding does not exclude, and a bound of it on the intervals, both (N,)."""
-        found = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
-        square = _square(found.coefficients)
+        expansion = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
+        square = _square(expansion.coefficients)
         bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
         k = square.shape[-1]
         highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
         gains = np.sqrt(largest_eigenvalues(square[:, 0]))
-        slack = found.rounding * 2.0 + found.rest
-        return gains + 2.0 * found.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
+        slack = expansion.rounding * 2.0 + expansion.rest
+        return gains + 2.0 * expansion.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
 
 
-def _distance(response: Expandable, theta: float) -> float:
+def _distance(response: CircleModes | CircleResolvents, theta: float) -> float:
     """Distance of the nearest pole, at least in order of magnitude."""
     apart = np.abs(np.remainder(theta - response.angle + np.pi, 2.0 * np.pi) - np.pi)
     return float(np.hypot(apart, response.gap).min(initial=1.0))
 
 
-def _cuts(response: Expandable, seeds: FloatArray, peak: float) -> FloatArray:
+def _cuts(response: CircleModes | CircleResolvents, seeds: FloatArray, peak: float) -> FloatArray:
     """First cuts of half the circle: intervals that grow with the distance from the nearest pole and from the peak."""
     steps = _distance(response, peak) * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
     near = (response.gap < 0.3) & (response.angle >= 0.0)
@@ -218,3 +201,57 @@ def _bernstein_matrix(degree: int) -> FloatArray:
 
 
 _TO_BERNSTEIN = _bernstein_matrix(2 * ORDER)
+
+
+def discrete_h2(system: Matrices) -> float | None:
+    """H2 norm of a system in discrete time with at least one state; None for an unstable one.
+
+    By the modal form, integer arithmetic, or sums by doubling, from the matrices that were given.
+
+    Raises
+    ------
+    ArithmeticError
+        More than 24 states, and rounding hides the norm.
+    """
+    balanced_system, unit = in_units(system)
+    limit = stability_limit(balanced_system)
+    form, stable = circle_modes(balanced_system, limit)
+    if stable is False:
+        return None
+    if form is not None:
+        variance, error = _of_modes(form)
+        if error <= TRUSTED * variance:
+            return unit * float(np.sqrt(variance))
+    if (quotient := Quotient.of(balanced_system)) is not None:
+        return unit * float(np.sqrt(quotient.variance())) if quotient.stable(limit) else None
+    # Variance by both Gramians, which must agree
+    A, B, C, D = balanced_system
+    hidden = f"rounding hides the H2 norm of a discrete-time system of order {len(A)}"
+    if np.abs(modes(A).poles).max() >= limit:
+        raise ArithmeticError(hidden)
+    direct = float(np.sum(D**2))
+    first = direct + float(np.sum((C @ stein(A, B @ B.T)) * C))
+    second = direct + float(np.sum((B.T @ stein(A.T, C.T @ C)) * B.T))
+    if not abs(first - second) <= AGREEMENT * abs(first):
+        raise ArithmeticError(hidden)
+    return unit * float(np.sqrt(max(first, 0.0)))
+
+
+def _of_modes(form: CircleModes) -> tuple[float, float]:
+    """Variance of the output for white noise, and what rounding may have done to it."""
+    residues = form.residues
+    gap, radius = form.gap[:, None] + form.gap - form.gap[:, None] * form.gap, 1.0 - form.gap
+    phi = form.angle[:, None] - form.angle
+    turn = 2.0 * np.sin(0.5 * phi) ** 2 - 1j * np.sin(phi)
+    apart = gap + radius[:, None] * radius * turn  # 1 - pole_i conj(pole_j)
+    products = residues @ residues.conj().T
+    variance = float(np.sum(form.D**2) + np.sum(products / apart).real)
+    distance = np.abs(apart)
+    sizes = form.sizes[:, None] * form.sizes
+    turned = sizes / distance**2
+    turned[np.diag_indices(len(turned))] = 0.0
+    root = np.sqrt(form.gap)
+    widest = np.sqrt(np.maximum(form.gap[:, None], form.gap))
+    response = float(np.sum(form.inexact / root) + 2.0 * np.sum(form.couplings / (root[:, None] * root * widest)))
+    rounding = 16.0 * EPS * float(np.sum(sizes / distance)) + 2.0 * ANGLE * float(turned.sum())
+    return max(variance, 0.0), rounding + response * (2.0 * max(variance, 0.0) ** 0.5 + response)

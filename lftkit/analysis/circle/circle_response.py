@@ -26,7 +26,7 @@ from lftkit.analysis.eigenvectors import (
     eigenvector_residual,
     modes,
 )
-from lftkit.analysis.hinf.interval_cover import INSIDE
+from lftkit.analysis.hinf.level_iteration import INSIDE
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 ORDER = 4  # of the expansions
@@ -131,20 +131,20 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
     """
     A, B, C, D = system
     n = len(A)
-    found = modes(A)
-    if found.reciprocal_condition * MAX_CONDITION < 1.0:
+    eigen = modes(A)
+    if eigen.reciprocal_condition * MAX_CONDITION < 1.0:
         return None, None
-    off = _residual(A, found)
-    gap, angle = _polar(found.poles, off)
+    off = _residual(A, eigen)
+    gap, angle = _polar(eigen.poles, off)
     if not np.all(np.abs(off).sum(axis=1) <= SEPARATE * np.abs(gap)):
-        found = corrected_modes(A, found)
-        vectors = found.vectors + found.low
-        found = Modes(found.poles, vectors, np.zeros((n, n)), lapack.dgetrf(vectors)[:2])
-        off = _residual(A, found)
-        gap, angle = _polar(found.poles, off)
+        eigen = corrected_modes(A, eigen)
+        vectors = eigen.vectors + eigen.low
+        eigen = Modes(eigen.poles, vectors, np.zeros((n, n)), lapack.dgetrf(vectors)[:2])
+        off = _residual(A, eigen)
+        gap, angle = _polar(eigen.poles, off)
     # Magnitudes of what is left of the residual beside the diagonal, with its own rounding
     size = np.abs(off)
-    inverse = len(A) / max(found.reciprocal_condition, EPS)
+    inverse = len(A) / max(eigen.reciprocal_condition, EPS)
     doubt = inverse * (EPS * float(size.max(initial=0.0)) + TWICE * float(np.abs(A).max(initial=0.0)))
     size[np.diag_indices(len(A))] = 0.0
     couplings = size + doubt
@@ -156,19 +156,26 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
         return None, False
     if np.any(reach > SETTLED * gap):
         return None, None
-    left = complex_columns(found.poles, found.observed(C))
-    right, error = _excited(found, B)
+    left = complex_columns(eigen.poles, eigen.observed(C))
+    # ``V^-1 B`` (n, m), complex, and the error of its rows (n,)
+    first = lapack.dgetrs(*eigen.factors, B)[0]
+    high, low = matrix_product(eigen.vectors, first)
+    correction = lapack.dgetrs(*eigen.factors, (B - high) - low)[0]
+    right = complex_rows(eigen.poles, first + correction)
+    inverse = len(B) / max(eigen.reciprocal_condition, EPS)
+    lost = EPS * float(np.abs(correction).max(initial=0.0)) + TWICE * float(np.abs(first).max(initial=0.0))
+    error = 2.0 * EPS * np.sqrt(np.sum(np.abs(right) ** 2, axis=1)) + inverse * lost
     rows, columns = np.sqrt(np.sum(np.abs(left) ** 2, axis=0)), np.sqrt(np.sum(np.abs(right) ** 2, axis=1))
     residues = (left.T[:, :, None] * right[:, None, :]).reshape(n, -1)
     inexact = rows * error + 4.0 * EPS * rows * columns
     return CircleModes(angle, gap, residues, rows * columns, inexact, couplings * rows[:, None] * columns, D), True
 
 
-def _residual(A: FloatArray, found: Modes) -> ComplexArray:
+def _residual(A: FloatArray, eigen: Modes) -> ComplexArray:
     """``V^-1 A V - diag(poles)`` (n, n)."""
-    real = lapack.dgetrs(*found.factors, eigenvector_residual(A, found))[0]
-    off = complex_columns(found.poles, real)
-    first = np.flatnonzero(found.poles.imag > 0)
+    real = lapack.dgetrs(*eigen.factors, eigenvector_residual(A, eigen))[0]
+    off = complex_columns(eigen.poles, real)
+    first = np.flatnonzero(eigen.poles.imag > 0)
     x, y = off[first], off[first + 1]
     off[first], off[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
     return off
@@ -186,17 +193,6 @@ def _polar(poles: ComplexArray, off: ComplexArray) -> tuple[FloatArray, FloatArr
     error -= 2.0 * (poles.real * low.real + poles.imag * low.imag) + np.abs(low) ** 2
     gap = (total + error) / (1.0 + np.abs(poles))
     return gap, np.asarray(np.angle(poles + low), dtype=float)
-
-
-def _excited(found: Modes, B: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """``V^-1 B`` (n, m), complex, and the error of its rows (n,)."""
-    first = lapack.dgetrs(*found.factors, B)[0]
-    high, low = matrix_product(found.vectors, first)
-    correction = lapack.dgetrs(*found.factors, (B - high) - low)[0]
-    right = complex_rows(found.poles, first + correction)
-    inverse = len(B) / max(found.reciprocal_condition, EPS)
-    lost = EPS * float(np.abs(correction).max(initial=0.0)) + TWICE * float(np.abs(first).max(initial=0.0))
-    return right, 2.0 * EPS * np.sqrt(np.sum(np.abs(right) ** 2, axis=1)) + inverse * lost
 
 
 @dataclass(frozen=True)
@@ -233,9 +229,9 @@ class CircleResolvents:
     def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Response at the angle `theta` and its first and second derivative with respect to it."""
         size = 1e-3 * max(float(self.gap.min(initial=1.0)), 1e-14)
-        found = self._expansion(np.array([theta]), np.array([size])).coefficients[0]
+        coefficients = self._expansion(np.array([theta]), np.array([size])).coefficients[0]
         t = 2.0 * np.tan(0.5 * size)  # t = tan(phi / 2), so that d/dphi = 1/2 d/dt at 0
-        return found[0], found[1] / t, 2.0 * found[2] / (t * t)
+        return coefficients[0], coefficients[1] / t, 2.0 * coefficients[2] / (t * t)
 
     def _expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
         n = len(self.A)

@@ -16,10 +16,9 @@ from scipy.linalg import lapack
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.direct_gain import CANCELLATION, cancellation, direct_gain
 from lftkit.analysis.hinf.level_iteration import Peak
-from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
-from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.analysis.hinf.peak_search import CANCELLATION, cancellation, direct_gain, highest_peak_of, peak_frequencies
+from lftkit.arrays import FloatArray, Matrices
 
 IMAGINARY = 1e-7  # real part of an imaginary eigenvalue over its magnitude, at most: one too many costs only a gain
 ROUNDING = 1e-13  # the same over the largest magnitude
@@ -93,14 +92,14 @@ class HamiltonianModel:
             return end if end.gain > level else None
         edges = np.unique([self.band[0], *inside, min(self.band[1], 2.0 * float(inside[-1]))])
         candidates = np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])])
-        found, modal = self._highest(candidates)
-        if not found.gain > level:  # the response may be less precise than a direct solution
+        highest, modal = self._highest(candidates)
+        if not highest.gain > level:  # the response may be less precise than a direct solution
             gains = [direct_gain(self.system, float(omega)) for omega in candidates]
             best = int(np.argmax(gains))
-            found = Peak(float(candidates[best]), gains[best])
-        if found.gain > level:
-            return found
-        return found._replace(possible=modal) if modal > level else None
+            highest = Peak(float(candidates[best]), gains[best])
+        if highest.gain > level:
+            return highest
+        return highest._replace(possible=modal) if modal > level else None
 
     def _highest(self, frequencies: FloatArray) -> tuple[Peak, float]:
         """The highest peak near some of the frequencies inside the band, and its gain in the response."""
@@ -130,19 +129,12 @@ def level_crossings(system: Matrices, level: float) -> FloatArray:
     gap = float(np.abs(1.0 - (linalg.svdvals(system[3]) / level) ** 2).min(initial=1.0))
     solved = EPS * size * max(1.0 / max(gap, EPS) - 1.0, 0.0)  # rounding where the level is near a gain of D
     near = np.abs(real) <= IMAGINARY * sizes + ROUNDING * size + 2.0 * np.sqrt(solved * sizes)
-    near |= 2.0 * np.abs(real) <= UNPAIRED * _without_partner(real + 1j * imaginary)
-    return np.asarray(np.unique(np.abs(imaginary[near])))
-
-
-def _without_partner(values: ComplexArray) -> FloatArray:
-    """How far each eigenvalue (k,) is from being the reflection of another one at the axis.
-
-    Eigenvalues of a Hamiltonian matrix that are not imaginary come in pairs, reflected at the axis, as far as rounding
-    lets them: one without a partner is imaginary.
-    """
+    # Others come in pairs, reflected at the axis, as far as rounding lets them: one without a partner is imaginary
+    values = real + 1j * imaginary
     distance = np.abs(values[:, None] + values.conj())
     np.fill_diagonal(distance, np.inf)
-    return np.asarray(distance.min(axis=1, initial=np.inf))
+    near |= 2.0 * np.abs(real) <= UNPAIRED * np.asarray(distance.min(axis=1, initial=np.inf))
+    return np.asarray(np.unique(np.abs(imaginary[near])))
 
 
 def hamiltonian_eigenvalues(system: Matrices, level: float) -> tuple[FloatArray, FloatArray]:

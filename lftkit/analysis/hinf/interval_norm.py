@@ -14,10 +14,8 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.direct_gain import cancellation, direct_gain
-from lftkit.analysis.hinf.interval_cover import INSIDE, PEAK_CUTS, above_level
-from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
-from lftkit.analysis.hinf.peak_search import highest_peak_of, peak_frequencies
+from lftkit.analysis.hinf.level_iteration import AGREEMENT, INSIDE, PEAK_CUTS, Peak, UndecidedError, above_level
+from lftkit.analysis.hinf.peak_search import cancellation, direct_gain, highest_peak_of, peak_frequencies
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
 
@@ -112,13 +110,10 @@ def interval_test(
         gain[hard], bound[hard] = _taylor_bound(response, residue, centre[hard], half[hard], False)
         return gain, bound
 
-    def beyond_top(centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return _taylor_bound(response, residue, centre, half, True)
-
     found = above_level(up_to_top, level, ends, step)
     if found is not None:
         return found[0]
-    found = above_level(beyond_top, level, tail, step)
+    found = above_level(lambda centre, half: _taylor_bound(response, residue, centre, half, True), level, tail, step)
     if found is None:
         return None
     with np.errstate(divide="ignore"):

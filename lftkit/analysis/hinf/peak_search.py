@@ -1,17 +1,20 @@
-"""Peaks of the largest singular value over frequency: where to look, and Newton's method with exact derivatives."""
+"""Peaks of the largest singular value over frequency: where to look, and Newton's method with exact derivatives.
+
+Gains are those of a direct solution at one frequency: the modal form never has the last word.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import LinAlgError, lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
-from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.frequency_response import FrequencyResponse, refined_response
 from lftkit.analysis.hinf.level_iteration import Peak
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 MAX_STEPS = 20
 FALL = 0.01  # of a step that would raise the gain by less than this times the tolerance: it is not taken
@@ -19,18 +22,71 @@ STARTS = 3  # frequencies from which a peak is searched
 RIVAL = 0.7  # of the largest gain: frequencies below are no starts
 
 Responses = Callable[[float], tuple[ComplexArray, ComplexArray, ComplexArray]]
+CANCELLATION = 100.0 * EPS  # rounding of a gain over the sum of the magnitudes of the modal terms
+
+
+def direct_gain(system: Matrices, omega: float, *, refined: bool = True) -> float:
+    """Largest singular value of ``C (j omega - A)^-1 B + D`` at `omega` [rad/s], also at infinity.
+
+    Parameters
+    ----------
+    system : tuple of ndarray
+        Balanced matrices, shapes (n, n), (n, m), (p, n), (p, m).
+    omega : float
+    refined : bool
+        Correct the solution by residuals in twice the working precision; without, for poles far from `omega`.
+    """
+    if refined:
+        return float(largest_gains(refined_response(*system, omega)[None])[0])
+    return largest_gain(response_at(system, 1j * omega) if omega < np.inf else system[3])
+
+
+def response_at(system: Matrices, point: complex) -> ComplexArray:
+    """``C (point - A)^-1 B + D``, shape (p, m), by one factorisation.
+
+    Raises
+    ------
+    LinAlgError
+        A pole at the point.
+    """
+    A, B, C, D = system
+    shifted = np.multiply(A, -1.0 + 0.0j, order="F")
+    shifted.flat[:: len(A) + 1] += point
+    *_, states, singular = lapack.zgesv(shifted, B, overwrite_a=1)
+    if singular:
+        raise LinAlgError(f"the response at {point} must not be that at a pole")
+    return np.asarray(C @ states + D)
+
+
+def largest_gain(response: FloatArray | ComplexArray) -> float:
+    """Largest singular value of one matrix (p, m), in fewer calls than that of a stack."""
+    if 1 in response.shape:
+        return float(np.sqrt(np.vdot(response, response).real))
+    return float(lapack.zgesdd(response, compute_uv=0)[1][0])
+
+
+def cancellation(response: FrequencyResponse) -> float:
+    """Rounding of a gain where the modal terms cancel, at any frequency; 0 in Schur form, where it is not known.
+
+    The largest sum of the magnitudes of the terms is estimated by the terms at the distance of each pole from the axis.
+    """
+    if not response.modal:
+        return 0.0
+    poles = response.poles
+    distance = np.maximum(np.abs(np.abs(poles) - poles.imag), np.abs(poles.real))
+    return CANCELLATION * float(np.sum(response.residue_norms / np.maximum(distance, 1e-300)))
 
 
 def peak_frequencies(poles: Iterable[complex]) -> FloatArray:
     """Finite frequencies of possible peaks [rad/s], ascending: zero, resonances, magnitudes of the poles."""
-    found = {0.0}
+    omega = {0.0}
     for pole in poles:
         decay, height, size = -pole.real, pole.imag, abs(pole)
         if height >= -4.0 * EPS * size:
-            found.add(size)
+            omega.add(size)
             if height > abs(decay):
-                found.add(((height - decay) * (height + decay)) ** 0.5)
-    return np.array(sorted(found))
+                omega.add(((height - decay) * (height + decay)) ** 0.5)
+    return np.array(sorted(omega))
 
 
 def highest_peak_of(
@@ -125,8 +181,8 @@ def squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> tuple[f
         G, G1, G2 = G.T, G1.T, G2.T
     if len(G) == 1:
         g, g1, g2 = G[0], G1[0], G2[0]
-        own = 2.0 * float(np.vdot(g, g2).real + np.vdot(g1, g1).real)
-        return float(np.vdot(g, g).real), 2.0 * float(np.vdot(g, g1).real), own
+        curvature = 2.0 * float(np.vdot(g, g2).real + np.vdot(g1, g1).real)
+        return float(np.vdot(g, g).real), 2.0 * float(np.vdot(g, g1).real), curvature
     H = G.conj().T
     values, vectors, _ = lapack.zheev(G @ H)
     u = vectors[:, -1]
@@ -134,5 +190,5 @@ def squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> tuple[f
     slope = G1 @ x + G @ x1  # the derivative of G G^H, times u
     couplings = np.abs(vectors.conj().T @ slope)[:-1]
     others = couplings * couplings / np.maximum(values[-1] - values[:-1], 1e-300)
-    own = 2.0 * float(np.vdot(u, G2 @ x).real + np.vdot(x1, x1).real)
-    return float(values[-1]), float(np.vdot(u, slope).real), own + 2.0 * float(others.sum())
+    curvature = 2.0 * float(np.vdot(u, G2 @ x).real + np.vdot(x1, x1).real)
+    return float(values[-1]), float(np.vdot(u, slope).real), curvature + 2.0 * float(others.sum())

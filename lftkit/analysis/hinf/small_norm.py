@@ -7,9 +7,10 @@ other way.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
-from math import hypot
+from math import hypot, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +18,11 @@ from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
-from lftkit.analysis.hinf.direct_gain import direct_gain, largest_gain
 from lftkit.analysis.hinf.hamiltonian_norm import hamiltonian_eigenvalues
 from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
-from lftkit.analysis.hinf.peak_search import climb, peak_frequencies
+from lftkit.analysis.hinf.peak_search import climb, direct_gain, largest_gain, peak_frequencies, response_at
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.systems.sampled.bilinear import discrete_point, to_continuous, unwarped_frequency
 
 MAX_STATES = 40
 SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
@@ -32,6 +33,54 @@ LARGE = 1e70  # gains between this and its inverse have fourth powers that are n
 CLIMB = 0.1  # part of `rtol` to which a peak is climbed
 DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
 DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
+MAX_CONDITION = 1e4  # of the matrix that is inverted
+
+
+class HalfPlane(NamedTuple):
+    """The mapped system, the one that was given, and what the map may have lost.
+
+    It is the bilinear map of ``sign z`` (:mod:`lftkit.systems.sampled.bilinear`, with the period 2). The inverse that
+    it needs is that of ``sign A + I``: well conditioned as long as no pole is near ``z = -sign``.
+
+    Parameters
+    ----------
+    matrices, given : tuple of ndarray
+        Shapes (n, n), (n, m), (p, n), (p, m): in continuous and in discrete time.
+    sign : float
+        1 or -1.
+    condition : float
+        Of ``sign A + I``, 1-norm: the mapped matrices are exact to so many roundings.
+    """
+
+    matrices: Matrices
+    given: Matrices
+    sign: float
+    condition: float
+
+    @classmethod
+    def of(cls, system: Matrices) -> Iterator[HalfPlane]:
+        """The maps that are well conditioned, first by the sign of the trace.
+
+        The second one is for a peak at ``z = -sign``, which the first one has at infinity.
+        """
+        A, B, C, D = system
+        first, one = 1.0 if A.trace() >= 0.0 else -1.0, np.eye(len(A))
+        for sign in (first, -first):
+            with suppress(ValueError):
+                mapped = to_continuous(A * sign, B * sign, C, D, rcond=0.0)
+                shifted, inverse = A * sign + one, 0.5 * (one - mapped[0])
+                condition = float(abs(shifted).sum(axis=0).max() * abs(inverse).sum(axis=0).max())
+                if condition <= MAX_CONDITION:
+                    yield cls(mapped, system, sign, condition)
+
+    def angle(self, omega: float) -> float:
+        """Angle on the unit circle [rad] of the frequency `omega` in continuous time."""
+        turn = 2.0 * unwarped_frequency(omega)
+        return turn if self.sign > 0.0 else pi - turn
+
+    def response(self, omega: float) -> ComplexArray:
+        """Response (p, m) of the matrices that were given, at the point of the circle of `omega`."""
+        return response_at(self.given, self.sign * (-1.0 if omega == np.inf else discrete_point(1j * omega)))
 
 
 def hidden(rtol: float) -> float:
@@ -40,21 +89,6 @@ def hidden(rtol: float) -> float:
     Its eigenvalues say the square of the level: where terms cancel, rounding of theirs can hide a peak.
     """
     return float((CANCELLED * EPS / rtol) ** 0.5)
-
-
-class Origin(NamedTuple):
-    """Where a mapped system comes from.
-
-    Parameters
-    ----------
-    response : callable
-        Response (p, m) of the matrices that were given at a frequency of the mapped system [rad/s], also at infinity.
-    condition : float
-        The mapped matrices are exact to so many roundings.
-    """
-
-    response: Callable[[float], ComplexArray]
-    condition: float
 
 
 class SmallModel(NamedTuple):
@@ -66,7 +100,7 @@ class SmallModel(NamedTuple):
         Shapes (n, n), (n, m), (p, n), (p, m).
     rtol : float
         Relative distance of the two sides.
-    origin : Origin or None
+    origin : HalfPlane or None
         Of a mapped system.
     poles : ndarray, shape (n,), complex
         Eigenvalues of A [rad/s].
@@ -87,7 +121,7 @@ class SmallModel(NamedTuple):
 
     system: Matrices
     rtol: float
-    origin: Origin | None
+    origin: HalfPlane | None
     poles: ComplexArray
     residues: ComplexArray
     values: list[complex]
@@ -98,7 +132,7 @@ class SmallModel(NamedTuple):
     direct: float
 
     @classmethod
-    def of(cls, system: Matrices, rtol: float, origin: Origin | None = None) -> SmallModel:
+    def of(cls, system: Matrices, rtol: float, origin: HalfPlane | None = None) -> SmallModel:
         """Model of a balanced system (A, B, C, D) in continuous time.
 
         Parameters
@@ -107,7 +141,7 @@ class SmallModel(NamedTuple):
             Shapes (n, n), (n, m), (p, n), (p, m); B and C are not zero.
         rtol : float
             Relative distance of the two sides.
-        origin : Origin, optional
+        origin : HalfPlane, optional
             Of a system that is an exact map of another one up to rounding: the gain is that of the other one, and
             nothing is decided by what the map may have lost.
 
@@ -135,7 +169,8 @@ class SmallModel(NamedTuple):
         terms = float((abs(residues).max(axis=1) / -real).sum())
         if rounding > SEPARATION * rtol**0.5 * decay:
             raise UndecidedError("the damping is near rounding")
-        if origin is not None and _nearest_to_circle(values) < AT_CIRCLE * n:
+        # 1 - |z|^2 of the poles z = (1 + s) / (1 - s)
+        if origin is not None and min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values) < AT_CIRCLE * n:
             raise UndecidedError("a pole is near the unit circle")
         if not terms + float(abs(D).max()) < LARGE:
             raise UndecidedError("powers of the gains are no numbers")
@@ -158,7 +193,19 @@ class SmallModel(NamedTuple):
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near the best of the crossings of the level and the middles between them."""
         gap = 1.0 - (self.direct / level) ** 2
-        crossings = self._crossings(level, gap)
+        # An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding, which grows by the inverse of the
+        # gap, could have moved it from the axis. A double one, of a peak that just reaches the level, moves by the
+        # square root of the rounding times the distance of the pole.
+        real, imaginary = (part.tolist() for part in hamiltonian_eigenvalues(self.system, level))
+        sizes = list(map(hypot, real, imaginary))
+        rounding = _rounding(max(sizes), self.origin) * self.condition / gap
+        at_level = {
+            abs(y)
+            for x, y, size in zip(real, imaginary, sizes)
+            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
+            and abs(x) <= 2.0 * (rounding * self._distance(y)) ** 0.5 + rounding
+        }
+        crossings = sorted(at_level)
         if not crossings:
             return None
         middles = [0.5 * (low + high) for low, high in pairwise(crossings)]
@@ -213,33 +260,8 @@ class SmallModel(NamedTuple):
             raise UndecidedError("rounding of the map is felt")
         return largest_gain(self.origin.response(omega))
 
-    def _crossings(self, level: float, gap: float) -> list[float]:
-        """Frequencies at which the gain may equal `level` [rad/s], ascending; none: the gain stays below.
 
-        `gap`: smallest eigenvalue of ``I - D' D / level^2``, by whose inverse rounding grows.
-
-        An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding could have moved it from the axis. A
-        double one, of a peak that just reaches the level, moves by the square root of the rounding times the distance
-        of the pole.
-        """
-        real, imaginary = (part.tolist() for part in hamiltonian_eigenvalues(self.system, level))
-        sizes = list(map(hypot, real, imaginary))
-        rounding = _rounding(max(sizes), self.origin) * self.condition / gap
-        found = {
-            abs(y)
-            for x, y, size in zip(real, imaginary, sizes)
-            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
-            and abs(x) <= 2.0 * (rounding * self._distance(y)) ** 0.5 + rounding
-        }
-        return sorted(found)
-
-
-def _nearest_to_circle(values: list[complex]) -> float:
-    """Smallest ``1 - |z|^2`` of the poles ``z = (1 + s) / (1 - s)``."""
-    return min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values)
-
-
-def _rounding(size: float, origin: Origin | None) -> float:
+def _rounding(size: float, origin: HalfPlane | None) -> float:
     """Rounding of a matrix of the norm `size`; of a mapped one of so many roundings of 1 and of its norm."""
     lost = origin.condition if origin else 0.0
     return EPS * (max(lost, 1.0) * size + lost)

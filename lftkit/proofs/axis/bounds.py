@@ -17,8 +17,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.proofs.axis.model import AxisModel
-from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.axis.proof import AxisModel, AxisProof
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
@@ -123,7 +122,7 @@ class _Axis:
         waiting, self.pieces = _together(self.pieces), []
         options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
-            if time.monotonic() > until or self._exceeded(level):
+            if time.monotonic() > until or (self.worst is not None and self.worst.gain >= level):
                 self.pieces += waiting[number:]
                 break
             model = replace(self.model, beyond=beyond)
@@ -131,19 +130,16 @@ class _Axis:
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
-                self.worst = self._member(found.lower, found.point, 1.0 / found.omega if beyond else found.omega)
+                # A member that was met, in which complex and dynamic elements have real values
+                omega = 1.0 / found.omega if beyond else found.omega
+                values = np.clip(found.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
+                count = len(values) - len(self.disks)
+                of_disks = zip(self.disks, values[count:])
+                disks = {
+                    disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks
+                }
+                self.worst = DiskMember(found.lower, values[:count], omega, disks)
         return not self.pieces
-
-    def _member(self, gain: float, deviations: FloatArray, omega: float) -> DiskMember:
-        """A member that was met, in which complex and dynamic elements have real values."""
-        values = np.clip(deviations + np.array(self.proof.nominal), *np.array(self.proof.box).T)
-        count = len(values) - len(self.disks)
-        of_disks = zip(self.disks, values[count:])
-        disks = {disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks}
-        return DiskMember(gain, values[:count], omega, disks)
-
-    def _exceeded(self, level: float) -> bool:
-        return self.worst is not None and self.worst.gain >= level
 
     def finished(self, level: float | None) -> AxisProof:
         """The proof with its strips."""

@@ -1,4 +1,4 @@
-"""Content of files of proofs over the frequency axis: the system, what is claimed, and strips of scalings."""
+"""Proofs over the frequency axis and their files: the system, what is claimed, and strips of scalings."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.axis.model import AxisModel
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.proof_files import (
     Content,
     arrays_of,
     box_of_claim,
     header_entries,
-    named_box,
     packed,
     unpacked,
     write_content,
 )
-from lftkit.proofs.trusted.axis import AxisClaim
+from lftkit.proofs.sampled_loop.model import coordinates
+from lftkit.proofs.trusted.axis import AxisClaim, AxisSystem
 from lftkit.proofs.trusted.entries import (
     Form,
     array,
@@ -35,6 +35,7 @@ from lftkit.proofs.trusted.entries import (
     record,
     text,
 )
+from lftkit.proofs.trusted.proof import Strip
 
 KIND = "axis"
 SIDES = ("below", "above")
@@ -55,6 +56,32 @@ HEADER: dict[str, Form] = {
 
 
 @dataclass(frozen=True)
+class AxisModel(AxisSystem):
+    """A system over a part of the axis, for those who search proofs and for the check; fields as there."""
+
+    @property
+    def slowest(self) -> float:
+        """Smallest of the poles, in the unit of the variable."""
+        size = np.abs(self.poles[self.poles != 0.0])
+        return float((1.0 / size if self.beyond else size).min(initial=1.0 if not len(size) else np.inf))
+
+    def amplitudes(self, x: float, /) -> tuple[float, FloatArray]:
+        """Weight of the errors and amplitudes of the disturbances: ones."""
+        return 1.0, np.ones(self.sizes[3])
+
+    def at(self, x: float, /) -> tuple[ComplexArray, ComplexArray]:
+        """``z`` and the errors by (w, d) at one value of the variable, (q, q + d) and (e, q + d), without bounds."""
+        q, driven = self.sizes[0], self.X @ self.B
+        states = x * driven / (1j - x * self.poles)[:, None] if self.beyond else driven / (1j * x - self.poles)[:, None]
+        response = self.C @ (self.T @ states) + self.D
+        return response[:q], response[q:]
+
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float, /) -> ComplexArray:
+        """Coordinates in which the form of a strip is about -I: (w, d) by them, square."""
+        return coordinates(self, strip, number, omega, level)
+
+
+@dataclass(frozen=True)
 class AxisProof(AxisClaim):
     """A proof that can be checked and written; fields are those of :class:`~lftkit.proofs.trusted.axis.AxisClaim`."""
 
@@ -72,7 +99,7 @@ class AxisProof(AxisClaim):
         """Content of its file."""
         low, high = self.band
         band = [low, None if math.isinf(high) else high]
-        claim = {"property": self.kind, "level": self.level, "band": band, "box": named_box(self.names, self.box)}
+        claim = {"property": self.kind, "level": self.level, "band": band, "box": dict(zip(self.names, self.box))}
         plant = {
             "parameters": self.names,
             "nominal": self.nominal,
@@ -94,7 +121,6 @@ def axis_proof(content: Content) -> AxisProof:
     count = len(plant["parameters"])
     arrays = arrays_of(arrays, ARRAYS, count, [f"{side}_" for side in SIDES])
     below, above = (unpacked(arrays, count, f"{side}_") for side in SIDES)
-    arrays_of_system = {name: arrays[name] for name in ARRAYS}
     return AxisProof(
         kind=claim["property"],
         level=claim["level"],
@@ -102,7 +128,9 @@ def axis_proof(content: Content) -> AxisProof:
         nominal=plant["nominal"],
         box=box_of_claim(header),
         band=(low, math.inf if high is None else high),
-        system=AxisModel(**arrays_of_system, groups=plant["groups"], kinds=plant["kinds"], beyond=False),
+        system=AxisModel(
+            **{name: arrays[name] for name in ARRAYS}, groups=plant["groups"], kinds=plant["kinds"], beyond=False
+        ),
         border=header["border"],
         below=below,
         above=above,

@@ -20,9 +20,8 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.proofs.sampled_loop.branching import Branching
-from lftkit.proofs.sampled_loop.responses import SearchedResponses
-from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
+from lftkit.proofs.sampled_loop.model import SearchedResponses
+from lftkit.proofs.sampled_loop.scalings import Branching, NodeScalings, ScalingTest
 from lftkit.proofs.trusted.proof import REAL, Interval, Strip
 from lftkit.proofs.trusted.sampled_loop import require_box
 from lftkit.proofs.trusted.strips import windows_of
@@ -221,7 +220,9 @@ class _State:
         for holds, run in itertools.groupby(held):
             end = number + len(list(run))
             if holds:
-                self.found.strips.append(_between(strip, number, end))
+                part = slice(number, end + 1)
+                D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
+                self.found.strips.append(Strip(strip.box, strip.nodes[part], D, G, strip.factor[part]))
             else:
                 self.prove(strip.box, float(strip.nodes[number]), float(strip.nodes[end]), 0)
             number = end
@@ -356,13 +357,6 @@ def strip_of(box: Box, nodes: Sequence[NodeScalings]) -> Strip:
         tuple(np.stack([node.G[k] for node in nodes]) for k in range(count)),
         np.array([node.factor for node in nodes]),
     )
-
-
-def _between(strip: Strip, first: int, last: int) -> Strip:
-    """A strip from one of its nodes to another."""
-    part = slice(first, last + 1)
-    D, G = (tuple(values[part] for values in each) for each in (strip.D, strip.G))
-    return Strip(strip.box, strip.nodes[part], D, G, strip.factor[part])
 
 
 def _halves(box: Box, axis: int) -> list[Box]:

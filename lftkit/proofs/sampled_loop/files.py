@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from lftkit.proofs.proof_files import (
     arrays_of,
     box_of_claim,
     header_entries,
-    named_box,
     packed,
     unpacked,
     write_content,
@@ -37,7 +35,6 @@ from lftkit.proofs.trusted.entries import (
     truth,
     word,
 )
-from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
 from lftkit.proofs.trusted.proof import Strip, require
 from lftkit.proofs.trusted.sampled_loop import LoopProof
@@ -85,7 +82,20 @@ def noise_proof(content: Content) -> NoiseProof:
 
 def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
     """Write a proof of a loop, or of noise in one, as a compressed ``.npz``."""
-    write_content(path, _content(proof))
+    claim: dict[str, Any] = {"box": dict(zip(proof.names, proof.box))}
+    if isinstance(proof, NoiseProof):
+        kind, strips = NOISE, [strip for part in proof.parts for strip in part.strips]
+        parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in proof.parts]
+        claim = {"property": "noise", "parts": parts, **claim}
+    else:
+        kind, strips = LOOP, list(proof.strips)
+        claim = {"property": "gain", "level": proof.level, "band": proof.band, **claim}
+    plant: dict[str, Any] = {"parameters": proof.names, **{name: getattr(proof.model, name) for name in MODEL}}
+    if proof.model.added:
+        plant |= {name: getattr(proof.model, name) for name in ADDED}
+    plant, arrays = plant, {name: np.asarray(getattr(proof.model, name)) for name in OF_ARRAYS}
+    header = header_entries(kind, claim, plant, about=dict(proof.about))
+    write_content(path, (header, arrays | packed(strips, len(proof.names))))
 
 
 def read_loop_proof(path: Path) -> LoopProof:
@@ -98,21 +108,6 @@ def read_noise_proof(path: Path) -> NoiseProof:
     return noise_proof(file_content(path))
 
 
-def _content(proof: LoopProof | NoiseProof) -> Content:
-    """Content of the file of a proof."""
-    claim: dict[str, Any] = {"box": named_box(proof.names, proof.box)}
-    if isinstance(proof, NoiseProof):
-        kind, strips = NOISE, [strip for part in proof.parts for strip in part.strips]
-        parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in proof.parts]
-        claim = {"property": "noise", "parts": parts, **claim}
-    else:
-        kind, strips = LOOP, list(proof.strips)
-        claim = {"property": "gain", "level": proof.level, "band": proof.band, **claim}
-    plant, arrays = _plant(proof.model, proof.names)
-    header = header_entries(kind, claim, plant, about=dict(proof.about))
-    return header, arrays | packed(strips, len(proof.names))
-
-
 def _read(
     content: Content, kind: str, claim: Form, property_of: str
 ) -> tuple[dict[str, Any], LoopModel, tuple[Strip, ...]]:
@@ -122,18 +117,10 @@ def _read(
     got, names = header["claim"]["property"], header["plant"]["parameters"]
     require(got == property_of, f"the property of a proof of kind {kind!r} must be {property_of!r}, got {got!r}")
     arrays = arrays_of(found, ARRAYS, len(names))
-    return header, _model(header["plant"], arrays), unpacked(arrays, len(names))
-
-
-def _plant(model: Loop, names: tuple[str, ...]) -> Content:
-    """Header and arrays of a model in a file."""
-    plant: dict[str, Any] = {"parameters": names, **{name: getattr(model, name) for name in MODEL}}
-    if model.added:
-        plant |= {name: getattr(model, name) for name in ADDED}
-    return plant, {name: np.asarray(getattr(model, name)) for name in OF_ARRAYS}
-
-
-def _model(plant: Mapping[str, Any], arrays: Mapping[str, Any]) -> LoopModel:
-    """The model of :func:`_plant`, of entries that were read."""
+    plant = header["plant"]
     parts: dict[str, Any] = {name: float(arrays[name]) if name in SCALAR else arrays[name] for name in OF_ARRAYS}
-    return LoopModel(**parts, **{name: plant[name] for name in (*MODEL, *ADDED) if name in plant})
+    return (
+        header,
+        LoopModel(**parts, **{name: plant[name] for name in (*MODEL, *ADDED) if name in plant}),
+        unpacked(arrays, len(names)),
+    )

@@ -1,18 +1,17 @@
-"""Scalings of one box of the parameters at one frequency, by Newton steps."""
+"""Scalings of one box of the parameters at one frequency, by Newton steps, and what to bisect where there are none."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced
-from lftkit.proofs.sampled_loop.coordinates import middle_of
-from lftkit.proofs.sampled_loop.responses import SearchedResponses
+from lftkit.proofs.blocks.structure import balanced
+from lftkit.proofs.sampled_loop.model import SearchedResponses, from_middle
 from lftkit.proofs.state_space.barrier import ANY_REAL, COMPLEX, FULL, REAL, BarrierBlock, newton_step
 from lftkit.proofs.state_space.scaling_search import CENTRED, GROWTH, barrier_problem
 from lftkit.proofs.trusted.proof import Interval
@@ -26,6 +25,19 @@ FIXED = 1e-3
 """Gain about its own loop that a fixed parameter is given."""
 PRECISION = 1e-7
 """Distance to the optimal margin at which a test without scalings is given up."""
+Box = tuple[Interval, ...]
+HELD = 0.02
+"""Part of its interval in which a parameter is held."""
+POINTS = 0.0, 0.5, 1.0
+"""Where it is held, as parts of the interval."""
+RATIO = 1.06
+"""Between two levels that are told apart."""
+BELOW, ABOVE = 6, 12
+"""Levels below and above the one to be proven."""
+NEAR = 0.05
+"""Part of a frequency within which measured gains are used again."""
+SMALL = 1e-3
+"""Gain of a parameter that has none, in levels: it is bisected after the others."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +72,7 @@ class ScalingTest:
         q, d = model.sizes[0], model.sizes[3]
         z, e = model.at(omega)
         box = [_opened(ends, z[np.ix_(group, group)]) for ends, group in zip(box, self.groups)]
-        cz, sz, cw, sw = middle_of(model, box)
-        inner = np.asarray(
-            linalg.solve(np.diag(cz) - z[:, :q] * cw, np.hstack([z[:, :q] * sw - np.diag(sz), z[:, q:]]))
-        )
-        w = cw[:, None] * inner
-        w[:, :q] += np.diag(sw)
+        inner, w = from_middle(model, box, z)
         out = e[:, :q] @ w
         out[:, q:] += e[:, q:]
         weight, amplitude = model.amplitudes(omega)
@@ -173,7 +180,7 @@ class ScalingTest:
         return y
 
     def losses(self, y: FloatArray) -> FloatArray:
-        """What the interval of each parameter costs: the largest is the one to bisect. None of a disk is."""
+        """Loss of margin by the interval of each parameter: the largest is the one to bisect. None of a disk is."""
         losses = self.problem.result(y).losses[: len(self.groups)]
         return np.where([kind == REAL for kind in self.model.kinds], losses, -np.inf)
 
@@ -207,3 +214,101 @@ def _hermitian(matrix: ComplexArray) -> ComplexArray:
     half = 0.5 * (matrix + matrix.conj().T)
     size = float(np.abs(half).max(initial=0.0))
     return np.asarray(half.astype(np.complex64) if SINGLE[0] < size < SINGLE[1] else half, dtype=complex)
+
+
+@dataclass
+class Branching:
+    """Choice of parameters to bisect in the boxes of one proof.
+
+    The loss of a parameter, ``trace(D z S z*)``, says where the scalings spend their margin, not what a smaller
+    interval would gain. The parameters with the largest losses may be some whose bisection, even six times over, does
+    not lower the bound, while small intervals of another one do. So the gain is measured: the level that can be proven
+    with a parameter held near its lower end, its middle and its upper end, against that of the whole box.
+
+    Parameters
+    ----------
+    model : SearchedResponses
+    level : float
+        To be proven.
+    until : float
+        ``time.monotonic()`` after which nothing is measured.
+    """
+
+    model: SearchedResponses
+    level: float
+    until: float = math.inf
+    known: list[tuple[Box, float, FloatArray | None]] = field(default_factory=list)
+
+    def axis(self, box: Box, root: Box, omega: float, losses: FloatArray) -> int | None:
+        """Parameter to bisect; None where all elements are disks, which are whole.
+
+        Parameters
+        ----------
+        box : Box
+            Of which nothing was proven at the frequency.
+        root : Box
+            A box that has it as a part, in which the gains are measured.
+        omega : float
+            Frequency [rad/s].
+        losses : ndarray
+            Of the parameters, which decide where holding one of them gains nothing in `root`.
+        """
+        real = np.array([kind == REAL for kind in self.model.kinds])
+        if not np.any(real):
+            return None
+        gains = self._gains(root, omega)
+        if gains is None or not np.any(gains):
+            # Losses, for a whole circle of an angle (which has no D, so no loss) half of the largest
+            losses = np.array(losses)
+            for k, ends in enumerate(box):
+                if losses[k] == 0.0 and is_circle(*ends):
+                    losses[k] = 0.5 * float(np.max(losses))
+            return int(np.argmax(losses))
+        left = [(b - a) / (high - low) if high > low else 0.0 for (a, b), (low, high) in zip(box, root)]
+        return int(np.argmax(np.where(real, (gains + SMALL) * left, -np.inf)))
+
+    def _gains(self, root: Box, omega: float) -> FloatArray | None:
+        """Levels gained by holding each parameter; None where none can be proven of the box."""
+        for box, at, gains in self.known:
+            if box == root and abs(omega - at) <= NEAR * at:
+                return gains
+        gains = self._measured(root, omega)
+        self.known.append((root, omega, gains))
+        return gains
+
+    def _measured(self, root: Box, omega: float) -> FloatArray | None:
+        whole = self._least(root, omega, ABOVE)
+        if whole is None:
+            return None
+        gains = np.zeros(len(root))
+        for axis, (low, high) in enumerate(root):
+            if self.model.kinds[axis] != REAL:
+                continue
+            worst = -BELOW
+            for point in POINTS if high > low else ():
+                at, width = low + point * (high - low), HELD * (high - low)
+                held = *root[:axis], (max(low, at - width), min(high, at + width)), *root[axis + 1 :]
+                least = self._least(held, omega, whole - 1)
+                worst = whole if least is None else max(worst, least)
+                if worst == whole:
+                    break
+            gains[axis] = whole - worst if high > low else 0.0
+        return gains
+
+    def _least(self, box: Box, omega: float, most: int) -> int | None:
+        """Number of the least level that is proven, at most `most`; None where that isn't."""
+        if not self._holds(box, omega, most):
+            return None
+        least, no = most, -BELOW - 1
+        while least - no > 1:
+            middle = (least + no) // 2
+            if self._holds(box, omega, middle):
+                least = middle
+            else:
+                no = middle
+        return least
+
+    def _holds(self, box: Box, omega: float, number: int) -> bool:
+        if time.monotonic() > self.until:
+            return False
+        return ScalingTest(self.model, box, omega, self.level * math.pow(RATIO, number)).feasible()[0] is not None

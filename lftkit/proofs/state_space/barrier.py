@@ -172,17 +172,7 @@ class BarrierProblem:
         slope = self._functional(S, inner)
         curvature: FloatArray = np.zeros((self.count, self.count))
         slope[0] = weight - np.trace(S).real
-        self._add_rows(S, curvature)
-        self._repeated(inner, curvature)
-        curvature = np.asarray(np.triu(curvature) + np.triu(curvature, 1).T)
-        for part, D in self._positive(y):
-            inverse = positive_inverse(D)
-            slope[part] -= coordinates(inverse)
-            curvature[part, part] += products([(inverse, inverse)])
-        return slope + self.penalty * y, curvature + np.diag(self.penalty)
-
-    def _add_rows(self, S: ComplexArray, curvature: FloatArray) -> None:
-        """Upper triangle of the rows of s and of full blocks."""
+        # Upper triangle of the rows of s and of full blocks
         square = S @ S
         curvature[0] = -self._functional(square, self.signals @ square @ self.signals.conj().T)
         curvature[0, 0] = np.trace(square).real
@@ -192,6 +182,13 @@ class BarrierProblem:
                 row = self._functional(turned, self.signals @ turned @ self.signals.conj().T)
                 curvature[part.start, part.start :] = row[part.start :]
                 curvature[1 : part.start, part.start] = row[1 : part.start]
+        self._repeated(inner, curvature)
+        curvature = np.asarray(np.triu(curvature) + np.triu(curvature, 1).T)
+        for part, D in self._positive(y):
+            inverse = positive_inverse(D)
+            slope[part] -= coordinates(inverse)
+            curvature[part, part] += products([(inverse, inverse)])
+        return slope + self.penalty * y, curvature + np.diag(self.penalty)
 
     def _functional(self, S: ComplexArray, inner: ComplexArray) -> FloatArray:
         """Coefficients of ``y -> trace(S F(y))``; the entry of s is zero. `inner` is ``signals S signals*``."""

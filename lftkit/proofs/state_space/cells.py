@@ -16,7 +16,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced
+from lftkit.proofs.blocks.structure import balanced
 from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, Scalings
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.proofs.state_space.scaling_search import find_scalings
@@ -110,15 +110,6 @@ class CellScalings:
     performance: float
 
 
-@dataclass(frozen=True)
-class CellResult:
-    """Outcome of :meth:`CellTest.solve`: scalings or None, margin found, axis that is best bisected."""
-
-    scalings: CellScalings | None
-    margin: float
-    axis: int
-
-
 class CellTest:
     """Tests of cells of one system at given levels.
 
@@ -149,7 +140,7 @@ class CellTest:
         self.slowest, self.fastest = float(poles.min()), float(poles.max())
         self.reference = float(np.sqrt(self.slowest * self.fastest))
 
-    def solve(self, cell: Cell, level: float, until: float = np.inf) -> CellResult:
+    def solve(self, cell: Cell, level: float, until: float = np.inf) -> tuple[CellScalings | None, int]:
         """Scalings that prove gain < `level` (stability where there is no gain) over the cell, if they are found.
 
         Raises
@@ -159,15 +150,20 @@ class CellTest:
         """
         maps, factors = self._maps(cell)
         maps[self.n + self.q :] /= level  # the gain in units of the level
-        scale = self._common(balanced(maps, self.n + self.q))
+        scale = balanced(maps, self.n + self.q)
+        for disk in self.disks:  # one scale for all channels of a matrix of dynamics
+            if disk.full:
+                channels = [self.n + channel for channel in disk.channels]
+                both = channels[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
+                scale[channels] = float(np.exp(np.mean(np.log(scale[both]))))
         blocks = self._blocks(maps, scale)
-        found = find_scalings(blocks, until=until)
-        if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
-            found = find_scalings(blocks, until=until, penalty=BOUND)
-        axis = self._axis(found, cell)
-        if found.margin <= 0.0:
-            return CellResult(None, found.margin, axis)
-        return CellResult(self._unscaled(found, scale, factors, level, cell), found.margin, axis)
+        optimum = find_scalings(blocks, until=until)
+        if optimum.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in optimum.G) > FREE:
+            optimum = find_scalings(blocks, until=until, penalty=BOUND)
+        axis = self._axis(optimum, cell)
+        if optimum.margin <= 0.0:
+            return None, axis
+        return self._unscaled(optimum, scale, factors, level, cell), axis
 
     def _maps(self, cell: Cell) -> tuple[ComplexArray, list[float]]:
         """Normalised matrix M from (w, d) to (z, e), every w = delta z with delta in [-1, 1]; widths of the blocks.
@@ -177,7 +173,13 @@ class CellTest:
         """
         n, q = self.n, self.q
         centre, width, endless = self._frequency_interval(cell.band)
-        centres, widths = self._parameter_intervals(cell)
+        # Centres of (value - nominal) and half widths; of a disk zero and its radius
+        ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
+        ranges = np.array([p.upper - p.lower or NO_SCALE for p in self.system.parameters])
+        widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
+        centres = 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal)
+        radii = [disk.radius for disk in self.disks]
+        centres, widths = np.concatenate([centres, np.zeros(len(radii))]), np.concatenate([widths, radii])
         per_channel_c, per_channel_r = np.repeat(centres, self.sizes), np.repeat(widths, self.sizes)
         inner = slice(0, q)
         matrix = np.zeros((n + q, n + q), complex)
@@ -208,15 +210,6 @@ class CellTest:
             return low + width, width, True
         return 0.5 * (low + high), max(0.5 * (high - low), NARROW * max(high, 1e-300)), False
 
-    def _parameter_intervals(self, cell: Cell) -> tuple[FloatArray, FloatArray]:
-        """Centres of (value - nominal) and half widths; of a disk zero and its radius."""
-        ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
-        ranges = np.array([p.upper - p.lower or NO_SCALE for p in self.system.parameters])
-        widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
-        centres = 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal)
-        radii = [disk.radius for disk in self.disks]
-        return np.concatenate([centres, np.zeros(len(radii))]), np.concatenate([widths, radii])
-
     def _blocks(self, M: ComplexArray, scale: FloatArray) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
         inputs = np.eye(M.shape[1], dtype=complex)
@@ -237,26 +230,17 @@ class CellTest:
             blocks.append(BarrierBlock(FULL, scaled[total:] * scale[total], inputs[total:]))
         return blocks
 
-    def _common(self, scale: FloatArray) -> FloatArray:
-        """One scale for all channels of a matrix of dynamics."""
-        for disk in self.disks:
-            if disk.full:
-                own = [self.n + channel for channel in disk.channels]
-                both = own[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
-                scale[own] = float(np.exp(np.mean(np.log(scale[both]))))
-        return scale
-
     def _axis(self, found: Scalings, cell: Cell) -> int:
         """Number of the interval with the largest loss; intervals that are points are not bisected.
 
         In a cell that several parameters keep open, the loss of one may stay the largest however narrow its interval
         is. The losses of narrow intervals are therefore taken in proportion to their width.
         """
-        if self.n and self._wide(cell.band):
+        low, high = cell.band
+        if self.n and min(high, 2.0 * self.fastest) > WIDE * max(low, 0.5 * self.slowest):  # poles over a wide band
             return len(self.nominal)
         first = 1 if self.n else 0
         losses = list(found.losses[first : first + len(self.nominal)])
-        low, high = cell.band
         losses.append(found.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
         parts = [
             (upper - lower) / (p.upper - p.lower) if upper - lower > 4.0 * EPS * max(abs(lower), abs(upper)) else 0.0
@@ -265,11 +249,6 @@ class CellTest:
         for i, part in enumerate(parts):
             losses[i] *= min(1.0, DEEP * part / max(parts)) if part else 0.0
         return int(np.argmax(losses))
-
-    def _wide(self, band: tuple[float, float]) -> bool:
-        """Whether a band has poles over more than a factor :data:`WIDE` of frequency."""
-        low, high = max(band[0], 0.5 * self.slowest), min(band[1], 2.0 * self.fastest)
-        return high > WIDE * low
 
     def _unscaled(
         self, found: Scalings, scale: FloatArray, widths: list[float], level: float, cell: Cell
@@ -305,19 +284,3 @@ def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
         raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
     solution: Any = linalg.lapack.zgetrs(factors, pivots, right / size[:, None])[0]
     return np.asarray(solution)
-
-
-def scalings_to_mapping(scalings: CellScalings) -> dict[str, Any]:
-    """Numbers of a cell's scalings for a proof file: each Hermitian matrix as its real part and its imaginary part."""
-    return {
-        "P": _parts(scalings.P),
-        "Q": _parts(scalings.Q),
-        "D": {name: _parts(matrix) for name, matrix in scalings.D.items()},
-        "G": {name: _parts(matrix) for name, matrix in scalings.G.items()},
-        "centre": scalings.centre,
-        "performance": scalings.performance,
-    }
-
-
-def _parts(matrix: ComplexArray) -> list[list[list[float]]]:
-    return [matrix.real.tolist(), matrix.imag.tolist()]

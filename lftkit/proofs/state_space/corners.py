@@ -63,19 +63,14 @@ class CornerSearch:
         for _ in range(FLIPS):
             if np.isinf(largest):
                 break
-            candidates = np.vstack([*self._along_poles(best, factor), *self._turned(best)])
-            found = self._abscissas(candidates, factor)
-            number = int(np.argmax(found))
-            if not found[number] > largest + 1e-12 * abs(largest):
+            turned = best * (1.0 - 2.0 * np.eye(len(best)))  # one parameter after the other
+            candidates = np.vstack([*self._along_poles(best, factor), *turned])
+            abscissae = self._abscissas(candidates, factor)
+            number = int(np.argmax(abscissae))
+            if not abscissae[number] > largest + 1e-12 * abs(largest):
                 break
-            best, largest = candidates[number], float(found[number])
+            best, largest = candidates[number], float(abscissae[number])
         return best
-
-    def _turned(self, corner: FloatArray) -> Iterator[FloatArray]:
-        for i in range(len(corner)):
-            other = corner.copy()
-            other[i] = -other[i]
-            yield other
 
     def _along_poles(self, corner: FloatArray, factor: float) -> Iterator[FloatArray]:
         """Corners to which the derivatives of each pole lead, one after the other."""
@@ -120,8 +115,8 @@ class CornerSearch:
 
         A singular LFT, or one that became singular on the way there, counts as unstable.
         """
-        found = abscissas(self.system, self._per_channel(factor * self.offset(corners)))
-        return np.where(found < 0.0, found, np.inf)
+        abscissae = abscissas(self.system, self._per_channel(factor * self.offset(corners)))
+        return np.where(abscissae < 0.0, abscissae, np.inf)
 
 
 def abscissas(system: System, deltas: FloatArray) -> FloatArray:

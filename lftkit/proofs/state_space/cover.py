@@ -52,16 +52,16 @@ class CellCover:
     def prove(self, cell: Cell, level: float, until: float) -> int | None:
         """None if the cell is proven and kept, else the axis to bisect."""
         try:
-            result = self.test.solve(cell, level, until)
+            scalings, axis = self.test.solve(cell, level, until)
         except SingularCellError:
             return len(cell.intervals)
-        if result.scalings is not None:
-            content = proven_cell(cell, result.scalings)
+        if scalings is not None:
+            content = proven_cell(cell, scalings)
             with suppress(ValueError, ArithmeticError):  # a number out of range: the cell stays open
                 if self.inequality.ratio(content, level) >= 1.0:
                     self.proven.append(content)
                     return None
-        return result.axis
+        return axis
 
     def run(
         self, level: Callable[[], float], failed: Callable[[Cell], bool], until: float, tests: int, bar: Progress

@@ -17,15 +17,14 @@ from scipy import linalg, optimize
 
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.structure import balanced_matrix
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, structure_of
 from lftkit.proofs.state_space.search import Member, member_gain
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
-from lftkit.uncertainty.elements import DynamicElement
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import DynamicElement, RealParameter
 
 sl_optimize: Any = optimize
 Interval = tuple[float, float]
@@ -83,10 +82,14 @@ class DiskSearch:
         return disks_of(self.system)
 
     @cached_property
+    def nominal(self) -> FloatArray:
+        """Nominal values of the real elements (p,)."""
+        return np.array([p.nominal for p in self.system.parameters])
+
+    @cached_property
     def deviations(self) -> FloatArray:
         """Ends of the real elements' deviations (p, 2)."""
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        return np.asarray(np.array(self.box, dtype=float).reshape(-1, 2) - nominal[:, None])
+        return np.asarray(np.array(self.box, dtype=float).reshape(-1, 2) - self.nominal[:, None])
 
     @cached_property
     def groups(self) -> list[list[int]]:
@@ -95,7 +98,7 @@ class DiskSearch:
         return [[i for i, channel in enumerate(self.system.channels) if channel == name] for name in names]
 
     def response(self, omega: float) -> ComplexArray:
-        """Of all channels at a frequency, which may be infinite."""
+        """Response (q + p, q + m) of all channels at a frequency, which may be infinite."""
         if math.isinf(omega) or not self.system.order:
             return np.asarray(self.system.D, complex)
         return np.asarray(response(self.system.lft, 1j * omega), complex)
@@ -108,11 +111,6 @@ class DiskSearch:
         near = ([NEAR * min(least, high)] if low == 0.0 else []) + ([max(most, low) / NEAR] if high == np.inf else [])
         grid = np.unique([low, *near, *grid[(grid >= low) & (grid <= high)], high])
         return np.asarray(grid)
-
-    def _real_dynamics(self, values: Mapping[str, ComplexArray]) -> bool:
-        """Whether dynamics may have these values at an end of the axis."""
-        dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
-        return all(linalg.norm(value.imag) <= REAL_AT_ENDS * linalg.norm(value) for value in dynamics)
 
     def worst(
         self,
@@ -181,11 +179,22 @@ class DiskSearch:
         value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
         if found is None:
             return 0.0, None
-        real, values = self._values(found)
-        if at_end(omega) and not self._real_dynamics(values):
+        # Deviations of the real elements and values of the others in a perturbation of the scaled response
+        reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
+        for k, group in enumerate(self.groups):
+            reals[k] = found[row, column].real
+            row, column = row + len(group), column + len(group)
+        for disk in self.disks:
+            rows = disk.outputs if disk.full else len(disk.channels)
+            columns = disk.inputs if disk.full else len(disk.channels)
+            size = (rows, columns) if disk.full else (1, 1)
+            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
+            row, column = row + rows, column + columns
+        real, values = reals * self._widest, values
+        dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
+        if at_end(omega) and any(linalg.norm(v.imag) > REAL_AT_ENDS * linalg.norm(v) for v in dynamics):
             return 0.0, None
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        return value, (nominal + real, values)
+        return value, (self.nominal + real, values)
 
     @property
     def _widest(self) -> FloatArray:
@@ -203,20 +212,6 @@ class DiskSearch:
         sizes = [*self._widest, *(disk.radius for disk in self.disks)]
         scale = [size for size, (_, _, w) in zip(sizes, parts(structure)) for _ in range(w.stop - w.start)]
         return balanced_matrix(M[np.ix_(rows, columns)] * np.array(scale), structure)[0], structure
-
-    def _values(self, found: ComplexArray) -> tuple[FloatArray, dict[str, ComplexArray]]:
-        """Deviations of the real elements and values of the others in a perturbation of the scaled response."""
-        reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
-        for k, group in enumerate(self.groups):
-            reals[k] = found[row, column].real
-            row, column = row + len(group), column + len(group)
-        for disk in self.disks:
-            rows = disk.outputs if disk.full else len(disk.channels)
-            columns = disk.inputs if disk.full else len(disk.channels)
-            size = (rows, columns) if disk.full else (1, 1)
-            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
-            row, column = row + rows, column + columns
-        return reals * self._widest, values
 
     # gain
 
@@ -237,13 +232,10 @@ class DiskSearch:
         real = member_gain(self.system, middle, self.band)
         if np.isinf(real.gain):
             return real
-        search = self if self._around_nominal() else replace(self, system=about(self.system, middle))
+        around = all(low < 0.0 < high or low == high == 0.0 for low, high in self.deviations)
+        search = self if around else replace(self, system=about(self.system, middle))
         unstable = search.unstable(1.0) if self.band == (0.0, np.inf) else None
         return search.largest_gain() if unstable is None else unstable[1]
-
-    def _around_nominal(self) -> bool:
-        """Whether the nominal values are inside the box, as the factors of :meth:`unstable` ask for."""
-        return all(low < 0.0 < high or low == high == 0.0 for low, high in self.deviations)
 
     def climbed(self, member: DiskMember) -> DiskMember:
         """That of an ascent from a member at its frequency."""
@@ -252,8 +244,7 @@ class DiskSearch:
 
     def _climbed_to(self, omega: float, point: FloatArray, disks: Mapping[str, ComplexArray]) -> tuple[float, Any]:
         """Gain at a frequency at the end of an ascent from a member, and the member there."""
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        return self._ascent(self.response(omega), point - nominal, dict(disks))
+        return self._ascent(self.response(omega), point - self.nominal, dict(disks))
 
     def gain(self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]) -> float:
         """Gain of the member with deviations `real` (p,) and `values`, by the response `M` of all channels."""
@@ -305,15 +296,23 @@ class DiskSearch:
                 length *= 0.25
             if not gain > before * (1.0 + CLIMBED):
                 break
-        nominal = np.array([p.nominal for p in self.system.parameters])
-        return gain, (nominal + real, values)
+        return gain, (self.nominal + real, values)
 
     def _gain(
         self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]
     ) -> tuple[float, Callable[[FloatArray, dict[str, ComplexArray]], tuple[FloatArray, dict[str, ComplexArray]]]]:
         """Gain of a member, and a function that names the member with the largest linearised gain."""
         q = len(self.system.channels)
-        delta = self._delta(real, values)
+        delta = np.zeros((len(self.system.channels),) * 2, complex)
+        for group, value in zip(self.groups, real):
+            delta[group, group] = value
+        for disk in self.disks:
+            own = list(disk.channels)
+            if disk.full:
+                delta[np.ix_(own[: disk.outputs], own[: disk.inputs])] = values[disk.name]
+            else:
+                delta[own, own] = values[disk.name][0, 0]
+        delta = delta
         *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q]) if q else (M[:0], 0)
         if singular:
             return np.inf, lambda a, b: (a, b)
@@ -340,18 +339,6 @@ class DiskSearch:
             return aim, best
 
         return float(gains[0]), towards
-
-    def _delta(self, real: FloatArray, values: Mapping[str, ComplexArray]) -> ComplexArray:
-        delta = np.zeros((len(self.system.channels),) * 2, complex)
-        for group, value in zip(self.groups, real):
-            delta[group, group] = value
-        for disk in self.disks:
-            own = list(disk.channels)
-            if disk.full:
-                delta[np.ix_(own[: disk.outputs], own[: disk.inputs])] = values[disk.name]
-            else:
-                delta[own, own] = values[disk.name][0, 0]
-        return delta
 
 
 def at_end(omega: float, dt: float = 0.0) -> bool:
@@ -386,6 +373,6 @@ def _moved(parameter: RealParameter, nominal: float) -> RealParameter:
 
 
 def _between(value: ComplexArray, aim: ComplexArray, part: float, disk: DiskChannels) -> ComplexArray:
-    """Of rank one and full norm, between two values: the gain has no maximum inside."""
+    """Value of rank one and full norm between two values: the gain has no maximum inside."""
     left, _, right = linalg.svd(value + part * (aim - value), full_matrices=False)
     return np.asarray(disk.radius * left[:, :1] @ right[:1], complex)

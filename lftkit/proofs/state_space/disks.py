@@ -16,8 +16,7 @@ from lftkit.proofs.trusted.structured import UncertaintyBlock
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import warped_frequency
 from lftkit.systems.system import System
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, RealParameter, width
 
 REAL = 1e-9
 """Phase [rad] that counts as zero."""

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.proof_files import write_content
-from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
+from lftkit.proofs.state_space.cells import Cell, CellScalings
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.proofs.trusted.cells import KIND, Inequality, digest
 from lftkit.proofs.trusted.entries import FORMAT
@@ -52,7 +52,7 @@ def statement(
     band: tuple[float, float],
     radii: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """What a proof claims, without cells: the system, the box, the band, the level; `radii` as for a cell test.
+    """Claim of a proof, without cells: the system, the box, the band, the level; `radii` as for a cell test.
 
     The band is that of the axis: in discrete time ``tan(omega dt / 2)``.
     """
@@ -89,8 +89,18 @@ def proven_cell(cell: Cell, scalings: CellScalings) -> dict[str, Any]:
     return {
         "intervals": [list(ends) for ends in cell.intervals],
         "band": [low, None if np.isinf(high) else high],
-        **scalings_to_mapping(scalings),
+        "P": _parts(scalings.P),
+        "Q": _parts(scalings.Q),
+        "D": {name: _parts(matrix) for name, matrix in scalings.D.items()},
+        "G": {name: _parts(matrix) for name, matrix in scalings.G.items()},
+        "centre": scalings.centre,
+        "performance": scalings.performance,
     }
+
+
+def _parts(matrix: ComplexArray) -> list[list[list[float]]]:
+    """Real and imaginary part of a Hermitian matrix."""
+    return [matrix.real.tolist(), matrix.imag.tolist()]
 
 
 def finished(
@@ -128,7 +138,10 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
                 "point": point.tolist(),
                 "L": L.tolist(),
                 "T": T.tolist(),
-                "weights": _weights(system, factor * weights),
+                "weights": {
+                    e.name: [float(w) for w, c in zip(factor * weights, system.channels) if c == e.name]
+                    for e in system.elements
+                },
             }
             with suppress(ArithmeticError):  # a number out of range
                 if inequality.stable_ratio(content) >= 1.0:
@@ -159,8 +172,3 @@ def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     R, info = linalg.lapack.dpotrf(0.5 * (X + X.T), lower=0)
     if info == 0:
         yield R / scale, scale[:, None] * linalg.solve_triangular(R, np.eye(len(A)))
-
-
-def _weights(system: System, weights: FloatArray) -> dict[str, list[float]]:
-    names = list(system.channels)
-    return {e.name: [float(w) for w, n in zip(weights, names) if n == e.name] for e in system.elements}

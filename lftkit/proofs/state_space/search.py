@@ -15,12 +15,14 @@ from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
-from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.corners import CornerSearch, abscissas, earliest_unstable_corner
 from lftkit.systems.system import System
 
 sl_optimize: Any = optimize
 MAX_CORNERS = 64
+SAMPLES = 20
+"""Random members among which the worst one is looked for, and half of the directions to unstable ones."""
 ALL_CORNERS = 6
 """Most parameters of which all corners are looked at; of more, corners are searched by derivatives of the poles."""
 CLIMBS, CORNER_STEPS, SLOPES = 4, 10, 80
@@ -62,15 +64,6 @@ def member_gain(system: System, point: FloatArray, band: tuple[float, float], ga
     if whole:
         norm = hinf_norm(*data.matrices, rtol=1e-4)
         return Member(norm.value, point, norm.omega)
-    return _peak_in_band(data.matrices, poles, point, band)
-
-
-def _peak_in_band(
-    matrices: Matrices,
-    poles: ComplexArray,
-    point: FloatArray,
-    band: tuple[float, float],
-) -> Member:
     low, high = band
     least, most = pole_range(poles)
     top = high if np.isfinite(high) else 100.0 * max(1.0, low, most)
@@ -78,7 +71,7 @@ def _peak_in_band(
     omega = np.unique([low, *frequency_grid(poles, floor, top, points=60, offsets=(0.0,))])
 
     def at(w: float) -> float:
-        return float(linalg.norm(refined_response(*matrices, w), 2)) if min(matrices[3].shape) else 0.0
+        return float(linalg.norm(refined_response(*data.matrices, w), 2)) if min(data.matrices[3].shape) else 0.0
 
     gains = np.array([at(float(w)) for w in omega])
     best = int(np.argmax(gains))
@@ -94,10 +87,7 @@ def worst_member(
     box: Sequence[tuple[float, float]],
     band: tuple[float, float],
     *,
-    gain: bool = True,
-    samples: int = 20,
     seed: int = 0,
-    evaluations: int = 150,
 ) -> Member:
     """The member with the largest gain among middle, corners and random ones, improved by a local search."""
     ends = np.array(box, dtype=float).reshape(-1, 2)
@@ -108,18 +98,16 @@ def worst_member(
         if band == (0.0, np.inf):
             shares += _unstable_shares(system, ends, seed)
         shares += list(rng.integers(0, 2, (MAX_CORNERS, size)).astype(float))
-    shares += list(rng.random((samples, size))) if size else []
-    found = []
+    shares += list(rng.random((SAMPLES, size))) if size else []
+    members = []
     for share in shares:
-        found.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band, gain))
-        if np.isinf(found[-1].gain):
-            return found[-1]
-    found.sort(key=lambda member: -member.gain)
-    if not gain:
-        return found[0]
+        members.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band))
+        if np.isinf(members[-1].gain):
+            return members[-1]
+    members.sort(key=lambda member: -member.gain)
     if size <= ALL_CORNERS:
-        return climbed(system, box, band, found[0], evaluations)
-    return max((climbed(system, box, band, start) for start in found[:CLIMBS]), key=lambda member: member.gain)
+        return climbed(system, box, band, members[0])
+    return max((climbed(system, box, band, start) for start in members[:CLIMBS]), key=lambda member: member.gain)
 
 
 def _unstable_shares(system: System, ends: FloatArray, seed: int) -> list[FloatArray]:
@@ -188,17 +176,13 @@ def _climbed_by_slopes(system: System, ends: FloatArray, band: tuple[float, floa
             return 0.0, np.zeros(len(width))
         return -float(np.log(member.gain)), -gain_slopes(system, member) * width / member.gain
 
-    def corner(member: Member) -> FloatArray:
-        return np.where(gain_slopes(system, member) > 0.0, 1.0, 0.0)
-
-    first = (start.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
     with suppress(_Unstable, linalg.LinAlgError):
         for _ in range(CORNER_STEPS):
             before = best.gain
-            objective(corner(best))
+            objective(np.where(gain_slopes(system, best) > 0.0, 1.0, 0.0))
             if best.gain <= before * (1.0 + 1e-9):
                 break
-        first = first if best is start else (best.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
+        first = (best.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
         sl_optimize.minimize(
             objective,
             np.clip(first, 0.0, 1.0),
@@ -258,9 +242,7 @@ def smallest_unstable_factor(
     box: Sequence[tuple[float, float]],
     largest: float,
     *,
-    samples: int = 40,
     seed: int = 0,
-    evaluations: int = 120,
 ) -> tuple[float, FloatArray, float]:
     """Smallest factor found at which the scaled box has an unstable member, the member, its frequency [rad/s].
 
@@ -280,11 +262,11 @@ def smallest_unstable_factor(
     corners = [np.array(c) for c in itertools.product((-1.0, 1.0), repeat=size)] if size <= ALL_CORNERS else []
     if size > ALL_CORNERS and system.order:
         corner = earliest_unstable_corner(
-            CornerSearch(system, ends), largest, lambda c: factor_of(c), samples=RANDOM_CORNERS, seed=seed
+            CornerSearch(system, ends), largest, factor_of, samples=RANDOM_CORNERS, seed=seed
         )[1]
         corners += [corner] if corner is not None else []
     starts = corners + list(np.eye(size)) + list(-np.eye(size))
-    starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (samples, size))] if size else []
+    starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (2 * SAMPLES, size))] if size else []
     if not starts:
         return np.inf, nominal, 0.0
     factors = [factor_of(d) for d in starts]
@@ -297,7 +279,7 @@ def smallest_unstable_factor(
                 start,
                 method="Powell",
                 bounds=[(-1.0, 1.0)] * size,
-                options={"maxfev": evaluations, "xtol": 1e-5, "ftol": 1e-8},
+                options={"maxfev": 120, "xtol": 1e-5, "ftol": 1e-8},
             )
             if result.fun < best:
                 best, direction = float(result.fun), result.x / np.abs(result.x).max()
@@ -312,10 +294,10 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])
     grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
-    found = abscissas(system, grid[:, None] * per_channel)
-    if not np.any(found >= 0.0):
+    abscissae = abscissas(system, grid[:, None] * per_channel)
+    if not np.any(abscissae >= 0.0):
         return np.inf
-    first = int(np.argmax(found >= 0.0))
+    first = int(np.argmax(abscissae >= 0.0))
 
     def abscissa(factor: float) -> float:
         return min(float(abscissas(system, factor * per_channel[None])[0]), LARGE)

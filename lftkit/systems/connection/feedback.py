@@ -8,8 +8,9 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.errors import InputError
+from lftkit.systems import lft
 from lftkit.systems.arguments import checked
-from lftkit.systems.operand import common_period
+from lftkit.systems.arithmetic import common_period
 from lftkit.systems.system import System
 
 
@@ -20,12 +21,8 @@ def cascade(first: System, second: System, name: str = "") -> System:
         raise InputError(
             f"cascade: {first.name} has {first.D.shape[0]} outputs, {second.name} takes {second.D.shape[1]} inputs"
         )
-    (A1, B1, C1, D1), (A2, B2, C2, D2) = first.matrices, second.matrices
-    A = np.block([[A1, np.zeros((first.order, second.order))], [B2 @ C1, A2]])
-    B = np.vstack([B1, B2 @ D1])
-    C = np.hstack([D2 @ C1, C2])
-    dt = common_period([first, second])
-    return System(A, B, C, D2 @ D1, first.inputs, second.outputs, name or first.name, dt)
+    matrices, dt = lft.series(first.matrices, second.matrices), common_period([first, second])
+    return System(*matrices, first.inputs, second.outputs, name or first.name, dt)
 
 
 @checked

@@ -11,6 +11,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.interconnection import connect
+from lftkit.systems.control_conversion import rational
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System, state_space
 
@@ -34,25 +35,10 @@ def transfer(num: ArrayLike, den: ArrayLike, size: int = 1, name: str = "filter"
             f"{name}: expected a proper transfer function with leading denominator coefficient other than 0, "
             f"got {numerator.tolist()} / {denominator.tolist()}"
         )
-    n = len(denominator) - 1
-    a = denominator / denominator[0]
-    b = np.concatenate([np.zeros(n + 1 - len(numerator)), numerator]) / denominator[0]
-    A = np.diag(np.ones(max(n - 1, 0)), 1) if n else np.zeros((0, 0))
-    if n:
-        A[-1] = -a[:0:-1]
-    B = np.zeros((n, 1))
-    B[n - 1 :] = 1.0
-    C = (b[1:] - a[1:] * b[0])[::-1][None]
+    A, b, c, d = rational(numerator, denominator)
     eye: FloatArray = np.eye(size)
-    return System(
-        np.asarray(np.kron(eye, A), dtype=float),
-        np.asarray(np.kron(eye, B), dtype=float),
-        np.kron(eye, C),
-        eye * b[0],
-        (Port("in", size),),
-        (Port("out", size),),
-        name,
-    )
+    A, B, C = (np.asarray(np.kron(eye, M), dtype=float) for M in (A, b[:, None], c[None]))
+    return System(A, B, C, eye * d, (Port("in", size),), (Port("out", size),), name)
 
 
 @checked

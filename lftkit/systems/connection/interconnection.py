@@ -14,8 +14,8 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import common_period, same_size
 from lftkit.systems.exchange import as_system
-from lftkit.systems.operand import common_period, same_size
 from lftkit.systems.ports import Port, as_ports, port_indices, port_slices, total_size
 from lftkit.systems.system import System
 
@@ -77,7 +77,8 @@ def connect(
     wiring = _Wiring(systems, external)
     drivers: dict[str, Source] = {}
     for source, target in connections:
-        wiring.target(target)
+        if target not in wiring.targets:
+            raise InputError(f"input must be one of {', '.join(wiring.targets)}, got {target!r}")
         if target in drivers:
             raise InputError(f"input {target!r} must have one driver, got two: {drivers[target]} and {source}")
         drivers[target] = source
@@ -87,7 +88,10 @@ def connect(
             f"every input must have a driver, got none for {', '.join(free)} (sources: {', '.join(wiring.sources)})"
         )
     whole = _side_by_side(systems)
-    S, E = wiring.matrices([(drivers[t], t) for t in wiring.targets], wiring.targets)
+    for target, port in wiring.targets.items():
+        for _, name, source_port in wiring.terms(drivers[target]):
+            _check_same(source_port, port, f"{name} -> {target}")
+    S, E = wiring.selection([drivers[t] for t in wiring.targets], list(wiring.targets.values()))
     out_ports = tuple(Port(name, *wiring.shape_of(source)) for name, source in outputs.items())
     So, Eo = wiring.selection(list(outputs.values()), out_ports)
     closed = lft.close_loop(whole.lft, len(whole.channels), S, E, So, Eo)
@@ -109,11 +113,6 @@ class _Wiring:
         self._y = sum(p.size for p in inner.values())
         self._u = sum(p.size for p in external)
 
-    def target(self, name: str) -> Port:
-        if name not in self.targets:
-            raise InputError(f"input must be one of {', '.join(self.targets)}, got {name!r}")
-        return self.targets[name]
-
     def terms(self, source: Source) -> list[tuple[float, str, Port]]:
         parts = (source,) if isinstance(source, str) else source
         result = []
@@ -132,14 +131,6 @@ class _Wiring:
         for _, name, port in terms[1:]:
             _check_same(first, port, f"sum of {terms[0][1]} and {name}")
         return first.size, first.unit
-
-    def matrices(
-        self, pairs: Sequence[tuple[Source, str]], targets: Mapping[str, Port]
-    ) -> tuple[FloatArray, FloatArray]:
-        for source, target in pairs:
-            for _, name, port in self.terms(source):
-                _check_same(port, targets[target], f"{name} -> {target}")
-        return self.selection([s for s, _ in pairs], [targets[t] for _, t in pairs])
 
     def selection(self, sources: Sequence[Source], ports: Sequence[Port]) -> tuple[FloatArray, FloatArray]:
         rows = sum(p.size for p in ports)

@@ -91,6 +91,3 @@ class OrderedProduct:
             sums[0] = sums[len(rows)]
         self.values[:first] = sums[0, :first]
         return results
-
-
-__all__ = ["OrderedProduct", "add_up"]

@@ -23,11 +23,10 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.arguments import checked
+from lftkit.systems.arithmetic import constant_matrix
 from lftkit.systems.delta import Value, chosen_values
-from lftkit.systems.operand import constant_matrix
 from lftkit.systems.ports import Port, as_ports
-from lftkit.systems.symbolic.canonical import controllable_form
-from lftkit.systems.symbolic.fractions import Fraction
+from lftkit.systems.symbolic.fractions import Fraction, controllable_form
 from lftkit.systems.symbolic.realisation import Affine, rank_factors, realised
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement, Element, element_table
@@ -195,7 +194,8 @@ class Expression:
         return _combined(other, self, operator.sub, lambda a, b: _plus(a, -b))
 
     def __neg__(self) -> Expression:
-        return _with_fraction(_scaled(self, -1.0), self, constant(-np.eye(1)), Fraction.times)
+        negative = _multiplied(self, -np.eye(self.shape[0]), np.eye(self.shape[1]))
+        return _with_fraction(negative, self, constant(-np.eye(1)), Fraction.times)
 
     def __mul__(self, other: Any) -> Any:
         return _combined(self, other, operator.mul, _times)
@@ -440,10 +440,6 @@ def _multiplied(e: Expression, left: FloatArray, right: FloatArray) -> Expressio
         coefficients={name: L @ C @ R for name, C in e.coefficients.items()},
         dynamics=tuple((name, L @ own, other @ R) for name, own, other in e.dynamics),
     )
-
-
-def _scaled(e: Expression, factor: float) -> Expression:
-    return _multiplied(e, factor * np.eye(e.shape[0]), np.eye(e.shape[1]))
 
 
 def _size(e: Expression) -> str:

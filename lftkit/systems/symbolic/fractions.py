@@ -7,8 +7,11 @@ are states, as in ``D2 / (D1 D2 - q^2)``, the linear system is singular, and the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 Term = tuple[int, tuple[str, ...]]
 """Power of s, and names of elements, each as often as its power, in order."""
@@ -41,7 +44,7 @@ class ElementPolynomial:
         return max((power for power, _ in self.terms), default=-1)
 
     def coefficient(self, power: int) -> dict[tuple[str, ...], float]:
-        """What stands before a power of s: products of elements with their numbers."""
+        """Coefficient of a power of s: products of elements with their numbers."""
         return {names: number for (own, names), number in self.terms.items() if own == power}
 
 
@@ -96,3 +99,40 @@ class Fraction:
     def inverse(self) -> Fraction | None:
         """Denominator over numerator; None of zero."""
         return Fraction(self.denominator, self.numerator) if self.numerator.terms else None
+
+
+def controllable_form(
+    fraction: Fraction, operator: Any, elements: Mapping[str, Any], matrix: Callable[[Any], Any]
+) -> Any:
+    """An expression of the same function in which s occurs as often as the degree n of the denominator.
+
+    With ``xi`` and its first n derivatives: ``D xi = u, y = N xi``.
+
+    Parameters
+    ----------
+    fraction : Fraction
+        Proper.
+    operator : Expression
+        s or z.
+    elements : mapping of str to Expression
+    matrix : callable
+        From rows of expressions and numbers to an expression.
+    """
+    n = fraction.denominator.degree
+    denominator, numerator = (
+        [_coefficient(polynomial.coefficient(power), elements) for power in range(n + 1)]
+        for polynomial in (fraction.denominator, fraction.numerator)
+    )
+    chain = [[operator if j == i else -1.0 * (j == i + 1) for j in range(n + 1)] for i in range(n)]
+    return matrix([numerator]) @ matrix([*chain, denominator]).inverse() @ np.eye(n + 1)[:, -1:]
+
+
+def _coefficient(terms: Mapping[tuple[str, ...], float], elements: Mapping[str, Any]) -> Any:
+    """Sum of products of elements: an expression, or a number."""
+    total: Any = 0.0
+    for names, number in terms.items():
+        product: Any = number
+        for name in names:
+            product = product * elements[name]
+        total = total + product
+    return total

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems import lft
 from lftkit.systems.minimal import minimal_realisation
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
-from lftkit.uncertainty.elements import Element, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import Element, RealParameter, width
 
 RANK = 1e-13
 """Entries below this fraction of the largest are zero when a coefficient is factored."""
@@ -77,14 +76,28 @@ def realised(
         It is not proper, or has no value at the nominal elements; without `shift` also where s occurs more often than
         there are states.
     """
-    factored = _factored(_eliminated(e), elements)
+    # The coefficients of s and of the elements in factors of least rank, and the element of each row of Delta
+    e = _eliminated(e)
+    rows, columns = e.constant.shape
+    left: list[FloatArray] = [np.zeros((rows, 0))]
+    right: list[FloatArray] = [np.zeros((0, columns))]
+    names: list[str] = []
+    for element in elements:
+        pairs = [rank_factors(e.coefficients[element.name])] if element.name in e.coefficients else []
+        for _, L, R in (d for d in e.dynamics if d[0] == element.name):
+            d = width(element)
+            pairs.append((np.pad(L, ((0, 0), (0, d - L.shape[1]))), np.pad(R, ((0, d - R.shape[0]), (0, 0)))))
+        for L, R in pairs:
+            left.append(L)
+            right.append(R)
+            names += [element.name] * L.shape[1]
+    factored, channels = (e, *rank_factors(e.operator), np.hstack(left), np.vstack(right)), tuple(names)
     try:
-        matrices = _direct(factored)
-        made = System(*matrices, inputs, outputs, dt=dt, channels=factored.channels, elements=tuple(elements))
+        made = System(*_direct(factored), inputs, outputs, dt=dt, channels=channels, elements=tuple(elements))
     except ValueError:
         if not shift:
             raise
-        made = _shifted(factored, elements, inputs, outputs, dt)
+        made = _shifted(factored, channels, elements, inputs, outputs, dt)
     return minimal_realisation(made).system
 
 
@@ -118,50 +131,13 @@ def _eliminated(e: Affine) -> Affine:
     return Affine(stack[0], stack[1], dict(zip(e.coefficients, stack[2:])), dynamics, n)
 
 
-@dataclass(frozen=True)
-class _Factored:
-    """``S_0 + s L_s R_s + L Delta R``.
-
-    Parameters
-    ----------
-    affine : Affine
-    Ls, Rs, L, R : ndarray
-    channels : tuple of str
-        Element of each row of Delta.
-    """
-
-    affine: Affine
-    Ls: FloatArray
-    Rs: FloatArray
-    L: FloatArray
-    R: FloatArray
-    channels: tuple[str, ...]
+Factored = tuple[Affine, FloatArray, FloatArray, FloatArray, FloatArray]
+"""``S_0 + s L_s R_s + L Delta R`` as S, L_s, R_s, L and R."""
 
 
-def _factored(e: Affine, elements: Sequence[Element]) -> _Factored:
-    """The coefficients of s and of the elements in factors of least rank."""
-    rows, columns = e.constant.shape
-    left: list[FloatArray] = [np.zeros((rows, 0))]
-    right: list[FloatArray] = [np.zeros((0, columns))]
-    channels: list[str] = []
-    for element in elements:
-        pairs = [rank_factors(e.coefficients[element.name])] if element.name in e.coefficients else []
-        for _, L, R in (d for d in e.dynamics if d[0] == element.name):
-            d = width(element)
-            pairs.append((np.pad(L, ((0, 0), (0, d - L.shape[1]))), np.pad(R, ((0, d - R.shape[0]), (0, 0)))))
-        for L, R in pairs:
-            left.append(L)
-            right.append(R)
-            channels += [element.name] * L.shape[1]
-    return _Factored(e, *rank_factors(e.operator), np.hstack(left), np.vstack(right), tuple(channels))
-
-
-Four = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-def _direct(f: _Factored) -> Four:
+def _direct(f: Factored) -> Matrices:
     """States ``x = R_s [xi; u]``: solved for xi and x' as functions of x, the Delta channels and u."""
-    e, Ls, Rs, L, R = f.affine, f.Ls, f.Rs, f.L, f.R
+    e, Ls, Rs, L, R = f
     n, r, q = e.inner, Ls.shape[1], L.shape[1]
     m = e.constant.shape[1] - n
     E, B, C, D = e.constant[:n, :n], e.constant[:n, n:], e.constant[n:, :n], e.constant[n:, n:]
@@ -177,13 +153,18 @@ def _direct(f: _Factored) -> Four:
 
 
 def _shifted(
-    f: _Factored, elements: Sequence[Element], inputs: tuple[Port, ...], outputs: tuple[Port, ...], dt: float
+    f: Factored,
+    channels: tuple[str, ...],
+    elements: Sequence[Element],
+    inputs: tuple[Port, ...],
+    outputs: tuple[Port, ...],
+    dt: float,
 ) -> System:
     """By ``sigma = s - s_0`` as one more repeated element, whose superfluous repetitions are removed first.
 
     Where s occurs more often than there are states, the equations of :func:`_direct` are singular.
     """
-    e, Ls, Rs, L, R = f.affine, f.Ls, f.Rs, f.L, f.R
+    e, Ls, Rs, L, R = f
     n, r, q = e.inner, Ls.shape[1], L.shape[1]
     sizes = [np.abs(M).max(initial=0.0) for M in (e.constant, e.operator)]
     shift = 0.7390851332151607 * (sizes[0] / sizes[1] if sizes[0] and sizes[1] else 1.0)  # at no special place
@@ -198,7 +179,7 @@ def _shifted(
     M[k:, k:] += D
     none = np.zeros((0, 0))
     sigma = RealParameter("\0s", 0.0, -1.0, 1.0)
-    names = (*[sigma.name] * r, *f.channels)
+    names = (*[sigma.name] * r, *channels)
     whole = System(none, none, none, M, inputs, outputs, channels=names, elements=(sigma, *elements))
     small = minimal_realisation(whole).system
     r = small.occurrences().get(sigma.name, 0)

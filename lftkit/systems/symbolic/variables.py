@@ -10,8 +10,7 @@ from lftkit.errors import InputError
 from lftkit.support.scalars import as_number, as_positive, is_number
 from lftkit.systems.arguments import checked
 from lftkit.systems.symbolic.expressions import Expression, scalar, variable
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, RealParameter
 
 
 @checked

@@ -19,7 +19,7 @@ from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
-from lftkit.systems.operand import common_period
+from lftkit.systems.arithmetic import common_period
 from lftkit.systems.sampled.bilinear import unwarped_frequency
 from lftkit.systems.sampled.image import image_of
 from lftkit.systems.system import System

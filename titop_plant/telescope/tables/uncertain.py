@@ -31,7 +31,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from lftkit.errors import InputError
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from titop_plant.interface import COMMANDED, MEASURED
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 

@@ -11,8 +11,7 @@ import pytest
 from scipy import linalg
 
 from lftkit import System, loop_margins, pade_delay, s, sensitivity_peaks, z
-from lftkit.analysis.disk_margin import disk_margin
-from lftkit.analysis.margins import sensitivity
+from lftkit.analysis.margins import disk_margin, sensitivity
 from lftkit.proofs import disk_margins, worst_case_disk_margin
 
 

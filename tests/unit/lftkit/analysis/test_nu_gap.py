@@ -11,7 +11,7 @@ from oracles.accurate_response import extended_response
 from scipy import linalg
 
 from lftkit import System, hinf_norm, ncfmr, nu_gap, s, transfer
-from lftkit.analysis.coprime_factors import right_coprime_factors
+from lftkit.analysis.riccati import right_coprime_factors
 from lftkit.synthesis import ncfsyn
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.sampled.bilinear import to_discrete

@@ -18,9 +18,8 @@ from support.uncertain_examples import aligned_modes, chain_of_masses, transport
 from lftkit import RealParameter, System, complex_gain, dynamic, hinf_norm, real, s
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
-from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.axis.bounds import _Axis, axis_takes, modal_form
-from lftkit.proofs.axis.model import AxisModel
+from lftkit.proofs.axis.proof import AxisModel, AxisProof
 from lftkit.proofs.trusted.axis import check_axis_proof, neumann
 from lftkit.proofs.trusted.proof import REAL, Strip
 from lftkit.uncertainty.elements import DynamicElement

@@ -27,7 +27,7 @@ from lftkit.proofs.sampled_loop import (
     prove_level,
 )
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.branching import Branching
+from lftkit.proofs.sampled_loop.scalings import Branching
 from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
 from lftkit.proofs.state_space.search import ray_factor, smallest_unstable_factor
 from lftkit.proofs.trusted.polynomials import Polynomial, exponential, inverse, reciprocal

@@ -30,8 +30,7 @@ from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskSearch
 from lftkit.proofs.state_space.disks import dynamics_with, real_first
 from lftkit.proofs.state_space.search import Member
-from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, RealParameter
 
 LONG = BoundOptions(wall_limit=3600.0)
 

@@ -11,8 +11,7 @@ from scipy import linalg
 from support.uncertain_examples import aligned_modes
 
 from lftkit import RealParameter, System, append, dynamic, feedback, real, s, z
-from lftkit.analysis.disk_margin import disk_gains, disk_phase
-from lftkit.analysis.margins import sensitivity
+from lftkit.analysis.margins import disk_gains, disk_phase, sensitivity
 from lftkit.analysis.norms import band_gain
 from lftkit.proofs import (
     check_proof,

@@ -17,7 +17,7 @@ from mpmath import iv, mp, mpf
 
 from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, check_loop_proof, loop_model, prove_level
-from lftkit.proofs.sampled_loop.coordinates import coordinates
+from lftkit.proofs.sampled_loop.model import coordinates
 from lftkit.proofs.trusted.arithmetic import UNIT
 from lftkit.proofs.trusted.proof import Strip
 

@@ -8,9 +8,8 @@ import pytest
 from scipy import linalg
 
 from lftkit import Port, System, balred, hankel_singular_values, hinf_norm, ncfmr, s, transfer, z
-from lftkit.analysis.disk_margin import disk_margin
-from lftkit.reduction.balancing import balanced_truncation
-from lftkit.reduction.gramians import gramian_factor, state_parts
+from lftkit.analysis.margins import disk_margin
+from lftkit.reduction.balancing import balanced_truncation, gramian_factor, state_parts
 from lftkit.synthesis import ncfsyn
 from lftkit.systems.connection.feedback import close_loop
 

@@ -13,9 +13,9 @@ from support.slow_cases import slow
 
 from lftkit import InputError, Port, System, hinf_norm, loop_margins, s
 from lftkit.synthesis import augw, h2syn, hinfsyn, mixsyn, ncfsyn
-from lftkit.synthesis.out_of_reach import gain_out_of_reach
 from lftkit.synthesis.riccati_controllers import central, lowest_level
 from lftkit.synthesis.standard_plant import standard_plant
+from lftkit.synthesis.working_plant import gain_out_of_reach
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.symbolic.expressions import Expression
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS

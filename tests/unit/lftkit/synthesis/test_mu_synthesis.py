@@ -10,7 +10,7 @@ from scipy import linalg
 
 from lftkit import InputError, System, complex_gain, connect, dynamic, hinf_norm, real, s
 from lftkit.proofs import BoundOptions, check_proof
-from lftkit.proofs.performance import scaled_elements
+from lftkit.proofs.robustness import scaled_elements
 from lftkit.synthesis import MuDesign, hinfsyn, musyn
 from lftkit.systems.sampled.bilinear import to_discrete
 

@@ -9,7 +9,7 @@ from scipy import linalg, optimize
 from lftkit import Port, System, h2_norm
 from lftkit.errors import InputError
 from lftkit.synthesis import h2syn
-from lftkit.synthesis.sampled_lqg import sampled_lqg
+from lftkit.synthesis.riccati_controllers import sampled_lqg
 from lftkit.synthesis.shared_h2 import Noise, SampledPlant, shared_bound
 from lftkit.synthesis.standard_plant import standard_plant
 from lftkit.tuning import H2Gain, TuningOptions, TuningStatus, state_space, tune_discrete
@@ -33,7 +33,7 @@ def random_plant(seed: int, through: float) -> System:
 
 @pytest.mark.parametrize(("direct", "variance"), [(True, ROOT5), (False, 1.0 + ROOT5)])
 def test_the_integrator_has_the_variance_of_its_closed_form(direct: bool, variance: float) -> None:
-    assert sampled_lqg(standard_plant(integrator(), "y", "u").extended, direct=direct).norm ** 2 == pytest.approx(
+    assert sampled_lqg(standard_plant(integrator(), "y", "u").extended, direct=direct)[1] ** 2 == pytest.approx(
         variance
     )
 

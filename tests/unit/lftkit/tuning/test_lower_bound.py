@@ -12,7 +12,7 @@ from scipy.signal import tf2ss
 
 from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.synthesis.out_of_reach import gain_out_of_reach
+from lftkit.synthesis.working_plant import gain_out_of_reach
 from lftkit.tuning import (
     H2Gain,
     HinfGain,
