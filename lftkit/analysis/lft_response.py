@@ -97,9 +97,9 @@ class LftResponse:
             many = RepeatedClosed.of(self, repeated)
             if many is not None:
                 return many.closed(delta)
-        found: ComplexArray = self.through(delta) @ self.T21
-        found += self.T11
-        return found
+        response: ComplexArray = self.through(delta) @ self.T21
+        response += self.T11
+        return response
 
     def through(self, delta: ComplexArray) -> ComplexArray:
         """``T12 Delta (I - M Delta)^-1`` for N diagonals of Delta (N, q): shape (N, p, q)."""
@@ -200,8 +200,8 @@ class RepeatedClosed:
 
     def closed(self, delta: ComplexArray) -> ComplexArray:
         """Responses for N diagonals of Delta (N, a + r): shape (N, p, m)."""
-        own, first = delta[:, ~self.repeated], int(np.flatnonzero(self.repeated)[0])
-        r = own.shape[1]
+        single, first = delta[:, ~self.repeated], int(np.flatnonzero(self.repeated)[0])
+        r = single.shape[1]
         out = np.empty((len(delta), self.shape[0] - r, self.shape[1] - r), complex)
         size = min(TOGETHER, len(delta))
         factors, space = np.ones((size, len(self.terms)), complex), np.empty((size, self.terms.shape[1]), complex)
@@ -210,7 +210,7 @@ class RepeatedClosed:
             turned, count = delta[part, first, None], part.stop - part.start
             factors[:count, :-1] = turned / (1.0 - turned * self.poles)
             whole = np.matmul(factors[:count], self.terms, out=space[:count]).reshape(-1, *self.shape)
-            out[part] = LftResponse.of(whole, r).closed(own[part])
+            out[part] = LftResponse.of(whole, r).closed(single[part])
         return out
 
 

@@ -138,8 +138,8 @@ def hinf_norm(
     A, B, C, D = system
     if len(A) == 0:
         return _norm_of_feedthrough(A, D)
-    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
-        return found
+    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (norm := _mapped(system, dt, rtol)):
+        return norm
     peak = discrete_norm(system, rtol)
     if peak is None:
         poles = linalg.eigvals(balanced(A, B, C)[0])
@@ -202,7 +202,7 @@ def linf_norm(
 def hinf_norms(systems: Iterable[Any], *, rtol: float = 1e-7) -> list[HInfNorm]:
     """H-infinity norms of many systems, or of (A, B, C, D) in continuous time, for instance of parameter samples."""
     matrices = (system if isinstance(system, tuple) else (system,) for system in systems)
-    return [hinf_norm(*given, rtol=rtol) for given in matrices]
+    return [hinf_norm(*one, rtol=rtol) for one in matrices]
 
 
 def band_gain(
@@ -371,8 +371,8 @@ def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
     """By a map to continuous time, or None where it could lose what decides."""
     A, B, C, D = system
     for plane in HalfPlane.of((*balanced(A, B, C), D)):
-        if found := _small(plane.matrices, rtol, plane):
-            return HInfNorm(found.value, found.upper, plane.angle(found.omega) / dt, "hamiltonian")
+        if norm := _small(plane.matrices, rtol, plane):
+            return HInfNorm(norm.value, norm.upper, plane.angle(norm.omega) / dt, "hamiltonian")
     return None
 
 
@@ -389,8 +389,8 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     if len(A) == 0 or not (B.any() and C.any()):
         return _norm_of_feedthrough(A, D)
     system = *balanced(A, B, C), D
-    if certificate == "auto" and len(A) <= MAX_STATES and (found := _small(system, rtol)):
-        return HInfNorm(*found, "hamiltonian")
+    if certificate == "auto" and len(A) <= MAX_STATES and (norm := _small(system, rtol)):
+        return HInfNorm(*norm, "hamiltonian")
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
     if response.poles[worst].real >= 0.0 or response.on_axis.size:

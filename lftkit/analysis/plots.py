@@ -183,9 +183,9 @@ def pole_map(system: Any, samples: Samples = 0, *, seed: int = 0) -> Figure:
     return figure
 
 
-def _members(given: Any, samples: Samples, seed: int) -> list[System]:
+def _members(model: Any, samples: Samples, seed: int) -> list[System]:
     """The nominal system first, then its members."""
-    system = as_system(given)
+    system = as_system(model)
     system.require_continuous()
     if system.certain:
         if samples != 0:

@@ -84,8 +84,8 @@ class FixedOrderLoop:
         A = self.closed(x)[0]
         if not np.all(np.isfinite(A)):
             return np.inf, np.zeros_like(x)
-        found: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
-        values, left, right = found
+        solved: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
+        values, left, right = solved
         i = int(np.argmax(values.real))
         scale = left[:, i].conj() @ right[:, i]
         slope = np.outer(left[:, i].conj() @ self.B2, self.C2 @ right[:, i]) / (scale if abs(scale) > 1e-14 else 1e-14)
@@ -136,7 +136,7 @@ def bfgs(
         d = -H @ g
         if not g @ d < 0 or f < stop or linalg.norm(g) < 1e-14:
             break
-        low, high, t, found = 0.0, np.inf, 1.0, False
+        low, high, t, accepted = 0.0, np.inf, 1.0, False
         for _ in range(50):
             new_f, new_g = function(x + t * d)
             if not new_f < f + 1e-4 * t * (g @ d):
@@ -144,12 +144,12 @@ def bfgs(
             elif new_g @ d < 0.9 * (g @ d):
                 low = t
             else:
-                found = True
+                accepted = True
                 break
             if time.monotonic() > deadline:
                 break
             t = 0.5 * (low + high) if np.isfinite(high) else 2.0 * t
-        if not found:
+        if not accepted:
             break
         s, y = t * d, new_g - g
         x, f, g = x + s, new_f, new_g

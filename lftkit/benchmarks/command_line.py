@@ -47,28 +47,30 @@ def parser() -> argparse.ArgumentParser:
     """Of the command line."""
     whole = argparse.ArgumentParser(prog="python -m lftkit.benchmarks", description=__doc__)
     commands = whole.add_subparsers(dest="command", required=True)
-    found = commands.add_parser("norms", help=norms.__doc__)
-    found.add_argument("--orders", type=whole_numbers, default=norms.ORDERS, help="numbers of states")
-    found.add_argument("--samples", type=lambda text: whole_numbers(text)[0], default=10, help="systems of each order")
-    found = commands.add_parser("responses", help=responses.__doc__)
-    found.add_argument("--orders", type=whole_numbers, default=responses.ORDERS, help="numbers of states, 2 at least")
-    found = commands.add_parser("tuning", help=tuning.__doc__)
-    found.add_argument("--plants", type=names_of_plants, default=tuple(PLANTS), help="names, separated by commas")
-    found.add_argument("--order", type=whole_number, default=0, help="states of the controller")
-    found.add_argument("--seconds", type=positive, default=60.0, help="wall limit of the tuner for a plant [s]")
+    command = commands.add_parser("norms", help=norms.__doc__)
+    command.add_argument("--orders", type=whole_numbers, default=norms.ORDERS, help="numbers of states")
+    command.add_argument(
+        "--samples", type=lambda text: whole_numbers(text)[0], default=10, help="systems of each order"
+    )
+    command = commands.add_parser("responses", help=responses.__doc__)
+    command.add_argument("--orders", type=whole_numbers, default=responses.ORDERS, help="numbers of states, 2 at least")
+    command = commands.add_parser("tuning", help=tuning.__doc__)
+    command.add_argument("--plants", type=names_of_plants, default=tuple(PLANTS), help="names, separated by commas")
+    command.add_argument("--order", type=whole_number, default=0, help="states of the controller")
+    command.add_argument("--seconds", type=positive, default=60.0, help="wall limit of the tuner for a plant [s]")
     return whole
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure and print."""
-    given = parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     with one_thread():
-        if given.command == "norms":
-            rows = norms.compared(given.orders, given.samples)
-        elif given.command == "responses":
-            rows = responses.compared(given.orders)
+        if options.command == "norms":
+            rows = norms.compared(options.orders, options.samples)
+        elif options.command == "responses":
+            rows = responses.compared(options.orders)
         else:
-            rows = tuning.compared(given.plants, given.order, given.seconds)
+            rows = tuning.compared(options.plants, options.order, options.seconds)
         for row in rows:
             sys.stdout.write(json.dumps(row) + "\n")
             sys.stdout.flush()

@@ -33,12 +33,12 @@ def compared(orders: Sequence[int] = ORDERS, points: int = 1000) -> Iterator[dic
         ours, theirs = [], []
         for _ in range(ROUNDS):
             begin = time.process_time()
-            own = frequency_response(system, omega)
+            response = frequency_response(system, omega)
             middle = time.process_time()
             other = control.frequency_response(control.ss(A, B, C, D), omega).complex.transpose(2, 0, 1)
             ours.append(middle - begin)
             theirs.append(time.process_time() - middle)
-        difference = _sizes(own - other) / _sizes(other)
+        difference = _sizes(response - other) / _sizes(other)
         yield {
             "states": len(A),
             "points": len(omega),

@@ -72,22 +72,27 @@ def unpacked(arrays: Mapping[str, Any], parameters: int, prefix: str = "") -> tu
     ProofError
         A node, a factor or a scaling that belongs to no strip, or the other way round.
     """
-    own = {name.removeprefix(prefix): arrays[name] for name in strip_arrays(arrays, parameters, prefix)}
-    counts, total = own["counts"], len(own["nodes"])
-    sizes = {len(values) for name, values in own.items() if name not in ("boxes", "counts")}
-    if sizes != {total} or len(counts) != len(own["boxes"]) or np.any(counts < 2) or sum(counts.tolist()) != total:
+    of_strips = {name.removeprefix(prefix): arrays[name] for name in strip_arrays(arrays, parameters, prefix)}
+    counts, total = of_strips["counts"], len(of_strips["nodes"])
+    sizes = {len(values) for name, values in of_strips.items() if name not in ("boxes", "counts")}
+    if (
+        sizes != {total}
+        or len(counts) != len(of_strips["boxes"])
+        or np.any(counts < 2)
+        or sum(counts.tolist()) != total
+    ):
         raise refuse(f"{prefix}counts", f"numbers of nodes, 2 at least and {total} in all", counts.tolist())
     ends = np.concatenate([[0], np.cumsum(counts)]).astype(int)
     strips = []
-    for number, box in enumerate(own["boxes"]):
+    for number, box in enumerate(of_strips["boxes"]):
         part = slice(ends[number], ends[number + 1])
         strips.append(
             Strip(
                 tuple((float(a), float(b)) for a, b in box),
-                own["nodes"][part],
-                tuple(own[f"D{k}"][part].astype(complex) for k in range(parameters)),
-                tuple(own[f"G{k}"][part].astype(complex) for k in range(parameters)),
-                own["factors"][part],
+                of_strips["nodes"][part],
+                tuple(of_strips[f"D{k}"][part].astype(complex) for k in range(parameters)),
+                tuple(of_strips[f"G{k}"][part].astype(complex) for k in range(parameters)),
+                of_strips["factors"][part],
             )
         )
     return tuple(strips)

@@ -385,8 +385,8 @@ class PerformanceProblem:
         """The same, with their gain at its frequency."""
         search = DiskSearch(self.system, self.box, WHOLE, self.options.seed)
         M = search.response(member.frequency)
-        given: Mapping[str, ComplexArray] = member.disks if isinstance(member, DiskMember) else {}
-        disks = {d.name: given.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.disks}
+        of_member: Mapping[str, ComplexArray] = member.disks if isinstance(member, DiskMember) else {}
+        disks = {d.name: of_member.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.disks}
 
         def at(part: float) -> DiskMember:
             real = np.asarray(part * (member.point - self.nominal))

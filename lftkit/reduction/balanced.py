@@ -197,12 +197,12 @@ class _StablePart:
         """The truncated system, of the first balancing that leaves it stable."""
         A, B, C, D = self.system.matrices
         dt = self.system.dt
-        for found in self.balancings:
-            kept = min(order, found.order)
+        for balanced in self.balancings:
+            kept = min(order, balanced.order)
             if method == "truncate":
-                matrices: Matrices = (*found.coordinates(A, B, C, kept), D)
+                matrices: Matrices = (*balanced.coordinates(A, B, C, kept), D)
             else:
-                matrices = _matched((*found.coordinates(A, B, C), D), kept, dt)
+                matrices = _matched((*balanced.coordinates(A, B, C), D), kept, dt)
             system = System(*matrices, self.system.inputs, self.system.outputs, self.system.name, dt)
             if not len(state_parts(*matrices[:3], dt).other[0]):
                 break

@@ -217,5 +217,5 @@ def truncated(
     parts = state_parts(A, B, C)
     if len(parts.other[0]) or order > len(A):
         return None
-    found = balancing(*parts.stable)
-    return None if found.order < order else found.coordinates(*parts.stable, order)
+    of_stable = balancing(*parts.stable)
+    return None if of_stable.order < order else of_stable.coordinates(*parts.stable, order)

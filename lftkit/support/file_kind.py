@@ -68,8 +68,8 @@ def kind_of_text(text: str) -> str | None:
         return "an HTML page"
     if start.startswith(("<?xml", "<svg", "<!--")):
         return "an HTML page" if "<html" in start else "XML"
-    if (found := next((kind for mark, kind in TEXTS if start.startswith(mark)), None)) is not None:
-        return found
+    if (known := next((kind for mark, kind in TEXTS if start.startswith(mark)), None)) is not None:
+        return known
     if UNIVERSAL_FILE.match(text[:HEAD].replace("\r", "")):
         return "a universal file (UNV, UFF)"
     inner = start[1:].lstrip()

@@ -42,14 +42,14 @@ def check_file(path: str | os.PathLike[str], limit: int) -> int:
     return _checked(os.stat(os.fspath(path)), path, limit)  # a number would be a file that is open
 
 
-def _checked(found: os.stat_result, path: str | os.PathLike[str], limit: int) -> int:
-    if stat.S_ISDIR(found.st_mode):
+def _checked(status: os.stat_result, path: str | os.PathLike[str], limit: int) -> int:
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise InputFileError(errno.EINVAL, "not an ordinary file", os.fspath(path))
-    if found.st_size > limit:
+    if status.st_size > limit:
         raise _too_large(path, limit)
-    return found.st_size
+    return status.st_size
 
 
 def _too_large(path: str | os.PathLike[str], limit: int) -> InputFileError:

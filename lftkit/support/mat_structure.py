@@ -85,11 +85,11 @@ class _Stream:
             if not self.unpacking.unconsumed_tail:
                 self.left -= len(packed)
             try:
-                found = self.unpacking.decompress(packed, _PIECE)
+                data = self.unpacking.decompress(packed, _PIECE)
             except zlib.error as error:
                 raise InputError(f"a compressed variable is damaged ({error})") from None
-            if found or not packed or self.unpacking.eof:
-                return found
+            if data or not packed or self.unpacking.eof:
+                return data
 
 
 @dataclass
@@ -199,9 +199,9 @@ class _Walk:
             return kind, inside
         if size > most:
             raise InputError(f"an element must have at most {most} bytes, got {size}")
-        found = self.stream.read(size)
+        data = self.stream.read(size)
         self.pad(size)
-        return kind, found
+        return kind, data
 
     def pad(self, size: int) -> None:
         """To the next multiple of 8 bytes; at the end of a compressed variable there may be nothing."""
@@ -221,31 +221,31 @@ class _Walk:
             raise InputError(f"a matrix of {count} numbers must have {count * SIZES[kind]} bytes, got {size}")
 
     def text(self) -> str:
-        kind, found = self.content(LONGEST_NAME)
+        kind, data = self.content(LONGEST_NAME)
         if kind not in TEXTS:
             raise InputError(f"a name must be text, got the data type {kind}")
-        return found.decode("latin-1")
+        return data.decode("latin-1")
 
     def integers(self, most: int) -> NDArray[np.int64]:
         """An element of integers of 4 bytes, of at most so many bytes."""
-        kind, found = self.content(most)
-        if kind not in INT32 or len(found) % 4:
+        kind, data = self.content(most)
+        if kind not in INT32 or len(data) % 4:
             raise InputError(f"sizes and indices must be integers of 4 bytes, got the data type {kind}")
-        return np.frombuffer(found, self.order + "i4").astype(np.int64)
+        return np.frombuffer(data, self.order + "i4").astype(np.int64)
 
     def shape(self) -> list[int]:
-        found: list[int] = self.integers(4 * MOST_DIMENSIONS).tolist()
-        if len(found) < 2 or min(found) < 0:
-            raise InputError(f"a matrix must have two or more dimensions of 0 or more, got {found}")
-        return found
+        sizes: list[int] = self.integers(4 * MOST_DIMENSIONS).tolist()
+        if len(sizes) < 2 or min(sizes) < 0:
+            raise InputError(f"a matrix must have two or more dimensions of 0 or more, got {sizes}")
+        return sizes
 
     def names(self) -> int:
         """Pass the names of fields; how many there are."""
         length: list[int] = self.integers(4).tolist()
-        kind, found = self.content(MAT_ELEMENTS)
-        if len(length) != 1 or length[0] < 1 or len(found) % length[0] or kind not in TEXTS:
-            raise InputError(f"names of fields must have one length, got {length} in {len(found)} bytes")
-        return len(found) // length[0]
+        kind, data = self.content(MAT_ELEMENTS)
+        if len(length) != 1 or length[0] < 1 or len(data) % length[0] or kind not in TEXTS:
+            raise InputError(f"names of fields must have one length, got {length} in {len(data)} bytes")
+        return len(data) // length[0]
 
     def sparse(self, shape: list[int], is_complex: bool) -> None:
         """Row indices, starts of the columns, values."""

@@ -81,9 +81,9 @@ def parse(text: str, what: object, kind: str, parser: Callable[[str], Any]) -> A
     except RecursionError:
         raise too_deep(what) from None
     except (ValueError, TypeError, OverflowError) as error:
-        found = kind_of_text(text)
-        if found is not None and found != kind:
-            raise InputError(f"{what} must be {kind}, got {found}") from None
+        other = kind_of_text(text)
+        if other is not None and other != kind:
+            raise InputError(f"{what} must be {kind}, got {other}") from None
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{what} must be {kind}: {first}") from None
     return content
@@ -108,10 +108,10 @@ def too_deep(what: object) -> InputError:
 def _without_strings(text: str) -> str:
     """The text with a letter in place of each string, and without comments; what is not closed goes to the end."""
     parts, at = [], 0
-    while (found := _TOML_TOKENS.search(text, at)) is not None:
-        mark = found[0]
-        parts.append(text[at : found.start()] + ("\n" if mark in "\n#" else "s"))
-        at = found.end()
+    while (match := _TOML_TOKENS.search(text, at)) is not None:
+        mark = match[0]
+        parts.append(text[at : match.start()] + ("\n" if mark in "\n#" else "s"))
+        at = match.end()
         if mark == "#":
             at = _end(text, "\n", at)
         elif mark != "\n":

@@ -288,8 +288,8 @@ def augw(
     """
     G = as_system(plant)
     (u,), (y,) = (only_port(ports, kind, G) for ports, kind in ((G.inputs, "input"), (G.outputs, "output")))
-    given = (("z1", error, "e", y.size), ("z2", effort, "u", u.size), ("z3", output, "y", y.size))
-    weights = {name: weight_of(name, w, size, G.dt) for name, w, _, size in given if w is not None}
+    signals = (("z1", error, "e", y.size), ("z2", effort, "u", u.size), ("z3", output, "y", y.size))
+    weights = {name: weight_of(name, w, size, G.dt) for name, w, _, size in signals if w is not None}
     if not weights:
         raise InputError("augw must have one of the weights error, effort and output, got none")
     eye = np.eye(y.size)
@@ -304,7 +304,7 @@ def augw(
             ("u", f"plant.{u.name}"),
             ("w", "error.r"),
             (f"plant.{y.name}", "error.seen"),
-            *((sources[signal], f"{name}.in") for name, w, signal, _ in given if w is not None),
+            *((sources[signal], f"{name}.in") for name, w, signal, _ in signals if w is not None),
         ],
         inputs=[Port("w", y.size), Port("u", u.size, u.unit)],
         outputs={**{name: f"{name}.out" for name in weights}, "y": "error.e"},

@@ -173,18 +173,18 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
         for places, group in ((system.output_indices, ports.measured), (system.input_indices, ports.commanded))
     )
     none = [np.zeros((0, 0))] * 10
-    given = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none)
-    undisturbed = [undisturbed_states(A, B, seen, given.dt) for A, B, _, _, seen in _sides(given)]
+    claim = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none)
+    undisturbed = [undisturbed_states(A, B, seen, claim.dt) for A, B, _, _, seen in _sides(claim)]
     # what a sampled plant measures without noise may change until the next sample: sums of squares, not zero
     combinations = [
-        np.zeros((0, len(seen))) if given.dt else noiseless_combinations(A, B, seen, own)
-        for (A, B, _, _, seen), own in zip(_sides(given), undisturbed)
+        np.zeros((0, len(seen))) if claim.dt else noiseless_combinations(A, B, seen, states)
+        for (A, B, _, _, seen), states in zip(_sides(claim), undisturbed)
     ]
-    halves = [_Half.of(side, *rows) for side, *rows in zip(_sides(given), undisturbed, combinations)]
-    decaying, adjoint = (half.decaying_modes(given.dt) for half in halves)
+    halves = [_Half.of(side, *rows) for side, *rows in zip(_sides(claim), undisturbed, combinations)]
+    decaying, adjoint = (half.decaying_modes(claim.dt) for half in halves)
     noiseless, weightless = combinations
     return replace(
-        given,
+        claim,
         noiseless=noiseless,
         weightless=weightless,
         decaying=decaying,
@@ -261,7 +261,7 @@ def _null_space(matrix: FloatArray) -> FloatArray:
 def _sides(plant: LowerBoundProof) -> tuple[Side, Side]:
     """A, B, C, D and what is seen, of the plant without its controller and of its adjoint."""
     y, u = list(plant.measured), list(plant.commanded)
-    z, w = ([k for k in range(size) if k not in own] for size, own in zip(plant.D.shape, (y, u)))
+    z, w = ([k for k in range(size) if k not in used] for size, used in zip(plant.D.shape, (y, u)))
     A, B, C, D = plant.A, plant.B[:, w], plant.C[z], plant.D[np.ix_(z, w)]
     seen = np.hstack([plant.C[y], plant.D[np.ix_(y, w)]])
     moved = np.hstack([plant.B[:, u].T, plant.D[np.ix_(z, u)].T])
@@ -283,29 +283,29 @@ class _Working:
     level: float
 
     @classmethod
-    def of(cls, given: LowerBoundProof, level: float = 1.0) -> _Working:
+    def of(cls, claim: LowerBoundProof, level: float = 1.0) -> _Working:
         """Raises a ValueError for a sampled plant with a pole at -1, which has no image."""
-        A, B, C, D = given.A, given.B, given.C, given.D
-        if given.dt:
-            A, B, C, D = to_continuous(A, B, C, D, given.dt)
+        A, B, C, D = claim.A, claim.B, claim.C, claim.D
+        if claim.dt:
+            A, B, C, D = to_continuous(A, B, C, D, claim.dt)
         one = np.eye(len(A))
         units = np.diag(balanced(A, one, one)[2]) if len(A) else np.zeros(0)
-        scale = np.array([1.0 if k in given.measured else 1.0 / level for k in range(len(D))])[:, None]
+        scale = np.array([1.0 if k in claim.measured else 1.0 / level for k in range(len(D))])[:, None]
         A, B, C = balanced(A, B, C)
         kept = (
-            (given.undisturbed, given.noiseless, given.decaying),
-            (given.undisturbed_adjoint, given.weightless, given.decaying_adjoint),
+            (claim.undisturbed, claim.noiseless, claim.decaying),
+            (claim.undisturbed_adjoint, claim.weightless, claim.decaying_adjoint),
         )
-        halves = tuple(_Half.of(side, *rows) for side, rows in zip(_sides(given), kept))
-        this = cls(given, halves, (), units, level)
+        halves = tuple(_Half.of(side, *rows) for side, rows in zip(_sides(claim), kept))
+        this = cls(claim, halves, (), units, level)
         maps = this.vectors(*(np.eye(half.seen.shape[1]) for half in halves))
-        own = [
+        sides = [
             _Half(*side[:4], half.seen @ part, np.asarray(linalg.qr(half.basis / unit[:, None], mode="economic")[0]))
             for side, half, part, unit in zip(
-                _sides(replace(given, A=A, B=B, C=scale * C, D=scale * D)), halves, maps, (units, 1.0 / units)
+                _sides(replace(claim, A=A, B=B, C=scale * C, D=scale * D)), halves, maps, (units, 1.0 / units)
             )
         ]
-        return replace(this, halves=tuple(own))
+        return replace(this, halves=tuple(sides))
 
     def vectors(self, unseen: FloatArray, unmoved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Those of the given plant that belong to those of this one."""
@@ -313,8 +313,8 @@ class _Working:
         (x, w), (p, q) = ((v[:n], v[n:] / self.level) for v in (unseen, unmoved))
         x, p = self.units[:, None] * x / self.level, p / self.units[:, None]
         if self.given.dt:
-            one, (own, adjoint) = np.eye(n), self.given_halves
-            x = linalg.solve(own.A + one, 2.0 * x - own.B @ w)
+            one, (first, adjoint) = np.eye(n), self.given_halves
+            x = linalg.solve(first.A + one, 2.0 * x - first.B @ w)
             p = linalg.solve(adjoint.A + one, 2.0 / self.given.dt * p - adjoint.B @ q)
         return np.vstack([x, w]), np.vstack([p, q])
 
@@ -401,7 +401,7 @@ def _program(
     halves: tuple[_Half, ...], kernels: list[FloatArray], sides: Sides
 ) -> tuple[FloatArray, list[MatrixInequality]]:
     """Objective and inequalities in X, Y (of the sides that are used) and g^2."""
-    own, adjoint = halves
+    side, adjoint = halves
     n, m = (half.basis.shape[1] for half in halves)
     bases = _symmetric_basis(n), _symmetric_basis(m)
     sizes = [len(basis) if used else 0 for basis, used in zip(bases, sides)]
@@ -421,17 +421,17 @@ def _program(
         forms[1][sizes[0] : -1, :second, :second] = -product - product.transpose(0, 2, 1)
         forms[2][sizes[0] : -1, states[0] :, states[0] :] = bases[1]
     if all(sides):
-        constants[2][:n, n:] = own.basis.T @ adjoint.basis
-        constants[2][n:, :n] = adjoint.basis.T @ own.basis
+        constants[2][:n, n:] = side.basis.T @ adjoint.basis
+        constants[2][n:, :n] = adjoint.basis.T @ side.basis
     return np.eye(count)[-1], [MatrixInequality(C, F) for C, F in zip(constants, forms)]
 
 
 def _symmetric_basis(n: int) -> FloatArray:
     """Orthonormal symmetric matrices (n (n + 1) / 2, n, n)."""
-    found = np.zeros((n * (n + 1) // 2, n, n))
+    basis = np.zeros((n * (n + 1) // 2, n, n))
     for k, (i, j) in enumerate(zip(*np.tril_indices(n))):
-        found[k, i, j] = found[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return found
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return basis
 
 
 def _root(matrix: FloatArray) -> FloatArray:

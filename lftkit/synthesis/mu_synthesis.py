@@ -298,19 +298,19 @@ class _Problem:
     @cached_property
     def structure(self) -> tuple[UncertaintyBlock, ...]:
         """A block for each element, and one for the performance."""
-        given = self.standard
+        standard = self.standard
         sizes = [_sizes(e) for e in self.image.elements]
-        sizes.append((total_size(given.errors[1:]), total_size(given.disturbances[1:])))
+        sizes.append((total_size(standard.errors[1:]), total_size(standard.disturbances[1:])))
         return tuple(full_block(w, z) for z, w in sizes)
 
     def grid(self, omega: ArrayLike | None) -> FloatArray:
         """Frequencies of the scalings in continuous time [rad/s]."""
         if omega is not None:
-            given, dt = frequencies(omega), self.plant.dt
+            grid, dt = frequencies(omega), self.plant.dt
             end = np.pi / dt if dt else np.inf
-            if not (len(given) and given[0] > 0.0 and np.all(np.diff(given) > 0.0) and given[-1] < end):
+            if not (len(grid) and grid[0] > 0.0 and np.all(np.diff(grid) > 0.0) and grid[-1] < end):
                 raise InputError(f"omega must be positive and rising, below {end:g} rad/s, got other frequencies")
-            return np.asarray(2.0 / dt * np.tan(0.5 * dt * given)) if dt else given
+            return np.asarray(2.0 / dt * np.tan(0.5 * dt * grid)) if dt else grid
         poles = self.image.poles()
         low, high = pole_range(poles)
         return frequency_grid(poles, low / BEYOND, high * BEYOND, points=POINTS)
@@ -329,11 +329,11 @@ class _Problem:
         options: BoundOptions | None,
     ) -> MuDesign:
         """The best controller with its bounds."""
-        dt, given = self.plant.dt, self.standard
+        dt, standard = self.plant.dt, self.standard
         law = best.controller
         law = law if not dt else law.with_lft(to_discrete(*law.matrices, dt), dt=dt)
-        whole = close(self.plant, law, {p.name: p.name for p in (*given.measured, *given.commanded)})
-        inputs, outputs = ([p.name for p in side[1:]] for side in (given.disturbances, given.errors))
+        whole = close(self.plant, law, {p.name: p.name for p in (*standard.measured, *standard.commanded)})
+        inputs, outputs = ([p.name for p in side[1:]] for side in (standard.disturbances, standard.errors))
         closed = whole.select(inputs=inputs, outputs=outputs)
         tried = [best.fitted(scaling_order + further, worse) for further, worse in FINAL]
         norms = [hinf_norm(_between(best.closed, fits, self.structure)).upper for fits in tried]

@@ -51,16 +51,16 @@ def noiseless_combinations(
     array([[1., 0., 0.],
            [0., 1., 0.]])
     """
-    n, own = len(A), np.zeros((0, len(A))) if undisturbed is None else undisturbed
-    count = len(exact_constraints(A, B, seen, own, np.zeros((0, 0)))[1])
+    n, states = len(A), np.zeros((0, len(A))) if undisturbed is None else undisturbed
+    count = len(exact_constraints(A, B, seen, states, np.zeros((0, 0)))[1])
     chosen: FloatArray = np.zeros((0, count))
     while True:
-        rows, before = exact_constraints(A, B, seen, own, chosen)[1], len(chosen)
+        rows, before = exact_constraints(A, B, seen, states, chosen)[1], len(chosen)
         for factors in _null_rows(rows[:, n:]):
             size = count + len(chosen) + 1
             row = np.pad(factors, (0, size - len(factors)))[None]
             wider = np.vstack([np.pad(chosen, ((0, 0), (0, 1))), row])
-            if all(_independent(part) for part in exact_constraints(A, B, seen, own, wider)):
+            if all(_independent(part) for part in exact_constraints(A, B, seen, states, wider)):
                 chosen = wider
         if len(chosen) == before:
             return chosen
@@ -80,19 +80,19 @@ def undisturbed_states(A: FloatArray, B: FloatArray, seen: FloatArray, dt: float
     array([[1., 0.]])
     """
     n, dynamics = len(A), np.hstack([A, B])
-    own = list(range(n))
+    states = list(range(n))
     while True:
-        others = [k for k in range(dynamics.shape[1]) if k not in own]
-        left = [j for j in own if _spanned(dynamics[j, others], seen[:, others])]
-        if left == own or not left:
+        others = [k for k in range(dynamics.shape[1]) if k not in states]
+        left = [j for j in states if _spanned(dynamics[j, others], seen[:, others])]
+        if left == states or not left:
             break
-        own = left
+        states = left
     if not left or len(left) == n:
         return np.zeros((0, n))
-    factors = linalg.lstsq(seen[:, others].T, dynamics[np.ix_(own, others)].T)[0]
-    poles = linalg.eigvals(A[np.ix_(own, own)] - factors.T @ seen[:, own])
+    factors = linalg.lstsq(seen[:, others].T, dynamics[np.ix_(states, others)].T)[0]
+    poles = linalg.eigvals(A[np.ix_(states, states)] - factors.T @ seen[:, states])
     stable = np.abs(poles).max() < 1.0 - MARGINAL if dt else poles.real.max() < -MARGINAL * np.abs(poles).max()
-    rows = np.eye(n)[own]
+    rows = np.eye(n)[states]
     apart = all(_independent(part) for part in exact_constraints(A, B, seen, rows, np.zeros((0, 0))))
     return rows if stable and apart else np.zeros((0, n))
 
@@ -128,8 +128,8 @@ def _null_rows(matrix: Any) -> list[FloatArray]:
                 for row in rows
                 if row is not pivot
             ]
-    found = [_floats(row[matrix.shape[1] :]) for row in rows]
-    return [row for row in found if row is not None]
+    vectors = [_floats(row[matrix.shape[1] :]) for row in rows]
+    return [row for row in vectors if row is not None]
 
 
 def _floats(values: list[Fraction]) -> FloatArray | None:

@@ -125,12 +125,12 @@ def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
     inner = -c @ regular_solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
     gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
     for part in SHARES:  # the central gain may make the loop with D22 singular
-        own = part * gain
-        loop = np.eye(ny) + plant.D22 @ own
-        if part == 1.0 or _gain(plant.D11 + plant.D12 @ own @ plant.D21) < level:
+        scaled = part * gain
+        loop = np.eye(ny) + plant.D22 @ scaled
+        if part == 1.0 or _gain(plant.D11 + plant.D12 @ scaled @ plant.D21) < level:
             sizes = linalg.svdvals(loop)
             if sizes[-1] > WELL_POSED * sizes[0]:
-                return np.asarray(own @ _inverse(loop))  # of what the commands add to y
+                return np.asarray(scaled @ _inverse(loop))  # of what the commands add to y
     return None
 
 

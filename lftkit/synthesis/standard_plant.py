@@ -152,12 +152,12 @@ def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]
     return (ports[0],)
 
 
-def weight_of(name: str, given: Any, size: int, dt: float) -> System:
+def weight_of(name: str, model: Any, size: int, dt: float) -> System:
     """A weight with the ports ``in`` and ``out``: what :func:`lftkit.as_system` takes, one channel for each of them.
 
     A weight without states has the period of the plant.
     """
-    weight = as_system(given)
+    weight = as_system(model)
     A, B, C, D = weight.matrices
     if D.shape == (1, 1) and size > 1:
         A, B, C, D = (linalg.block_diag(*[M] * size) for M in (A, B, C, D))

@@ -80,7 +80,9 @@ class WorkingPlant:
         (n, nu), ny = plant.B2.shape, len(plant.C2)
         of_states = states * np.eye(n if states else 0, n)
         more = len(of_states)
-        effort, noise = (0.0 if own and not other else weight for own, other in (self.full_rank, self.full_rank[::-1]))
+        effort, noise = (
+            0.0 if full and not other else weight for full, other in (self.full_rank, self.full_rank[::-1])
+        )
         changed = replace(
             plant,
             B1=np.hstack([plant.B1, np.zeros((n, ny)), of_states.T]),

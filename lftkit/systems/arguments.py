@@ -90,12 +90,12 @@ def _misfit(function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[
     """
     signature = inspect.signature(function)
     try:
-        given = signature.bind(*args, **named)
+        bound = signature.bind(*args, **named)
     except TypeError:
         return ""
     hints = _hints(function)
     arguments: list[tuple[str, Any, Any]] = []
-    for name, value in given.arguments.items():
+    for name, value in bound.arguments.items():
         kind, hint = signature.parameters[name].kind, hints.get(name, Any)
         several = (
             {f"{name}[{k}]": one for k, one in enumerate(value)} if kind is inspect.Parameter.VAR_POSITIONAL else {}
@@ -120,17 +120,17 @@ def _with_floats(
 ) -> inspect.BoundArguments | None:
     """The arguments with floats for integers beyond 64 bits, where their types take floats; None without such ones."""
     try:
-        given = inspect.signature(function).bind(*args, **named)
+        bound = inspect.signature(function).bind(*args, **named)
     except TypeError:
         return None
     hints = _hints(function)
     large = {
         name: float(value)
-        for name, value in given.arguments.items()
+        for name, value in bound.arguments.items()
         if isinstance(value, int) and not fits_64_bits(value) and _fits(0.5, hints.get(name, Any), True)
     }
-    given.arguments.update(large)
-    return given if large else None
+    bound.arguments.update(large)
+    return bound if large else None
 
 
 def _fits(value: Any, hint: Any, strict: bool) -> bool:

@@ -114,10 +114,10 @@ def control_system(
 
 
 def _side(
-    labels: Sequence[str], count: int, units: Mapping[str, str] | None, given: Sequence[Port] | None, kind: str
+    labels: Sequence[str], count: int, units: Mapping[str, str] | None, stated: Sequence[Port] | None, kind: str
 ) -> tuple[tuple[Port, ...], Any]:
     if len(labels) != count:  # python-control keeps one of two equal labels
         raise InputError(f"{kind} labels must name one signal each, got {', '.join(labels)} for {count} signals")
-    if not given:
+    if not stated:
         return ports_of_labels(labels, units, kind)
-    return tuple(given), order_for_ports(labels, given, kind)
+    return tuple(stated), order_for_ports(labels, stated, kind)

@@ -48,7 +48,7 @@ def chosen_values(elements: Sequence[Element], values: Mapping[str, Value], *, b
 def _dynamics(element: DynamicElement, value: Value) -> Value:
     shape = element.outputs, element.inputs
     if hasattr(value, "matrices"):
-        found = total_size(value.outputs), total_size(value.inputs)
+        size = total_size(value.outputs), total_size(value.inputs)
     else:
         try:
             value = np.atleast_2d(np.asarray(value, dtype=complex))
@@ -56,13 +56,13 @@ def _dynamics(element: DynamicElement, value: Value) -> Value:
             raise InputError(f"element {element.name!r} must be numbers or a system, got {value!r}") from None
         if not np.all(np.isfinite(value)):
             raise InputError(f"element {element.name!r} must be finite, got another number")
-        found = value.shape
-        if found == shape and linalg.norm(value, 2) > element.bound * (1 + 1e-12):
+        size = value.shape
+        if size == shape and linalg.norm(value, 2) > element.bound * (1 + 1e-12):
             raise InputError(
                 f"element {element.name!r} must have a gain of at most {element.bound:g}, got {linalg.norm(value, 2):g}"
             )
-    if found != shape:
-        raise InputError(f"element {element.name!r} must be {shape[0]} x {shape[1]}, got {found[0]} x {found[1]}")
+    if size != shape:
+        raise InputError(f"element {element.name!r} must be {shape[0]} x {shape[1]}, got {size[0]} x {size[1]}")
     return value
 
 

@@ -72,8 +72,8 @@ def as_system(value: Any, inputs: Any = None, outputs: Any = None) -> System:
             )
         value = expression.system()
     sides: list[tuple[Port, ...]] = [
-        own if given is None else ports_for(given, total_size(own))
-        for given, own in ((inputs, value.inputs), (outputs, value.outputs))
+        ports if names is None else ports_for(names, total_size(ports))
+        for names, ports in ((inputs, value.inputs), (outputs, value.outputs))
     ]
     made: System = value.with_lft(value.lft, inputs=sides[0], outputs=sides[1])
     return made
@@ -147,10 +147,10 @@ def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
         head = b""  # the reader of JSON says why
     if head != MATLAB:
         return SampledSystem.from_file(path)
-    found = read_mat(path)
-    if not found.dt:
+    system = read_mat(path)
+    if not system.dt:
         raise InputError(f"{path}: system must have its sampling period Ts in s, got a continuous one")
-    return as_sampled(found)
+    return as_sampled(system)
 
 
 def as_sampled(system: System) -> SampledSystem:

@@ -19,15 +19,15 @@ def solve_loop(matrix: FloatArray, right: FloatArray, requirement: str) -> Float
     """
     if matrix.size == 0:
         return np.zeros_like(right)
-    found = _solution(matrix, right)
-    if found is None:
+    solution = _solution(matrix, right)
+    if solution is None:
         rows = _powers(np.abs(matrix).max(axis=1))
         columns = _powers(np.abs(matrix * rows[:, None]).max(axis=0))
-        found = _solution(matrix * rows[:, None] * columns, right * rows[:, None])
-        if found is None:
+        solution = _solution(matrix * rows[:, None] * columns, right * rows[:, None])
+        if solution is None:
             raise InputError(f"{requirement}, got a singular algebraic loop")
-        found = found * columns[:, None]
-    return found
+        solution = solution * columns[:, None]
+    return solution
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray | None:

@@ -128,8 +128,8 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         name = next(iter(structs))
     if name not in structs:
         advice = " (an ss object must be saved as a struct: see read_mat)" if opaque else ""
-        found = ", ".join(structs) or "none"
-        raise InputError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
+        present = ", ".join(structs) or "none"
+        raise InputError(f"{path} must hold one system, or name must be one of its structs, got {present}{advice}")
     if structs[name].size != 1:
         raise InputError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
     return _from_fields(_fields(structs[name]), name, path)
@@ -208,7 +208,7 @@ def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:
         return (), ()
     if getattr(table.dtype, "names", None) is None:
         raise InputError("Blocks must be an array of structs with Name, Nominal, Range and Occurrences, got another")
-    found, channels = [], list[str]()
+    parameters, channels = [], list[str]()
     for entry in np.asarray(table).flat:
         block = {key.lower(): entry[key] for key in table.dtype.names}
         if missing := [key for key in ("name", "nominal", "range", "occurrences") if key not in block]:
@@ -226,9 +226,9 @@ def _elements(table: Any) -> tuple[tuple[RealParameter, ...], tuple[str, ...]]:
             raise InputError(f"Occurrences of block {name} must be a whole number above 0, got {count:g}")
         low, high = (float(x) for x in ends.flat)
         unit = "".join(_texts(block.get("unit"))) or "1"
-        found.append(RealParameter(name, float(nominal.flat[0]), low, high, unit))
+        parameters.append(RealParameter(name, float(nominal.flat[0]), low, high, unit))
         channels += [name] * int(count)
-    return tuple(found), tuple(channels)
+    return tuple(parameters), tuple(channels)
 
 
 def _in_own_units(system: System, elements: Sequence[RealParameter]) -> System:
@@ -250,11 +250,11 @@ def _in_own_units(system: System, elements: Sequence[RealParameter]) -> System:
 
 def _with_units(ports: Sequence[Port], units: Sequence[str]) -> tuple[Port, ...]:
     """Ports with the units of their signals, in the order of the ports: the common one, or all with commas between."""
-    found, rest = list[Port](), iter(units)
+    with_units, rest = list[Port](), iter(units)
     for port in ports:
-        own = [next(rest) for _ in range(port.size)]
-        found.append(replace(port, unit=(own[0] if len(set(own)) == 1 else ",".join(own)) or "1"))
-    return tuple(found)
+        of_port = [next(rest) for _ in range(port.size)]
+        with_units.append(replace(port, unit=(of_port[0] if len(set(of_port)) == 1 else ",".join(of_port)) or "1"))
+    return tuple(with_units)
 
 
 def _full(matrix: Any) -> Any:

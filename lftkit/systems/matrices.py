@@ -27,14 +27,14 @@ def checked_matrices(
     ValueError
         Wrong shape or an entry that is not finite; the message names the matrix, its required and its actual shape.
     """
-    given = {key: real_array(f"matrix {key}", value) for key, value in zip("ABCD", (A, B, C, D))}
-    d = np.atleast_2d(given["D"])
+    arrays = {key: real_array(f"matrix {key}", value) for key, value in zip("ABCD", (A, B, C, D))}
+    d = np.atleast_2d(arrays["D"])
     m = d.shape[1] if inputs is None else inputs
     p = d.shape[0] if outputs is None else outputs
-    n = given["A"].shape[0] if given["A"].size and given["A"].ndim else 0
+    n = arrays["A"].shape[0] if arrays["A"].size and arrays["A"].ndim else 0
     shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
     for key, shape in shapes.items():
-        matrix = given[key]
+        matrix = arrays[key]
         if matrix.size == 0 and 0 in shape:
             matrix = np.zeros(shape)
         matrix = np.atleast_2d(matrix)
@@ -46,24 +46,24 @@ def checked_matrices(
         if not np.all(np.isfinite(matrix)):
             row, column = np.argwhere(~np.isfinite(matrix))[0]
             raise InputError(f"matrix {key} must be finite, got {matrix[row, column]} in entry [{row}, {column}]")
-        given[key] = read_only(matrix)
-    return given["A"], given["B"], given["C"], given["D"]
+        arrays[key] = read_only(matrix)
+    return arrays["A"], arrays["B"], arrays["C"], arrays["D"]
 
 
 def frequencies(omega: ArrayLike) -> FloatArray:
     """Frequencies (N,) [rad/s] from one or several real numbers; a ValueError where one is not finite."""
     got = ""
     try:
-        found = np.atleast_1d(np.asarray(omega, dtype=float))
+        grid = np.atleast_1d(np.asarray(omega, dtype=float))
     except (TypeError, ValueError):
-        found, got = np.zeros(0), type(omega).__name__
-    if found.ndim != 1:
-        got = f"shape {found.shape}"
-    elif not np.all(np.isfinite(found)):
-        got = f"{found[~np.isfinite(found)][0]}"
+        grid, got = np.zeros(0), type(omega).__name__
+    if grid.ndim != 1:
+        got = f"shape {grid.shape}"
+    elif not np.all(np.isfinite(grid)):
+        got = f"{grid[~np.isfinite(grid)][0]}"
     if got:
         raise InputError(f"omega must be a vector of finite numbers, got {got}")
-    return found
+    return grid
 
 
 def real_array(what: str, value: ArrayLike) -> FloatArray:

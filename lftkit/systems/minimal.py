@@ -97,27 +97,27 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
     >>> str(minimal_realisation(twice))
     'removed 1 states'
     """
-    given = system.sorted_channels()
-    count = Counter(given.channels)
+    in_order = system.sorted_channels()
+    count = Counter(in_order.channels)
     scalings: tuple[Scaling, ...] = (  # balanced without what may be rounding, balanced, as it is
         lambda A: in_balanced_units(np.where(np.abs(A) > ROUNDING * np.abs(A).max(initial=0.0), A, 0.0))[1],
         lambda A: in_balanced_units(A)[1],
         lambda A: np.ones(len(A)),
     )
-    candidates = (_reduced(given, tolerance, scaling) for scaling in scalings)
-    kept = next((one for one in candidates if _is_same(one, given)), given)
+    candidates = (_reduced(in_order, tolerance, scaling) for scaling in scalings)
+    kept = next((one for one in candidates if _is_same(one, in_order)), in_order)
     left = Counter(kept.channels)
-    removed = {e.name: (count[e.name] - left[e.name]) // width(e) for e in given.elements}
-    return Reduction(kept, given.order - kept.order, removed)
+    removed = {e.name: (count[e.name] - left[e.name]) // width(e) for e in in_order.elements}
+    return Reduction(kept, in_order.order - kept.order, removed)
 
 
-def _reduced(given: System, tolerance: float, scaling: Scaling) -> System:
+def _reduced(full: System, tolerance: float, scaling: Scaling) -> System:
     """The system without what cannot be reached or seen, as one scaling shows it."""
-    count = Counter(given.channels)
-    names = [e.name for e in given.elements]
-    sizes = [given.order, *(count[name] for name in names)]
-    fixed = [False, *(width(e) > 1 for e in given.elements)]  # a matrix of dynamics keeps its channels
-    M = np.block([[given.A, given.B], [given.C, given.D]])
+    count = Counter(full.channels)
+    names = [e.name for e in full.elements]
+    sizes = [full.order, *(count[name] for name in names)]
+    fixed = [False, *(width(e) > 1 for e in full.elements)]  # a matrix of dynamics keeps its channels
+    M = np.block([[full.A, full.B], [full.C, full.D]])
     while True:
         before = list(sizes)
         for i in range(len(sizes)):
@@ -133,20 +133,20 @@ def _reduced(given: System, tolerance: float, scaling: Scaling) -> System:
             break
     n = sizes[0]
     channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
-    return replace(given, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
+    return replace(full, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
 
 
-def _responses(system: System, given: System) -> ComplexArray:
+def _responses(system: System, full: System) -> ComplexArray:
     """Response at values of s (or z) as slow and as fast as the given system, and at values of its elements."""
     rng = np.random.default_rng(0)
-    centre = 1.0 if given.dt else 0.0
-    speeds = np.unique(np.abs(linalg.eigvals(given.A) - centre)) if given.order else np.zeros(0)
+    centre = 1.0 if full.dt else 0.0
+    speeds = np.unique(np.abs(linalg.eigvals(full.A) - centre)) if full.order else np.zeros(0)
     speeds = speeds[speeds > SLOWEST * speeds.max(initial=0.0)]
     speeds = np.quantile(speeds, np.linspace(0.0, 1.0, 7), method="nearest") if len(speeds) else np.ones(1)
-    found: list[ComplexArray] = []
+    responses: list[ComplexArray] = []
     for speed in (0.1 * speeds[0], *(0.7 * speeds), 10.0 * speeds[-1]):
         point = centre + speed * np.exp(1.2j)  # beside the axis and the circle
-        values = given.sample_values(rng)[0]
+        values = full.sample_values(rng)[0]
         point = complex(point)
         n, q = system.order, len(system.channels)
         delta = delta_response(system.channels, system.elements, values, point)
@@ -158,20 +158,20 @@ def _responses(system: System, given: System) -> ComplexArray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the two responses disagree where that matters
             return np.asarray(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
-    return np.array(found)
+    return np.array(responses)
 
 
-def _is_same(reduced: System, given: System) -> bool:
+def _is_same(reduced: System, full: System) -> bool:
     """Whether two responses agree at all points, each entry within a fraction of its largest value."""
-    if (reduced.order, reduced.channels) == (given.order, given.channels):
+    if (reduced.order, reduced.channels) == (full.order, full.channels):
         return True
     try:
-        expected, found = _responses(given, given), _responses(reduced, given)
+        expected, actual = _responses(full, full), _responses(reduced, full)
     except linalg.LinAlgError:
         return False
     size = np.abs(expected).max(axis=0, initial=0.0)
     size = np.maximum(size, TOLERANCE / SAME * size.max(initial=0.0))  # an entry may be zero but for rounding
-    return bool(np.all(np.abs(found - expected) <= SAME * size))
+    return bool(np.all(np.abs(actual - expected) <= SAME * size))
 
 
 def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float, scaling: Scaling) -> tuple[FloatArray, int]:

@@ -87,19 +87,19 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     return made
 
 
-def _as_port(given: Any, what: str) -> Port:
-    if isinstance(given, Port):
-        return given
-    if not (isinstance(given, tuple | list) and 2 <= len(given) <= 3):
-        raise InputError(f"{what}: a port must be a Port or (name, size), got {given!r}")
-    return Port(*given)
+def _as_port(value: Any, what: str) -> Port:
+    if isinstance(value, Port):
+        return value
+    if not (isinstance(value, tuple | list) and 2 <= len(value) <= 3):
+        raise InputError(f"{what}: a port must be a Port or (name, size), got {value!r}")
+    return Port(*value)
 
 
-def names_of_ports(given: Any, what: str) -> tuple[str, ...]:
+def names_of_ports(value: Any, what: str) -> tuple[str, ...]:
     """Names given as a sequence, or a single one; a ValueError that begins with `what` for anything else."""
-    names = (given,) if isinstance(given, str) else tuple(given) if isinstance(given, Iterable) else (given,)
+    names = (value,) if isinstance(value, str) else tuple(value) if isinstance(value, Iterable) else (value,)
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"{what} must be a name or names of ports, got {given!r}")
+        raise InputError(f"{what} must be a name or names of ports, got {value!r}")
     return names
 
 
@@ -137,13 +137,13 @@ def spread_columns(matrix: ArrayLike, ports: Sequence[Port], onto: Sequence[Port
     >>> spread_columns([[1.0, 2.0]], [Port("a", 2)], [Port("b", 1), Port("a", 2)]).tolist()
     [[0.0, 1.0, 2.0]]
     """
-    given = np.asarray(matrix, dtype=float)
+    columns = np.asarray(matrix, dtype=float)
     sizes = {port.name: port.size for port in onto}
     if any(sizes.get(port.name) != port.size for port in ports):
         present, allowed = (", ".join(f"{p.name}[{p.size}]" for p in which) for which in (ports, onto))
         raise InputError(f"inputs must be of {allowed}, got {present}")
-    spread = np.zeros((len(given), total_size(onto)))
-    spread[:, port_indices(onto, [port.name for port in ports], "input")] = given
+    spread = np.zeros((len(columns), total_size(onto)))
+    spread[:, port_indices(onto, [port.name for port in ports], "input")] = columns
     return spread
 
 

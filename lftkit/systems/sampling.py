@@ -88,9 +88,9 @@ def _continuous(system: Any, dt: float, method: str) -> System:
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     as_positive(dt, "dt")
-    found = as_system(system)
-    found.require_continuous()
-    return found
+    converted = as_system(system)
+    converted.require_continuous()
+    return converted
 
 
 def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:

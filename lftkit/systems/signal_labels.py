@@ -57,21 +57,21 @@ def ports_of_labels(labels: Sequence[str], units: Mapping[str, str] | None = Non
         name, index = (match["port"], int(match["index"])) if match else (label, 0)
         if match is None:
             plain.add(label)
-        own = places.setdefault(name, {})
-        if index in own or (name in plain and own):
-            first = labels[next(iter(own.values()))]
+        indices = places.setdefault(name, {})
+        if index in indices or (name in plain and indices):
+            first = labels[next(iter(indices.values()))]
             raise InputError(f"{kind} labels must name one signal each, got {first!r} and {label!r} for port {name!r}")
-        own[index] = place
-    for name, own in places.items():
-        missing = sorted(set(range(len(own))) - set(own))
+        indices[index] = place
+    for name, indices in places.items():
+        missing = sorted(set(range(len(indices))) - set(indices))
         if missing:
             raise InputError(
-                f"{kind} labels of port {name!r} must have the indices 0 to {len(own) - 1}, "
-                f"got {', '.join(map(str, sorted(own)))}"
+                f"{kind} labels of port {name!r} must have the indices 0 to {len(indices) - 1}, "
+                f"got {', '.join(map(str, sorted(indices)))}"
             )
     units = units or {}
-    ports = tuple(Port(name, len(own), units.get(name, "1")) for name, own in places.items())
-    order = [own[i] for own in places.values() for i in range(len(own))]
+    ports = tuple(Port(name, len(indices), units.get(name, "1")) for name, indices in places.items())
+    order = [indices[i] for indices in places.values() for i in range(len(indices))]
     return ports, np.array(order, dtype=np.intp)
 
 

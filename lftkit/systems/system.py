@@ -93,11 +93,11 @@ class System(Arithmetic):
         for side in ("inputs", "outputs"):
             object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
         for key, kind in (("channels", str), ("elements", Element)):
-            given = getattr(self, key)
-            if not isinstance(given, Iterable) or not all(isinstance(one, kind) for one in given):
+            value = getattr(self, key)
+            if not isinstance(value, Iterable) or not all(isinstance(one, kind) for one in value):
                 what = "names" if kind is str else "elements"
-                raise InputError(f"{self.name}: {key} must be a sequence of {what}, got {given!r}"[:300])
-            object.__setattr__(self, key, tuple(given))
+                raise InputError(f"{self.name}: {key} must be a sequence of {what}, got {value!r}"[:300])
+            object.__setattr__(self, key, tuple(value))
         object.__setattr__(self, "dt", as_number(self.dt, f"{self.name}: dt"))
         if not (np.isfinite(self.dt) and self.dt >= 0):
             raise InputError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
@@ -165,8 +165,8 @@ class System(Arithmetic):
     def require_certain(self) -> None:
         """Raise a ValueError where the system has uncertain elements."""
         if self.channels:
-            found = ", ".join(e.name for e in self.elements)
-            raise InputError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {found}")
+            names = ", ".join(e.name for e in self.elements)
+            raise InputError(f"{self.name}: system must be certain (take .nominal() or .at(...)), got elements {names}")
 
     def require_siso(self) -> None:
         """Raise a ValueError where the system has several inputs or outputs, or elements."""
@@ -195,10 +195,10 @@ class System(Arithmetic):
 
     def parameter(self, name: str) -> RealParameter:
         """Definition of a real element; a ValueError lists the existing ones."""
-        found = self.element(name)
-        if not isinstance(found, RealParameter):
-            raise InputError(f"element {name!r} must be real, got {description(found)}")
-        return found
+        element = self.element(name)
+        if not isinstance(element, RealParameter):
+            raise InputError(f"element {name!r} must be real, got {description(element)}")
+        return element
 
     def element(self, name: str) -> Element:
         """Definition of an element; a ValueError lists the existing ones."""
@@ -237,14 +237,14 @@ class System(Arithmetic):
         its range or disk.
         """
         chosen = chosen_values(self.elements, values or {}, beyond_range=beyond_range)
-        q, found = len(self.channels), []
+        q, responses = len(self.channels), []
         for w in frequencies(omega):
             point = np.exp(1j * w * self.dt) if self.dt else 1j * w
             M = lft.response(self.lft, point)
             delta = delta_response(self.channels, self.elements, chosen, point)
             inner = linalg.solve(np.eye(q) - M[:q, :q] @ delta, M[:q, q:]) if q else M[:0]
-            found.append(M[q:, q:] + M[q:, :q] @ delta @ inner)
-        return np.array(found).reshape(-1, self.D.shape[0] - q, self.D.shape[1] - q)
+            responses.append(M[q:, q:] + M[q:, :q] @ delta @ inner)
+        return np.array(responses).reshape(-1, self.D.shape[0] - q, self.D.shape[1] - q)
 
     # members
 
@@ -265,9 +265,9 @@ class System(Arithmetic):
         ValueError
             Unknown element, value outside its range, or an LFT that is not well posed at these values.
         """
-        given = {**_mapping(values, "values"), **named}
-        chosen = chosen_values(self.elements, given, beyond_range=beyond_range)
-        requirement = f"the LFT must be well posed at {given}"
+        stated = {**_mapping(values, "values"), **named}
+        chosen = chosen_values(self.elements, stated, beyond_range=beyond_range)
+        requirement = f"the LFT must be well posed at {stated}"
         if all(isinstance(e, RealParameter) for e in self.elements):
             nominal = {e.name: e.nominal for e in self.parameters}
             delta = np.array([chosen[c] - nominal[c] for c in self.channels])
@@ -496,11 +496,11 @@ class System(Arithmetic):
         return control_system(self.matrices, self.inputs, self.outputs, dt, self.name if name is None else name)
 
 
-def _mapping(given: Any, what: str) -> dict[str, Any]:
+def _mapping(value: Any, what: str) -> dict[str, Any]:
     """A mapping as a dict, None as an empty one; a ValueError that begins with `what` for anything else."""
-    if given is not None and not isinstance(given, Mapping):
-        raise InputError(f"{what} must be a mapping from names to values, got {given!r}")
-    return dict(given or {})
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"{what} must be a mapping from names to values, got {value!r}")
+    return dict(value or {})
 
 
 def _normalised(element: Element) -> tuple[float, float, Element]:

@@ -71,8 +71,8 @@ def lines(system: Summarised) -> list[str]:
     sides = [f"  {counted(sum(p.size for p in ports), kind)}: {_named(ports)}" for ports, kind in _sides(system)]
     if not system.elements:
         return [head, *sides]
-    found = [f"{name} ({n})" for name, n in system.occurrences().items()]
-    return [head, *sides, f"  Delta {size} x {size}: {_first(found)}"]
+    occurrences = [f"{name} ({n})" for name, n in system.occurrences().items()]
+    return [head, *sides, f"  Delta {size} x {size}: {_first(occurrences)}"]
 
 
 def _kind(system: Summarised) -> str:
@@ -97,13 +97,13 @@ def _first(names: Sequence[str]) -> str:
 
 def text(system: Summarised) -> str:
     """Ports with sizes and units, elements with range and occurrences in Delta."""
-    found = [f"{system.name}: {_kind(system)}"]
+    parts = [f"{system.name}: {_kind(system)}"]
     for ports, kind in _sides(system):
-        found += [f"{counted(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
+        parts += [f"{counted(sum(p.size for p in ports), kind)}:", *_columns(_port_rows(ports))]
     rows = _element_rows(system)
     total = sum(system.occurrences().values())
-    found += [f"{counted(len(rows), 'element')}, {counted(total, 'occurrence')} in Delta:"] if rows else ["certain"]
-    return "\n".join([*found, *_columns(rows)])
+    parts += [f"{counted(len(rows), 'element')}, {counted(total, 'occurrence')} in Delta:"] if rows else ["certain"]
+    return "\n".join([*parts, *_columns(rows)])
 
 
 def html(system: Summarised) -> str:

@@ -88,8 +88,8 @@ def tune_discrete(
     dt = _common_period(ready)
     if options is not None and options.lexicographic:
         run = partial(tune_discrete, ready, min_decay=min_decay)
-        given = [start_checked(x, structure) for x in initial]
-        return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
+        starting = [start_checked(x, structure) for x in initial]
+        return tuned_in_order(run, needs, structure, starting, options, AGREEMENT)
     law = _law(structure, dt)
     images = [r.on_image(ready[0]) for r in needs]
     starts = [start_checked(x, structure) for x in initial]
@@ -97,22 +97,22 @@ def tune_discrete(
         starts += sampled_lqg_starts(ready[0], needs, structure)
     if isinstance(law, AffineStructure):
         starts = [_parameters_of_image(law, x, dt) for x in starts]
-    found = tune([image_of(m) for m in ready], images, law, initial=starts, min_decay=min_decay, options=options)
-    K = law.sampled(found.x) if isinstance(law, StructureOnImage) else sampled_from_image(found.controller, dt)
+    result = tune([image_of(m) for m in ready], images, law, initial=starts, min_decay=min_decay, options=options)
+    K = law.sampled(result.x) if isinstance(law, StructureOnImage) else sampled_from_image(result.controller, dt)
     certificate = certify(ready, K, needs)
-    status, advice = found.status, found.advice
-    if found.certificate is None and status is TuningStatus.NOT_STABILISED:
-        return replace(found, controller=K)
+    status, advice = result.status, result.advice
+    if result.certificate is None and status is TuningStatus.NOT_STABILISED:
+        return replace(result, controller=K)
     stable = bool(np.all(certificate.abscissae < 0.0))
-    if stable and not np.allclose(certificate.values, found.values, rtol=AGREEMENT, atol=1e-9):
-        status, advice = TuningStatus.INACCURATE, inaccurate(found.values, certificate.values)
+    if stable and not np.allclose(certificate.values, result.values, rtol=AGREEMENT, atol=1e-9):
+        status, advice = TuningStatus.INACCURATE, inaccurate(result.values, certificate.values)
     hard = np.array([r.hard for r in needs])
     return replace(
-        found,
+        result,
         status=status,
         advice=advice,
         controller=K,
-        x=law.parameters_of(K) if law.order and isinstance(law, AffineStructure) else found.x,
+        x=law.parameters_of(K) if law.order and isinstance(law, AffineStructure) else result.x,
         values=certificate.values,
         soft=float(certificate.values[~hard].max(initial=-np.inf)),
         hard=float(certificate.values[hard].max(initial=-np.inf)),

@@ -51,21 +51,21 @@ def feasibility_runs(
     limits_alone = replace(limits, target=HARD_TARGET)
     ends = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ENDPOINTS]
     starts = [Start(seed, run.x) for run in ends] + random_starts(RANDOM_STARTS, seed + 1, 0)
-    found: list[StartResult] = []
+    results: list[StartResult] = []
     for start in starts:
         if time.monotonic() > limits.deadline:
             break
-        found.append(tune_from(only_hard, start.parameters(problem), start.seed, limits_alone, band))
-        if found[-1].soft <= 1.0:
-            return [tune_from(problem, found[-1].x, start.seed, limits, band)]
-        if found[-1].status is TuningStatus.INTERRUPTED:
+        results.append(tune_from(only_hard, start.parameters(problem), start.seed, limits_alone, band))
+        if results[-1].soft <= 1.0:
+            return [tune_from(problem, results[-1].x, start.seed, limits, band)]
+        if results[-1].status is TuningStatus.INTERRUPTED:
             break
-    return [_least_violation(problem, best, found, len(found) == len(starts))]
+    return [_least_violation(problem, best, results, len(results) == len(starts))]
 
 
-def _least_violation(problem: Problem, best: StartResult, found: Sequence[StartResult], tried: bool) -> StartResult:
+def _least_violation(problem: Problem, best: StartResult, runs: Sequence[StartResult], tried: bool) -> StartResult:
     """The point of least violation with the status that all minimisations allow."""
-    stable = [run for run in found if run.rank[0] == 0]
+    stable = [run for run in runs if run.rank[0] == 0]
     limited = [run.status for run in stable if run.status not in ENDED]
     status = TuningStatus.INFEASIBLE if tried and not limited else (limited or [TuningStatus.OUT_OF_TIME])[0]
     least = min(stable, key=lambda run: run.soft, default=None)

@@ -69,8 +69,8 @@ def slow_fixed_pole(models: Sequence[System], structure: Structure, min_decay: f
     By the test of Popov, Belevitch and Hautus: a pole s is fixed if [A - s I, B] of the commands or [A - s I; C] of the
     measurements has not the full rank.
     """
-    found = [pole for model in models for pole in _of(model, structure, min_decay)]
-    return max(found, key=lambda pole: pole.value.real, default=None)
+    poles = [pole for model in models for pole in _of(model, structure, min_decay)]
+    return max(poles, key=lambda pole: pole.value.real, default=None)
 
 
 def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole]:
@@ -80,7 +80,7 @@ def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole
     measurements = model.output_indices([port.name for port in structure.inputs])
     A, B, C = model.A, model.B[:, commands], model.C[measurements]
     slowest = SLOWEST * float(linalg.norm(A))
-    found = []
+    poles = []
     for value in linalg.eigvals(A):
         if value.real < -(1.0 + MARGIN) * min_decay or value.imag < 0.0:
             continue
@@ -88,6 +88,6 @@ def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole
         for missing, matrix in (("commands", np.hstack([shifted, B])), ("measurements", np.vstack([shifted, C]))):
             sizes = linalg.svdvals(np.asarray(matrix))
             if sizes[-1] <= ROUNDING * len(sizes) * max(float(sizes[0]), np.finfo(float).tiny):
-                found.append(FixedPole(model.name, complex(value), missing, bool(value.real < -slowest)))
+                poles.append(FixedPole(model.name, complex(value), missing, bool(value.real < -slowest)))
                 break
-    return found
+    return poles

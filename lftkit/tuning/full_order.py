@@ -41,7 +41,7 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
     structure = problem.structure
     if not isinstance(structure, AffineStructure):
         return []
-    found: list[FloatArray] = []
+    candidates: list[FloatArray] = []
     measured = tuple(p.name for p in problem.structure.inputs)
     commanded = tuple(p.name for p in problem.structure.outputs)
     gains = [
@@ -69,8 +69,8 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
                 starts = [_parameters(structure, *matrices) for matrices in reduced if matrices is not None]
             except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
                 continue
-            found += [x for x in starts if x is not None and np.all(np.isfinite(x))]
-    return found
+            candidates += [x for x in starts if x is not None and np.all(np.isfinite(x))]
+    return candidates
 
 
 def sampled_lqg_starts(
@@ -85,7 +85,7 @@ def sampled_lqg_starts(
         return []
     gains = [r for r in requirements if isinstance(r, H2Gain) and r.weight_in is None and r.weight_out is None]
     measured, commanded = (tuple(p.name for p in ports) for ports in (structure.inputs, structure.outputs))
-    found = []
+    sampled = []
     for gain in gains[:MAX_REQUIREMENTS]:
         try:
             plant = _regularised(extended_plant(model, measured, commanded, 0, gain))
@@ -93,8 +93,8 @@ def sampled_lqg_starts(
         except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
             continue
         starts = [_taken(structure, *law, model.dt) for law in laws]
-        found += [x for x in starts if x is not None]
-    return found
+        sampled += [x for x in starts if x is not None]
+    return sampled
 
 
 def _regularised(plant: ExtendedPlant) -> ExtendedPlant:
@@ -120,8 +120,8 @@ def _h2(plant: ExtendedPlant) -> list[FullOrderEstimator]:
 def _hinf(plant: ExtendedPlant) -> list[FullOrderEstimator]:
     """Central controllers at levels a little above the lowest one that is found."""
     level = lowest_level(plant)
-    found = [] if level is None else [central(plant, above * level[1]) for above in ABOVE]
-    return [full for full in found if full is not None]
+    designs = [] if level is None else [central(plant, above * level[1]) for above in ABOVE]
+    return [full for full in designs if full is not None]
 
 
 def _reduced(full: FullOrderEstimator, plant: ExtendedPlant, order: int) -> Matrices | None:

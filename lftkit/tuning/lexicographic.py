@@ -145,9 +145,9 @@ class _Levels:
     @property
     def status(self) -> TuningStatus:
         """The first that is not ``converged``."""
-        found = [r.status for r in self.runs if r.status is not TuningStatus.CONVERGED]
-        found += [TuningStatus.OUT_OF_TIME] * self.late
-        return found[0] if found else TuningStatus.CONVERGED
+        statuses = [r.status for r in self.runs if r.status is not TuningStatus.CONVERGED]
+        statuses += [TuningStatus.OUT_OF_TIME] * self.late
+        return statuses[0] if statuses else TuningStatus.CONVERGED
 
     def to_the_end(self) -> None:
         """Level by level, as long as something is above `met`."""
@@ -183,14 +183,14 @@ class _Levels:
             self.late = True
             return False
         options = replace(self.options, starts=0, wall_limit=FIRST_SHARE * self.left)
-        found = self.run(needs, self.structure, initial=[self.best.x], options=options)
-        self.runs.append(found)
-        if found.certificate is None or found.status not in (*GOES_ON, TuningStatus.INTERRUPTED):
+        result = self.run(needs, self.structure, initial=[self.best.x], options=options)
+        self.runs.append(result)
+        if result.certificate is None or result.status not in (*GOES_ON, TuningStatus.INTERRUPTED):
             return False
-        values, hard = largest_values(found), np.array([r.hard for r in needs])
+        values, hard = largest_values(result), np.array([r.hard for r in needs])
         if np.any(values[hard] > 1.0 + self.slack) or not values[~hard].max() < below:
             return False
-        self.best = found
+        self.best = result
         return True
 
 

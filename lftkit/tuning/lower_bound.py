@@ -48,13 +48,13 @@ JUST_ABOVE = 1e-3
 
 def full_order_bounds(problem: Problem) -> FloatArray:
     """Lower bounds of the normalised values, shape (requirements, models); minus infinity where none is known."""
-    found = np.full((len(problem.given), len(problem.models)), -np.inf)
+    bounds = np.full((len(problem.given), len(problem.models)), -np.inf)
     if problem.loop_delay:
-        return found
+        return bounds
     for i, requirement in enumerate(problem.given):
         for k, model in enumerate(problem.models):
-            found[i, k] = _bound(problem, model, requirement, closely=not (k or requirement.hard))
-    return found
+            bounds[i, k] = _bound(problem, model, requirement, closely=not (k or requirement.hard))
+    return bounds
 
 
 def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, closely: bool) -> float:
@@ -73,8 +73,8 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
             image = extended_plant(model, measured, commanded, 0, requirement.unlagged)
             if len(image.A) > MAX_ORDER:
                 return -np.inf
-            found = h2syn(_system(image, requirement.period), "y", "u")
-            return found.lower * (1.0 - ROUNDING) / float(np.sqrt(requirement.period))
+            optimal = h2syn(_system(image, requirement.period), "y", "u")
+            return optimal.lower * (1.0 - ROUNDING) / float(np.sqrt(requirement.period))
         alone = plant(0)
         if len(alone.A) > MAX_ORDER:
             return -np.inf

@@ -46,17 +46,17 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
     """
     n, K = lower.order, lower.gain_matrix(x)
     rng = np.random.default_rng(n)
-    found = []
+    starts = []
     sizes = np.abs(linalg.eigvals(problem.models[0].A)) if len(problem.models[0].A) else np.ones(1)
     sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
     for speed in [float(s) for s in np.quantile(sizes, SPEEDS)]:
         matrices = with_decaying_state(K, n, speed, rng)
         try:
             model = System(*matrices, structure.inputs, structure.outputs)
-            found.append(structure.parameters_of(model))
+            starts.append(structure.parameters_of(model))
         except ValueError:  # fixed entries that such a state does not have
             return []
-    return found
+    return starts
 
 
 def with_decaying_state(K: FloatArray, n: int, speed: float, rng: np.random.Generator) -> Matrices:

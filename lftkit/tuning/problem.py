@@ -274,9 +274,9 @@ class Problem:
         """Poles of model k: by their abscissa all phases of a design judge stability."""
         if not self.too_large(K):
             with suppress(scipy.linalg.LinAlgError):
-                found = spectrum(self._bare[k].closed(K), derivatives=derivatives)
-                if not np.isnan(found.abscissa):
-                    return found
+                of_loop = spectrum(self._bare[k].closed(K), derivatives=derivatives)
+                if not np.isnan(of_loop.abscissa):
+                    return of_loop
         return LoopSpectrum(np.zeros(0, dtype=complex), np.inf)
 
     def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
@@ -360,19 +360,19 @@ class Problem:
         )
 
     def _gain_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, own: LoopSpectrum, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, of_loop: LoopSpectrum, band: float, gradients: bool
     ) -> list[Piece]:
         if not self.hinf:
             return []
-        found = self.gains[k].peaks(
+        all_peaks = self.gains[k].peaks(
             K,
             self.structure.order,
-            closed_loop_poles=own.poles,
+            closed_loop_poles=of_loop.poles,
             band=band if gradients else 0.95,
             gradients=gradients,
         )
         pieces = []
-        for i, peaks in zip(self.hinf, found):
+        for i, peaks in zip(self.hinf, all_peaks):
             for peak in peaks:
                 g = _pulled(self.structure, x, peak.gradient)
                 pieces.append(Piece(peak.value, g, self.requirements[i].hard, i, k, peak.omega))
@@ -387,13 +387,13 @@ class Problem:
         return pieces
 
     def _pole_pieces(
-        self, x: FloatArray, K: FloatArray, k: int, own: LoopSpectrum, band: float, gradients: bool
+        self, x: FloatArray, K: FloatArray, k: int, of_loop: LoopSpectrum, band: float, gradients: bool
     ) -> list[Piece]:
         pieces: list[Piece] = []
         n = self.structure.order
         for i, r in enumerate(self.given):
             if isinstance(r, ClosedLoopPoles):
-                poles_of = own
+                poles_of = of_loop
             elif isinstance(r, ControllerPoles) and k == 0 and n:
                 poles_of = spectrum(_alone(K, n), derivatives=gradients)
             else:
@@ -449,10 +449,10 @@ def _alone(K: FloatArray, n: int) -> ClosedLoopMatrices:
 def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piece]:
     kept: list[Piece] = []
     for hard in (False, True):
-        own = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
-        if own:
-            level = band * max(own[0].value, 1.0) if hard else own[0].value - (1 - band) * abs(own[0].value)
-            kept += [p for p in own if p.value >= level][:max_pieces]
+        of_kind = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
+        if of_kind:
+            level = band * max(of_kind[0].value, 1.0) if hard else of_kind[0].value - (1 - band) * abs(of_kind[0].value)
+            kept += [p for p in of_kind if p.value >= level][:max_pieces]
     return kept
 
 

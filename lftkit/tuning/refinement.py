@@ -59,10 +59,10 @@ class _Certified:
         problem = self.problem
         if last or tuned.rank[0] == 2 or time.monotonic() > self.limits.deadline:
             return Worse(())
-        found = problem.evaluate(tuned.x, gradients=False)
+        evaluation = problem.evaluate(tuned.x, gradients=False)
         K = controller(problem.structure, tuned.x)
         certificate = certify(problem.models, K, problem.given, problem.loop_delay)
-        if agree(certificate, found.values[: len(problem.given)]) or not np.all(np.isfinite(certificate.values)):
+        if agree(certificate, evaluation.values[: len(problem.given)]) or not np.all(np.isfinite(certificate.values)):
             return Worse(())
         return Worse([certificate.peak_frequencies[list(problem.hinf), k] for k in range(len(problem.models))])
 

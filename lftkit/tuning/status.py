@@ -69,7 +69,7 @@ def inaccurate(tuned: ArrayLike, certified: ArrayLike) -> str:
     >>> inaccurate([1.0, 3.0], [1.0, 700.0])
     'a tuned value is 3, its certificate 700: trust the certificate; the result is no optimum: try other starts'
     """
-    values, right = (np.ravel(np.asarray(given, dtype=float)) for given in (tuned, certified))
+    values, right = (np.ravel(np.asarray(one, dtype=float)) for one in (tuned, certified))
     known = np.isfinite(values) & np.isfinite(right)
     if not np.any(known):
         return TuningStatus.INACCURATE.advice

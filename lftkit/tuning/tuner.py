@@ -129,15 +129,15 @@ def tune(
     required_period(structure, 0.0)
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
-    given = [start_checked(x, structure) for x in initial]
-    if structure.size and not (given or options.starts):
+    starting = [start_checked(x, structure) for x in initial]
+    if structure.size and not (starting or options.starts):
         raise InputError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
     if options.lexicographic:
         run = partial(tune, ready, loop_delay=loop_delay, min_decay=min_decay)
-        return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
+        return tuned_in_order(run, needs, structure, starting, options, AGREEMENT)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
-    problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
+    problem.limit = limits_from(options, start_sizes(problem, starting, options.seed))
     bounds = full_order_bounds(problem)
     least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
     problem.least = least
@@ -146,23 +146,23 @@ def tune(
     within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, WITHIN_GAP))
     met = max(options.met, within)
     # a little below, so that the upper side of the certificate is not above
-    own = max(options.target, options.met * (1.0 - AGREEMENT))
-    options = replace(options, target=max(own, near))
+    target = max(options.target, options.met * (1.0 - AGREEMENT))
+    options = replace(options, target=max(target, near))
     if impossible:
         options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
     if (fixed := slow_fixed_pole(problem.models, structure, problem.min_decay)) is not None:
-        first = replace(only_point(problem, next(iter(given), None)), status=TuningStatus.NOT_STABILISED)
-        found = result_of(problem, [first], time.monotonic() - start_time)
-        return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(problem.min_decay))
+        first = replace(only_point(problem, next(iter(starting), None)), status=TuningStatus.NOT_STABILISED)
+        certified = result_of(problem, [first], time.monotonic() - start_time)
+        return replace(certified, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(problem.min_decay))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         alone = StartSearch((only_point(problem),), True) if not structure.size else None
-        search = alone or _search(problem, given, options, deadline, progress)
+        search = alone or _search(problem, starting, options, deadline, progress)
         runs = list(search.results)
         further: Any = options.seed, limits_of(options, deadline), options.band
         runs = [*runs, *feasibility_runs(problem, runs, *further, impossible=bool(impossible))]
         runs = [*runs, *refined_runs(problem, runs, *further)]
-        runs = [*runs, *_gone_on(problem, runs, *further, own=own, met=met)]
+        runs = [*runs, *_gone_on(problem, runs, *further, target=target, met=met)]
         result = result_of(problem, runs, time.monotonic() - start_time)
     if all_met(problem.given, result.certificate, met):
         advice = ALL_MET if met <= options.met else NEAR_BOUND.format(100.0 * max(result.gap, 0.0))
@@ -182,7 +182,7 @@ def _gone_on(
     limits: DescentOptions,
     band: float,
     *,
-    own: float,
+    target: float,
     met: float,
 ) -> list[StartResult]:
     """The best start gone on with, to the target that was given, where only the tuner has it within the gap.
@@ -190,12 +190,12 @@ def _gone_on(
     The upper side of the certificate may be above `met` where the gap is less than their distance.
     """
     best = min(reversed(runs), key=lambda run: run.rank)
-    if best.status is not TuningStatus.TARGET or best.soft <= own:
+    if best.status is not TuningStatus.TARGET or best.soft <= target:
         return []
     certificate = certify(problem.models, controller(problem.structure, best.x), problem.given, problem.loop_delay)
     if all_met(problem.given, certificate, met):
         return []
-    return [tune_from(problem, best.x, seed, replace(limits, target=own), band)]
+    return [tune_from(problem, best.x, seed, replace(limits, target=target), band)]
 
 
 def _impossible(problem: Problem, bounds: FloatArray) -> str:
@@ -208,7 +208,7 @@ def _impossible(problem: Problem, bounds: FloatArray) -> str:
 
 def _search(
     problem: Problem,
-    given: Sequence[FloatArray],
+    starting: Sequence[FloatArray],
     options: TuningOptions,
     deadline: float,
     progress: Progress,
@@ -224,29 +224,29 @@ def _search(
     """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
-    first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
+    first = run_starts(problem, given_starts(starting, options.seed), lambda _: (), *common)
     if not options.starts or first.ended or not first.complete:
         return first
     reduced, direct = reduced_starts(problem), ExactValue.suits(problem)
     if direct:
-        own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
+        of_order = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
     else:
         half = limits_of(options, 0.5 * (time.monotonic() + deadline))
-        own = run_given(problem, given_starts(reduced, options.seed), while_feasible, half, *common[1:])
-    if own.ended:
-        return StartSearch(first.results + own.results, own.complete, True)
+        of_order = run_given(problem, given_starts(reduced, options.seed), while_feasible, half, *common[1:])
+    if of_order.ended:
+        return StartSearch(first.results + of_order.results, of_order.complete, True)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
     points = [*nested, *(reduced if direct else ())]
-    if direct and own.results and own.best.rank[0] < 2:
-        points = sorted([own.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
+    if direct and of_order.results and of_order.best.rank[0] < 2:
+        points = sorted([of_order.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
     starts = given_starts(points, options.seed)
     rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
     late = StartSearch((), True, rest.ended)
     if not direct and rest.complete and not rest.ended:
-        infeasible = [run.x for run in own.results if run.rank[0] == 1]
+        infeasible = [run.x for run in of_order.results if run.rank[0] == 1]
         late = run_given(problem, given_starts(infeasible, options.seed), while_infeasible, *common)
-    complete = own.complete and all_of_it and rest.complete and late.complete
-    return StartSearch(first.results + own.results + rest.results + late.results, complete, late.ended)
+    complete = of_order.complete and all_of_it and rest.complete and late.complete
+    return StartSearch(first.results + of_order.results + rest.results + late.results, complete, late.ended)
 
 
 def _own_order_first(problem: Problem, options: TuningOptions, deadline: float, progress: Progress) -> StartSearch:
@@ -298,10 +298,10 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     """Best of several starts, certified; of equal ones the last."""
     best = min(reversed(runs), key=lambda run: run.rank)
     x = best.x if problem.bounds is None else problem.bounds.clipped(best.x)
-    found, count = problem.evaluate(x, gradients=False), len(problem.given)
-    values, frequencies = found.values[:count], found.peak_frequencies[:count]
+    evaluation, count = problem.evaluate(x, gradients=False), len(problem.given)
+    values, frequencies = evaluation.values[:count], evaluation.peak_frequencies[:count]
     K = controller(problem.structure, x)
-    stable = found.abscissa < -problem.min_decay
+    stable = evaluation.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.given, problem.loop_delay) if stable else None
     status, differ = best.status, ""
     if certificate is not None and not agree(certificate, values):
@@ -325,7 +325,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         float(values[hard].max(initial=-np.inf)),
         values,
         frequencies,
-        found.abscissa,
+        evaluation.abscissa,
         best.stationarity,
         certificate,
         seconds,

@@ -31,7 +31,7 @@ from pydantic.dataclasses import dataclass
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.elements import RealParameter
 from pointing_analysis.files.settings import POSITIVE, STRICT, CheckedTable, Refused, setting, settings_class
 from titop_plant import ports
 

@@ -125,10 +125,10 @@ class CircleModel:
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near the angle at which rounding does not exclude the largest gain above the level."""
         cuts = _cuts(self.response, self._seeds(), peak.omega)
-        found = above_level(self._bounds, level, np.column_stack([cuts[:-1], cuts[1:]]))
-        if found is None:
+        above = above_level(self._bounds, level, np.column_stack([cuts[:-1], cuts[1:]]))
+        if above is None:
             return None
-        angles, gains = found
+        angles, gains = above
         worst = int(np.argmax(gains))
         return self._highest(angles[[worst]])._replace(possible=float(gains[worst]))
 

@@ -47,14 +47,14 @@ class Quotient:
             return None
         (A, a), (B, b), (C, c), (D, d) = scaled
         identity = np.array([[int(i == k) for k in range(n)] for i in range(n)], dtype=object)
-        power, own, numerator = identity, [1], []
+        power, denominator, numerator = identity, [1], []
         for k in range(1, n + 1):
             numerator.append(C @ power @ B)  # of the power n - k
             product = A @ power
-            own.append(-int(np.trace(product)) // k)
-            power = product + own[-1] * identity
+            denominator.append(-int(np.trace(product)) // k)
+            power = product + denominator[-1] * identity
         # det(y I - A) with y = 2^a z; the resolvent is 2^a times adjugate over determinant
-        q = np.array([own[n - i] << (a * i) for i in range(n + 1)], dtype=object)
+        q = np.array([denominator[n - i] << (a * i) for i in range(n + 1)], dtype=object)
         common = max(b + c, d)
         N = np.zeros((n + 1, *D.shape), dtype=object)
         for k, part in enumerate(numerator, start=1):
@@ -139,22 +139,22 @@ class _Half:
         if pr.shape[1] > pr.shape[2]:
             pr, pi = pr.swapaxes(1, 2), -pi.swapaxes(1, 2)
         k = pr.shape[1]
-        own = np.zeros(2 * n + 1, dtype=object)
+        of_denominator = np.zeros(2 * n + 1, dtype=object)
         real, imaginary = np.zeros((2 * n + 1, k, k), dtype=object), np.zeros((2 * n + 1, k, k), dtype=object)
         for i in range(n + 1):
-            own[i : i + n + 1] += self.q_real[i] * self.q_real + self.q_imaginary[i] * self.q_imaginary
+            of_denominator[i : i + n + 1] += self.q_real[i] * self.q_real + self.q_imaginary[i] * self.q_imaginary
             for j in range(n + 1):
                 real[i + j] += pr[i] @ pr[j].T + pi[i] @ pi[j].T
                 imaginary[i + j] += pi[i] @ pr[j].T - pr[i] @ pi[j].T
-        return _bernstein(own), _bernstein(real), _bernstein(imaginary)
+        return _bernstein(of_denominator), _bernstein(real), _bernstein(imaginary)
 
     def excess(self, level: float) -> tuple[Integers, Integers]:
         """Bernstein coefficients (2 n + 1, k, k), real and imaginary, of ``level^2 |q|^2 - P P^H`` on [0, 1]."""
         above, below = level.as_integer_ratio()
-        own, real, imaginary = self.squares
+        of_denominator, real, imaginary = self.squares
         k = real.shape[1]
         identity = np.array([[int(i == j) for j in range(k)] for i in range(k)], dtype=object)
-        return above**2 * own[:, None, None] * identity - below**2 * real, -(below**2) * imaginary
+        return above**2 * of_denominator[:, None, None] * identity - below**2 * real, -(below**2) * imaginary
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ class ExactCircleModel:
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near a point that exceeds the level."""
         for half in self.quotient.halves:
-            if (found := _above(half, level)) is not None:
-                return _peak(half, *found)
+            if (above := _above(half, level)) is not None:
+                return _peak(half, *above)
         return None
 
 

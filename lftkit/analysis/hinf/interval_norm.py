@@ -58,8 +58,8 @@ class IntervalModel:
 
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The highest peak near the first intervals that exceed the level."""
-        found = interval_test(self.response, level, self._seeds, peak.omega)
-        return None if found is None else highest_peak_of(self.response, found, self.rtol)
+        above = interval_test(self.response, level, self._seeds, peak.omega)
+        return None if above is None else highest_peak_of(self.response, above, self.rtol)
 
     @cached_property
     def _seeds(self) -> FloatArray:
@@ -110,14 +110,14 @@ def interval_test(
         gain[hard], bound[hard] = _taylor_bound(response, residue, centre[hard], half[hard], False)
         return gain, bound
 
-    found = above_level(up_to_top, level, ends, step)
-    if found is not None:
-        return found[0]
-    found = above_level(lambda centre, half: _taylor_bound(response, residue, centre, half, True), level, tail, step)
-    if found is None:
+    above = above_level(up_to_top, level, ends, step)
+    if above is not None:
+        return above[0]
+    above = above_level(lambda centre, half: _taylor_bound(response, residue, centre, half, True), level, tail, step)
+    if above is None:
         return None
     with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / found[0])
+        return np.asarray(1.0 / above[0])
 
 
 def _cuts(poles: ComplexArray, seeds: FloatArray, top: float) -> FloatArray:

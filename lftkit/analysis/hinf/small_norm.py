@@ -275,12 +275,12 @@ def _residues(left: FloatArray, right: FloatArray, heights: list[float]) -> Comp
     """
     n = len(heights)
     left, right = left[:, :, None], right[:, None, :]
-    own = (left * right).reshape(n, -1)
-    residues = own.astype(complex)
+    of_poles = (left * right).reshape(n, -1)
+    residues = of_poles.astype(complex)
     if any(heights):
         partner = [k + (y > 0.0) - (y < 0.0) for k, y in enumerate(heights)]
         across = (left * right[partner]).reshape(n, -1)
-        residues += own[partner]
+        residues += of_poles[partner]
         residues.imag = across[partner] - across
         residues *= 0.5
     return residues

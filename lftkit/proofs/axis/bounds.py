@@ -126,19 +126,19 @@ class _Axis:
                 self.pieces += waiting[number:]
                 break
             model = replace(self.model, beyond=beyond)
-            found = prove_level(model, box, band, level, until=until, options=options, part=True)
-            self.strips[beyond] += found.strips
-            self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
-            if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
+            proof = prove_level(model, box, band, level, until=until, options=options, part=True)
+            self.strips[beyond] += proof.strips
+            self.pieces += [(beyond, piece, ends) for piece, ends in proof.uncovered]
+            if proof.point is not None and (self.worst is None or proof.lower > self.worst.gain):
                 # A member that was met, in which complex and dynamic elements have real values
-                omega = 1.0 / found.omega if beyond else found.omega
-                values = np.clip(found.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
+                omega = 1.0 / proof.omega if beyond else proof.omega
+                values = np.clip(proof.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
                 count = len(values) - len(self.disks)
                 of_disks = zip(self.disks, values[count:])
                 disks = {
                     disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks
                 }
-                self.worst = DiskMember(found.lower, values[:count], omega, disks)
+                self.worst = DiskMember(proof.lower, values[:count], omega, disks)
         return not self.pieces
 
     def finished(self, level: float | None) -> AxisProof:
@@ -286,15 +286,15 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
 
 def _together(pieces: Sequence[Piece]) -> list[Piece]:
     """Pieces that contain those given, one for all whose bands overlap: what a raised level needs is less bisected."""
-    found: list[Piece] = []
+    joined: list[Piece] = []
     for beyond, box, (low, high) in sorted(pieces, key=lambda piece: (piece[0], piece[2])):
-        if found and found[-1][0] == beyond and low < found[-1][2][1]:
-            _, before, (first, last) = found[-1]
+        if joined and joined[-1][0] == beyond and low < joined[-1][2][1]:
+            _, before, (first, last) = joined[-1]
             hull = tuple((min(a, c), max(b, d)) for (a, b), (c, d) in zip(before, box))
-            found[-1] = beyond, hull, (first, max(last, high))
+            joined[-1] = beyond, hull, (first, max(last, high))
         else:
-            found.append((beyond, box, (low, high)))
-    return found
+            joined.append((beyond, box, (low, high)))
+    return joined
 
 
 def _widened(ends: Interval, width: float) -> Interval:

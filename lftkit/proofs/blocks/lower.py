@@ -79,8 +79,8 @@ class SmallestPerturbation:
         x[: self.width], x[self.width : 2 * self.width] = w.real, w.imag
         values = np.array(
             [
-                complex(np.vdot(self.M[z] @ w, w[own])) / self._square(w, z)
-                for block, z, own in self.parts
+                complex(np.vdot(self.M[z] @ w, w[w_of])) / self._square(w, z)
+                for block, z, w_of in self.parts
                 if block.kind != FULL
             ],
             complex,
@@ -90,7 +90,7 @@ class SmallestPerturbation:
         values[self.real] = np.where(side > 0.0, real, 0.0)  # zero where there is no value of their sign
         values = values / np.maximum(1.0, np.abs(values) / FAR)
         x[self._re], x[self._im] = values.real, values.imag[~self.real]
-        sizes = [np.sqrt(float(np.vdot(w[own], w[own]).real) / self._square(w, z)) for z, own in self.full]
+        sizes = [np.sqrt(float(np.vdot(w[w_of], w[w_of]).real) / self._square(w, z)) for z, w_of in self.full]
         x[-1] = max([1e-6, *self.real_sizes(values[self.real].real), *np.abs(values[~self.real]), *sizes])
         bounds: list[tuple[float | None, float | None]] = [(None, None)] * (self.count - 1) + [(0.0, None)]
         bounds[pivot], bounds[self.width + pivot] = (1.0, 1.0), (0.0, 0.0)
@@ -138,10 +138,10 @@ class SmallestPerturbation:
         """Their derivatives, (rows, variables)."""
         w, deltas, _ = self._unpacked(x)
         rows = np.arange(len(self._w))
-        own = -deltas[self._owner, None] * self.M[self._z]
-        own[rows, self._w] += 1.0
+        rows_of_slopes = -deltas[self._owner, None] * self.M[self._z]
+        rows_of_slopes[rows, self._w] += 1.0
         slopes = np.zeros((len(rows), self.count), complex)
-        slopes[:, : self.width], slopes[:, self.width : 2 * self.width] = own, 1j * own
+        slopes[:, : self.width], slopes[:, self.width : 2 * self.width] = rows_of_slopes, 1j * rows_of_slopes
         seen = self.M[self._z] @ w
         slopes[rows, self._re[self._owner]] = -seen
         two = ~self.real[self._owner]
@@ -152,8 +152,8 @@ class SmallestPerturbation:
         """Distance of each block from the size: real scalars on both sides, complex scalars, full blocks."""
         w, deltas, size = self._unpacked(x)
         real, other = deltas[self.real].real, deltas[~self.real]
-        seen = [(self.M[z] @ w, w[own]) for z, own in self.full]
-        full = [size**2 * np.vdot(z, z).real - np.vdot(own, own).real for z, own in seen]
+        seen = [(self.M[z] @ w, w[w_of]) for z, w_of in self.full]
+        full = [size**2 * np.vdot(z, z).real - np.vdot(w_of, w_of).real for z, w_of in seen]
         down, up = self.sides.T
         return np.concatenate([up * size - real, down * size + real, size**2 - np.abs(other) ** 2, full])
 
@@ -169,10 +169,10 @@ class SmallestPerturbation:
         rows = np.arange(2 * count, end)
         slopes[rows, self._re[~self.real]], slopes[rows, self._im] = -2.0 * other.real, -2.0 * other.imag
         slopes[rows, -1] = 2.0 * size
-        for row, (z, own) in enumerate(self.full, end):
+        for row, (z, w_of) in enumerate(self.full, end):
             seen = self.M[z] @ w
             slope = 2.0 * size**2 * (self.M[z].conj().T @ seen)
-            slope[own] -= 2.0 * w[own]
+            slope[w_of] -= 2.0 * w[w_of]
             slopes[row, :n], slopes[row, n : 2 * n] = slope.real, slope.imag
             slopes[row, -1] = 2.0 * size * np.vdot(seen, seen).real
         return slopes
@@ -181,11 +181,11 @@ class SmallestPerturbation:
         w, deltas, _ = self._unpacked(x)
         matrix = np.zeros(self.M.shape[::-1], complex)
         scalars = iter(deltas)
-        for block, z, own in self.parts:
+        for block, z, w_of in self.parts:
             if block.kind == FULL:
-                matrix[own, z] = np.outer(w[own], (self.M[z] @ w).conj()) / self._square(w, z)
+                matrix[w_of, z] = np.outer(w[w_of], (self.M[z] @ w).conj()) / self._square(w, z)
             else:
-                matrix[own, z] = next(scalars) * np.eye(block.rows)
+                matrix[w_of, z] = next(scalars) * np.eye(block.rows)
         return matrix
 
 

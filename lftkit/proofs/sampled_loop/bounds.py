@@ -238,8 +238,8 @@ class _State:
             if self._over(box, at, high):
                 return
             for aim in AIMS:
-                reached, losses, found = self._strip(box, at, high, aim * self.level)
-                if reached > at or not found:
+                reached, losses, closed = self._strip(box, at, high, aim * self.level)
+                if reached > at or not closed:
                     break
             if reached >= high:
                 return
@@ -302,10 +302,10 @@ class _State:
             if test.allowed(y):
                 y = test.centred(y, FOLLOWING)
                 return test.scalings(y), y
-        found, reached = test.feasible(test.variables(before[-1]) if before else None)
-        if found is None:
+        scalings, reached = test.feasible(test.variables(before[-1]) if before else None)
+        if scalings is None:
             return None, reached
-        y = test.centred(found, CENTRING)
+        y = test.centred(scalings, CENTRING)
         return test.scalings(y), y
 
     def _look(self, box: Box, low: float, high: float) -> None:

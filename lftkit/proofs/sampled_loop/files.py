@@ -68,11 +68,11 @@ def loop_proof(content: Content) -> LoopProof:
 
 def noise_proof(content: Content) -> NoiseProof:
     """The proof of noise of a file's content; a ProofError where it is none."""
-    header, model, found = _read(content, NOISE, NOISE_CLAIM, "noise")
+    header, model, read = _read(content, NOISE, NOISE_CLAIM, "noise")
     claim, names = header["claim"], header["plant"]["parameters"]
-    own = sum(count for *_, count in claim["parts"]) == len(found)
-    require(own, f"parts must have {len(found)} strips in all, got another number")
-    strips = iter(found)
+    complete = sum(count for *_, count in claim["parts"]) == len(read)
+    require(complete, f"parts must have {len(read)} strips in all, got another number")
+    strips = iter(read)
     parts = tuple(
         NoisePart(rows, (low, high), level, tuple(itertools.islice(strips, count)))
         for rows, low, high, level, count in claim["parts"]
@@ -112,11 +112,11 @@ def _read(
     content: Content, kind: str, claim: Form, property_of: str
 ) -> tuple[dict[str, Any], LoopModel, tuple[Strip, ...]]:
     """Header, model and strips of a proof of a kind that claims a property."""
-    given, found = content
-    header = header_of(given, kind, {"claim": claim, **OTHERS})
+    stated, stored = content
+    header = header_of(stated, kind, {"claim": claim, **OTHERS})
     got, names = header["claim"]["property"], header["plant"]["parameters"]
     require(got == property_of, f"the property of a proof of kind {kind!r} must be {property_of!r}, got {got!r}")
-    arrays = arrays_of(found, ARRAYS, len(names))
+    arrays = arrays_of(stored, ARRAYS, len(names))
     plant = header["plant"]
     parts: dict[str, Any] = {name: float(arrays[name]) if name in SCALAR else arrays[name] for name in OF_ARRAYS}
     return (

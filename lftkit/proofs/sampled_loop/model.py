@@ -53,21 +53,21 @@ class LoopModel(Loop):
         q, y, _, d, _ = self.sizes
         s, z = 1j * omega, np.exp(1j * omega * self.dt)
         growth, gain = (known.c[0] for known in self.growth)
-        own = (self.C / (s - self.poles)) @ self.B[:, : q + d] + self.D[:, : q + d]
+        response = (self.C / (s - self.poles)) @ self.B[:, : q + d] + self.D[:, : q + d]
         if not len(self.K_C):
-            return own[:q], np.asarray(own[q:][list(self.rows)])
+            return response[:q], np.asarray(response[q:][list(self.rows)])
         seen = (self.C[q:] * (gain / (z - growth))) @ self.B[:, q + d :] + self.D[q:, q + d :]
         felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
         from lftkit.analysis.lft_response import feedback  # what reads a proof does without
 
-        u = feedback((K @ seen[:y])[None], (K @ own[q : q + y] + self.entry)[None], balanced=True)[0]
+        u = feedback((K @ seen[:y])[None], (K @ response[q : q + y] + self.entry)[None], balanced=True)[0]
         hold = (1.0 - 1.0 / z) / (s * self.dt)
-        channels = own[:q] + hold * felt @ u
+        channels = response[:q] + hold * felt @ u
         if self.returned:
             u = (u - self.entry) * (1.0 - 1.0 / z if self.returned == CHANGE else 1.0)
-        outputs = u if self.commands else own[q + y :] + seen[y:] @ u
+        outputs = u if self.commands else response[q + y :] + seen[y:] @ u
         return channels, np.asarray(outputs[list(self.rows)])
 
     def amplitudes(self, omega: float, /) -> tuple[float, FloatArray]:

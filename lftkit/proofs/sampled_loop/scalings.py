@@ -133,9 +133,9 @@ class ScalingTest:
         for k, group in enumerate(self.groups):
             size = np.outer(self.scale[group], self.scale[group])
             square, single = self.factors[k]
-            own = slice(0, 1 if self.kinds[k] == FULL else None)
-            D.append((scalings.D[k] * square / size)[own, own])
-            G.append((scalings.G[k] * single / size)[own, own])
+            part = slice(0, 1 if self.kinds[k] == FULL else None)
+            D.append((scalings.D[k] * square / size)[part, part])
+            G.append((scalings.G[k] * single / size)[part, part])
         if self.gain:
             D.append(np.array([[scalings.factor / self.scale[-1] ** 2]], dtype=complex))
             G.append(np.zeros((1, 1), complex))
@@ -185,14 +185,14 @@ class ScalingTest:
         return np.where([kind == REAL for kind in self.model.kinds], losses, -np.inf)
 
 
-def _opened(ends: Interval, own: ComplexArray) -> Interval:
+def _opened(ends: Interval, scaling: ComplexArray) -> Interval:
     """The interval of a parameter, and a narrow one about a parameter that is fixed, whose D would be infinite.
 
     `own`: from its channels to themselves. Scalings for a wider interval hold for the fixed value.
     """
     if ends[1] > ends[0]:
         return ends
-    half = FIXED / max(float(np.abs(own).sum(axis=1).max(initial=0.0)), 10.0 * FIXED)
+    half = FIXED / max(float(np.abs(scaling).sum(axis=1).max(initial=0.0)), 10.0 * FIXED)
     return ends[0] - half, ends[1] + half
 
 

@@ -95,14 +95,14 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
         Unknown names, or those of complex and dynamic elements, whose disk is always whole; ends in the wrong order or
         outside the range of the parameter.
     """
-    given = dict(box or {})
-    for name, (low, high) in given.items():
+    stated = dict(box or {})
+    for name, (low, high) in stated.items():
         parameter = system.parameter(name)
         if not low <= high:
             raise InputError(f"box of {name!r} must have lower <= upper, got {low} and {high}")
         parameter.check(low), parameter.check(high)
     return [
-        (float(given[p.name][0]), float(given[p.name][1])) if p.name in given else (p.lower, p.upper)
+        (float(stated[p.name][0]), float(stated[p.name][1])) if p.name in stated else (p.lower, p.upper)
         for p in system.parameters
     ]
 
@@ -229,9 +229,9 @@ def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: flo
     factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
     worst = Member(np.inf, point, frequency)
     if disks_of(axis):
-        found = DiskSearch(axis, box, WHOLE, seed).unstable(min(largest, factor))
-        if found is not None and found[0] < factor:
-            factor, worst = found
+        unstable = DiskSearch(axis, box, WHOLE, seed).unstable(min(largest, factor))
+        if unstable is not None and unstable[0] < factor:
+            factor, worst = unstable
     return factor, worst
 
 
@@ -288,12 +288,12 @@ class StabilityByCells:
             for _ in range(ATTEMPTS):
                 if time.monotonic() > self.until:
                     break
-                proof, found, left = self._attempt(target, self.options.max_tests if few is None else few, bar)
+                proof, unstable, left = self._attempt(target, self.options.max_tests if few is None else few, bar)
                 if proof is not None:
                     lower = target
                     break
-                if found is not None:
-                    self.worst, self.factor = found, factor_of(self.system, self.box, found.point)
+                if unstable is not None:
+                    self.worst, self.factor = unstable, factor_of(self.system, self.box, unstable.point)
                     target = self._aim()
                     continue
                 if few is not None:
@@ -316,20 +316,20 @@ class StabilityByCells:
         ends, radii = scaled_box(self.system, self.box, target), scaled_radii(self.system, target)
         claim = statement(self.system, "stability", ends, None, WHOLE, radii)
         cover = CellCover.of(self.system, claim, Cell(tuple(ends), WHOLE))
-        found: list[Member] = []
+        members: list[Member] = []
 
         def unstable(cell: Cell) -> bool:
             member = member_gain(self.axis, cell.middle(), WHOLE, gain=False)
             if np.isinf(member.gain):
-                found.append(member)
-            return bool(found)
+                members.append(member)
+            return bool(members)
 
         closed = cover.run(lambda: 1.0, unstable, 0.3 * time.monotonic() + 0.7 * self.until, tests, bar)
         left = tuple(cell for *_, cell in cover.open)
-        stable = stable_member(self.system, claim, self.nominal) if closed and not found else None
+        stable = stable_member(self.system, claim, self.nominal) if closed and not members else None
         posed = posed_cells(self.system, claim, ends, self.until, tests) if stable is not None else None
         proof = finished(claim, cover.proven, stable, posed) if stable is not None and posed is not None else None
-        return proof, found[0] if found else None, left
+        return proof, members[0] if members else None, left
 
 
 def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray) -> float:

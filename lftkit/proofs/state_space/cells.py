@@ -230,7 +230,7 @@ class CellTest:
             blocks.append(BarrierBlock(FULL, scaled[total:] * scale[total], inputs[total:]))
         return blocks
 
-    def _axis(self, found: Scalings, cell: Cell) -> int:
+    def _axis(self, scalings: Scalings, cell: Cell) -> int:
         """Number of the interval with the largest loss; intervals that are points are not bisected.
 
         In a cell that several parameters keep open, the loss of one may stay the largest however narrow its interval
@@ -240,8 +240,8 @@ class CellTest:
         if self.n and min(high, 2.0 * self.fastest) > WIDE * max(low, 0.5 * self.slowest):  # poles over a wide band
             return len(self.nominal)
         first = 1 if self.n else 0
-        losses = list(found.losses[first : first + len(self.nominal)])
-        losses.append(found.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
+        losses = list(scalings.losses[first : first + len(self.nominal)])
+        losses.append(scalings.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
         parts = [
             (upper - lower) / (p.upper - p.lower) if upper - lower > 4.0 * EPS * max(abs(lower), abs(upper)) else 0.0
             for (lower, upper), p in zip(cell.intervals, self.system.parameters)
@@ -251,12 +251,12 @@ class CellTest:
         return int(np.argmax(losses))
 
     def _unscaled(
-        self, found: Scalings, scale: FloatArray, widths: list[float], level: float, cell: Cell
+        self, scalings: Scalings, scale: FloatArray, widths: list[float], level: float, cell: Cell
     ) -> CellScalings:
         n = self.n
         D, G, at = [], [], 0
         first = [] if n else [np.zeros((0, 0), complex)]
-        matrices_D, matrices_G = [*first, *found.D], [*first, *found.G]
+        matrices_D, matrices_G = [*first, *scalings.D], [*first, *scalings.G]
         for d, g, size, width in zip(matrices_D, matrices_G, [n, *self.sizes], widths):
             s = np.outer(scale[at : at + len(d)], scale[at : at + len(d)])
             at += size
@@ -267,7 +267,7 @@ class CellTest:
             D[0], G[0] = 4.0 * width**3 * D[0], 2.0 * width**2 * G[0]
         names = [p.name for p in self.system.parameters]
         every = [*names, *(disk.name for disk in self.disks)]
-        performance = 2.0 * float(found.D[-1][0, 0].real) * (scale[-1] / level) ** 2 if self.gain else 1.0
+        performance = 2.0 * float(scalings.D[-1][0, 0].real) * (scale[-1] / level) ** 2 if self.gain else 1.0
         return CellScalings(D[0], G[0], dict(zip(every, D[1:])), dict(zip(names, G[1:])), centre, performance)
 
 

@@ -64,26 +64,26 @@ def band_over_axis(band: tuple[float, float], dt: float) -> tuple[float, float]:
     return (1.0 - OUTWARD) * low, (1.0 + OUTWARD) * high
 
 
-def reached(system: System, found: Member) -> Member:
+def reached(system: System, member: Member) -> Member:
     """A member found over the axis, with frequency [rad/s] and gain of the system that was given."""
     if not system.dt:
-        return found
-    omega = 2.0 / system.dt * unwarped_frequency(found.frequency)
-    if np.isinf(found.gain) and not isinstance(found, DiskMember):
-        return replace(found, frequency=_least_stable(system, found, omega))
-    if np.isinf(found.gain) or not (system.inputs and system.outputs) or isinstance(found, DiskMember):
-        return replace(found, frequency=omega)
-    values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
+        return member
+    omega = 2.0 / system.dt * unwarped_frequency(member.frequency)
+    if np.isinf(member.gain) and not isinstance(member, DiskMember):
+        return replace(member, frequency=_least_stable(system, member, omega))
+    if np.isinf(member.gain) or not (system.inputs and system.outputs) or isinstance(member, DiskMember):
+        return replace(member, frequency=omega)
+    values = {p.name: float(v) for p, v in zip(system.parameters, member.point)}
     response = system.at(values, beyond_range=True).response(omega)[0]
-    return Member(float(linalg.norm(response, 2)), found.point, omega)
+    return Member(float(linalg.norm(response, 2)), member.point, omega)
 
 
-def _least_stable(system: System, found: Member, omega: float) -> float:
+def _least_stable(system: System, member: Member, omega: float) -> float:
     """Frequency [rad/s] of the pole of a member that is farthest out; `omega` where it is not well posed or has none.
 
     A pole near z = -1 is a large real one over the axis, whose imaginary part says nothing.
     """
-    values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
+    values = {p.name: float(v) for p, v in zip(system.parameters, member.point)}
     try:
         poles = system.at(values, beyond_range=True).poles()
     except ValueError:

@@ -162,13 +162,13 @@ class DiskSearch:
         Sides are measured from the nominal values, which the box contains.
         """
         first = partial(self._singular_at, starts=FIRST[0], iterations=FIRST[1])
-        value, omega, found = self.worst(first, ceiling=self._ceiling, floor=1.0 / largest)
-        if found is not None:
+        value, omega, member = self.worst(first, ceiling=self._ceiling, floor=1.0 / largest)
+        if member is not None:
             closely = self._singular_at(omega, *LATER)
-            value, found = closely if closely[0] > value else (value, found)
+            value, member = closely if closely[0] > value else (value, member)
         if not value * largest > 1.0:
             return None
-        point, values = found
+        point, values = member
         return 1.0 / value, DiskMember(np.inf, point, omega, values)
 
     def _singular_at(self, omega: float, starts: int, iterations: int) -> tuple[float, Any]:
@@ -176,19 +176,19 @@ class DiskSearch:
         widest = self._widest
         sides = np.abs(self.deviations) / np.where(widest > 0.0, widest, 1.0)[:, None]
         scaled = self._scaled(self.response(omega))
-        value, found = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
-        if found is None:
+        value, perturbation = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
+        if perturbation is None:
             return 0.0, None
         # Deviations of the real elements and values of the others in a perturbation of the scaled response
         reals, values, row, column = np.zeros(len(self.groups)), {}, 0, 0
         for k, group in enumerate(self.groups):
-            reals[k] = found[row, column].real
+            reals[k] = perturbation[row, column].real
             row, column = row + len(group), column + len(group)
         for disk in self.disks:
             rows = disk.outputs if disk.full else len(disk.channels)
             columns = disk.inputs if disk.full else len(disk.channels)
             size = (rows, columns) if disk.full else (1, 1)
-            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
+            values[disk.name] = disk.radius * perturbation[row : row + size[0], column : column + size[1]]
             row, column = row + rows, column + columns
         real, values = reals * self._widest, values
         dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
@@ -221,10 +221,10 @@ class DiskSearch:
         def first(omega: float) -> tuple[float, Any]:
             return self.gain_of(self.response(omega), GAIN_STARTS[0], at_end(omega))
 
-        value, omega, found = self.worst(first, lambda w, member: self._climbed_to(w, *member))
+        value, omega, point = self.worst(first, lambda w, member: self._climbed_to(w, *member))
         closely = self.gain_of(self.response(omega), GAIN_STARTS[1], at_end(omega))
-        value, found = max((value, found), closely, key=lambda pair: pair[0])
-        return DiskMember(value, found[0], omega, found[1])
+        value, point = max((value, point), closely, key=lambda pair: pair[0])
+        return DiskMember(value, point[0], omega, point[1])
 
     def worst_member(self) -> Member:
         """The member with the largest gain found: infinite where one is unstable."""
@@ -239,8 +239,8 @@ class DiskSearch:
 
     def climbed(self, member: DiskMember) -> DiskMember:
         """That of an ascent from a member at its frequency."""
-        value, found = self._climbed_to(member.frequency, member.point, member.disks)
-        return DiskMember(value, found[0], member.frequency, found[1])
+        value, reached = self._climbed_to(member.frequency, member.point, member.disks)
+        return DiskMember(value, reached[0], member.frequency, reached[1])
 
     def _climbed_to(self, omega: float, point: FloatArray, disks: Mapping[str, ComplexArray]) -> tuple[float, Any]:
         """Gain at a frequency at the end of an ascent from a member, and the member there."""
@@ -252,8 +252,8 @@ class DiskSearch:
 
     def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
         """That of an ascent from a member's real elements at one frequency."""
-        value, found = self._climbed_to(omega, np.asarray(point), self._random_disks(at_end(omega)))
-        return DiskMember(value, found[0], omega, found[1])
+        value, reached = self._climbed_to(omega, np.asarray(point), self._random_disks(at_end(omega)))
+        return DiskMember(value, reached[0], omega, reached[1])
 
     def gain_of(self, M: ComplexArray, starts: int, real: bool = False) -> tuple[float, Any]:
         """Largest gain found from the response `M` of all channels, and the member: parameters (p,) and disks.
@@ -263,8 +263,8 @@ class DiskSearch:
         rng = np.random.default_rng(self.seed)
         points = [self.deviations.mean(axis=1)]
         points += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(starts - 1)]
-        found = [self._ascent(M, point, self._random_disks(real, rng)) for point in points]
-        return max(found, key=lambda pair: pair[0])
+        ascents = [self._ascent(M, point, self._random_disks(real, rng)) for point in points]
+        return max(ascents, key=lambda pair: pair[0])
 
     def _random_disks(self, real: bool, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
         """Values of rank one on the surface; real ones at an end of the axis, and ascents from them stay real."""
@@ -307,11 +307,11 @@ class DiskSearch:
         for group, value in zip(self.groups, real):
             delta[group, group] = value
         for disk in self.disks:
-            own = list(disk.channels)
+            of_disk = list(disk.channels)
             if disk.full:
-                delta[np.ix_(own[: disk.outputs], own[: disk.inputs])] = values[disk.name]
+                delta[np.ix_(of_disk[: disk.outputs], of_disk[: disk.inputs])] = values[disk.name]
             else:
-                delta[own, own] = values[disk.name][0, 0]
+                delta[of_disk, of_disk] = values[disk.name][0, 0]
         delta = delta
         *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q]) if q else (M[:0], 0)
         if singular:
@@ -332,8 +332,8 @@ class DiskSearch:
                     u, v = back[list(disk.channels[: disk.outputs])], z[list(disk.channels[: disk.inputs])]
                     matrix = np.outer(u, v.conj())
                 else:
-                    own = list(disk.channels)
-                    matrix = np.array([[np.conj(np.vdot(back[own], z[own]))]])
+                    of_disk = list(disk.channels)
+                    matrix = np.array([[np.conj(np.vdot(back[of_disk], z[of_disk]))]])
                 size = max(float(linalg.norm(matrix, 2)), 1e-300)
                 best[disk.name] = np.asarray(disk.radius * matrix / size, complex)
             return aim, best

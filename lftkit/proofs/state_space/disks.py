@@ -63,7 +63,7 @@ def disks_of(system: System, radii: Mapping[str, float] | None = None) -> list[D
     ValueError
         A matrix of dynamics that occurs more than once.
     """
-    found = []
+    disks = []
     for e in system.elements:
         if isinstance(e, RealParameter):
             continue
@@ -75,8 +75,8 @@ def disks_of(system: System, radii: Mapping[str, float] | None = None) -> list[D
                 f"{system.name}: a matrix of dynamics must occur once in a bound, got element {e.name!r} "
                 f"{len(channels) // width(e)} times"
             )
-        found.append(DiskChannels(e.name, (radii or {}).get(e.name, radius), outputs, inputs, channels))
-    return found
+        disks.append(DiskChannels(e.name, (radii or {}).get(e.name, radius), outputs, inputs, channels))
+    return disks
 
 
 def structure_of(system: System) -> tuple[IntArray, IntArray, list[UncertaintyBlock]]:
@@ -152,15 +152,15 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     elif dt:
         at = min(max(at, NEAREST), 1.0 / NEAREST)
     least = max(REAL, 2.0 * clear * max(at, 1.0 / at))
-    given = np.atleast_2d(np.asarray(matrix, complex))
-    left, sizes, right = linalg.svd(given)
+    value = np.atleast_2d(np.asarray(matrix, complex))
+    left, sizes, right = linalg.svd(value)
     (A, B, C, D), (E, F, G, H) = (_all_passes(side, at / half, least, dt) for side in (left[:, 0], right[0]))
     # b(s)' with an input for each entry, then a(s) with one
     first = E, G.T, F.T, H[None, :]
     dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
     into, out = np.vstack([first[1], B @ first[3]]), np.hstack([D[:, None] @ first[2], C])
     whole = dynamics, into, sizes[0] * out, sizes[0] * D[:, None] @ first[3]
-    return System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics", dt=dt)
+    return System(*whole, (Port("u", value.shape[1]),), (Port("y", value.shape[0]),), "dynamics", dt=dt)
 
 
 def _all_passes(values: ComplexArray, omega: float, least: float, dt: float) -> Matrices:
@@ -175,10 +175,12 @@ def _all_passes(values: ComplexArray, omega: float, least: float, dt: float) -> 
     # the phase of (s - c) / (s + c) is pi - 2 atan(omega / c)
     turned = np.where(phase > 0.0, phase, phase + np.pi)[~real]
     corner = omega / np.tan(0.5 * (np.pi - turned))
-    own, gain = np.flatnonzero(~real), sign * size
+    oscillating, gain = np.flatnonzero(~real), sign * size
     # in discrete time it is (a z - 1) / (z - a)
     pole = (1.0 - 0.5 * dt * corner) / (1.0 + 0.5 * dt * corner) if dt else -corner
-    out, through = np.zeros((len(values), len(own))), gain.copy()
-    out[own, np.arange(len(own))] = gain[own] * (-(1.0 - pole) * (1.0 + pole) if dt else -2.0 * corner)
-    through[own] *= pole if dt else 1.0
-    return np.diag(pole), np.ones((len(own), 1)), out, through
+    out, through = np.zeros((len(values), len(oscillating))), gain.copy()
+    out[oscillating, np.arange(len(oscillating))] = gain[oscillating] * (
+        -(1.0 - pole) * (1.0 + pole) if dt else -2.0 * corner
+    )
+    through[oscillating] *= pole if dt else 1.0
+    return np.diag(pole), np.ones((len(oscillating), 1)), out, through

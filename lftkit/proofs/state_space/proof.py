@@ -130,8 +130,8 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
         T = linalg.solve(ahead, inverse) if system.dt else inverse
         rates = np.maximum(-np.diag(L @ rate @ inverse), 1e-300)
         channel = (L @ ahead @ T).T @ L @ below + (L @ step @ T).T @ L @ above
-        own = 2.0 * q * np.sum(np.abs(L @ above) * np.abs(L @ below), axis=0)
-        weights = 4.0 * max(q, 1) * np.sum(channel**2 / rates[:, None], axis=0) + own
+        of_products = 2.0 * q * np.sum(np.abs(L @ above) * np.abs(L @ below), axis=0)
+        weights = 4.0 * max(q, 1) * np.sum(channel**2 / rates[:, None], axis=0) + of_products
         weights = np.maximum(weights, 1e-12 * float(weights.max(initial=0.0)) or 1.0)
         for factor in 8.0 ** np.arange(6):
             content = {

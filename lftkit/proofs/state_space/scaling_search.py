@@ -52,8 +52,8 @@ class ScalarBarrierProblem(BarrierProblem):
         self.of_d = np.array([part.start for part in first if part is not None], dtype=int)
         self.of_g = np.array([part.start for part in second if part is not None], dtype=int)
         full = [i for i, block in enumerate(self.blocks) if block.kind == FULL]
-        own = [self.slices[i][0] for i in full]
-        self.of_full = np.array([part.start for part in own if part is not None], dtype=int)
+        parts = [self.slices[i][0] for i in full]
+        self.of_full = np.array([part.start for part in parts if part is not None], dtype=int)
         self.full_forms = np.array([self.forms[i] for i in full], dtype=complex).reshape(-1, self.N, self.N)
         self.positive = np.concatenate([self.of_d, self.of_full])
 
@@ -125,13 +125,13 @@ class DenseBarrierProblem(BarrierProblem):
         self.terms = np.zeros((self.count, self.N, self.N), complex)
         self.terms[0] = -np.eye(self.N)
         single, self.repeated = [], []
-        for block, own, (first, second) in zip(self.blocks, self.forms, self.slices):
+        for block, form, (first, second) in zip(self.blocks, self.forms, self.slices):
             if first is not None and (block.kind == FULL or len(block.Z) == 1):
                 single.append(first.start)
             elif first is not None:
                 self.repeated.append((first, len(block.Z)))
             if block.kind == FULL:
-                self.terms[first] = own
+                self.terms[first] = form
                 continue
             Z, W, E = block.Z, block.W, hermitian_basis(len(block.Z)).T.reshape(-1, len(block.Z), len(block.Z))
             if first is not None:

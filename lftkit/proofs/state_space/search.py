@@ -225,8 +225,8 @@ def response_slopes(whole: ComplexArray, delta: FloatArray) -> tuple[float, Floa
     LinAlgError
         The loop is singular.
     """
-    found = LftResponse.of(whole[None], len(delta)).gain_slopes(delta[None].astype(complex))
-    return float(found.values[0, 0]), found.slopes[0].real
+    slopes = LftResponse.of(whole[None], len(delta)).gain_slopes(delta[None].astype(complex))
+    return float(slopes.values[0, 0]), slopes.slopes[0].real
 
 
 def scaled_box(system: System, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:

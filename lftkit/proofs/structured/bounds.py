@@ -166,11 +166,11 @@ class _Scaling:
         """Scalings for a level, or for less where they prove less; None if none were found."""
         unit = np.eye(self.M.shape[1], dtype=complex)
         blocks = [BarrierBlock(b.kind, self.balanced[z] / level, unit[w]) for b, z, w in self.parts]
-        found = find_scalings(blocks, iterations=200, precision=precision)
-        if not found.margin > 0.0:
+        scalings = find_scalings(blocks, iterations=200, precision=precision)
+        if not scalings.margin > 0.0:
             return None
-        D = tuple(s * s * _hermitian(d) for d, s in zip(found.D, self.scale))
-        G = tuple(0.5 * level * s * s * _hermitian(g) for g, s in zip(found.G, self.scale))
+        D = tuple(s * s * _hermitian(d) for d, s in zip(scalings.D, self.scale))
+        G = tuple(0.5 * level * s * s * _hermitian(g) for g, s in zip(scalings.G, self.scale))
         certificate = MuCertificate(level, D, G)
         return self._lowered(certificate) if self._passes(certificate) else None
 

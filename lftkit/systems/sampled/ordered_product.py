@@ -55,10 +55,10 @@ class OrderedProduct:
     """
 
     def __init__(self, matrix: ArrayLike) -> None:
-        given = np.asarray(matrix, dtype=float)
-        p, m = given.shape
+        array = np.asarray(matrix, dtype=float)
+        p, m = array.shape
         self.columns = np.zeros((m, max(p, 2)))
-        self.columns[:, :p] = given.T
+        self.columns[:, :p] = array.T
         self.values = np.zeros(m)
         self._products = np.zeros_like(self.columns)
         self._sums = np.zeros(max(p, 2))
@@ -76,16 +76,16 @@ class OrderedProduct:
         Bit for bit those of k calls, in a third of the time.
         """
         first = len(self.values) - inputs.shape[1]
-        own, given = self.columns[:first], self.columns[first:]
+        of_states, of_inputs = self.columns[:first], self.columns[first:]
         results: FloatArray = np.zeros((len(inputs), self._size))
         products = np.zeros((min(len(inputs), ROWS), *self.columns.shape))
         sums = np.zeros((len(products) + 1, len(self._sums)))
         sums[0, :first] = self.values[:first]
         for begin in range(0, len(inputs), ROWS):
             rows = inputs[begin : begin + ROWS]
-            np.multiply(given, rows[:, :, None], out=products[: len(rows), first:])
+            np.multiply(of_inputs, rows[:, :, None], out=products[: len(rows), first:])
             for product, before, after in zip(products[: len(rows)], sums[:, :first, None], sums[1:]):
-                np.multiply(own, before, out=product[:first])
+                np.multiply(of_states, before, out=product[:first])
                 np.add.reduce(product, axis=0, out=after)
             results[begin : begin + ROWS] = sums[1 : len(rows) + 1, : self._size]
             sums[0] = sums[len(rows)]

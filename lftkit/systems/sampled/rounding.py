@@ -60,8 +60,8 @@ def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[Fl
         for _ in range(0, ticks, POWERS):
             passed += np.abs(responses).sum(axis=0)
             responses = responses @ ahead
-        found = passed @ wrong[: system.order] + wrong[system.order :]
-    return np.where(np.isnan(found), np.inf, found)
+        bound = passed @ wrong[: system.order] + wrong[system.order :]
+    return np.where(np.isnan(bound), np.inf, bound)
 
 
 def _largest_sums(
@@ -76,9 +76,9 @@ def _largest_sums(
     forced = np.zeros((blocks, POWERS + 1, system.order))
     for j in range(POWERS):  # of all blocks at once, from zero states
         forced[:, j + 1] = forced[:, j] @ system.A.T + padded[:, j] @ system.B.T
-    for first, block, given in zip(range(0, len(inputs), POWERS), forced, padded):
+    for first, block, inputs_of_block in zip(range(0, len(inputs), POWERS), forced, padded):
         count = min(POWERS, len(inputs) - first)
         states = powers @ state + block
-        sums = np.hstack([np.abs(states[:count]), np.abs(given[:count])]) @ whole.T
+        sums = np.hstack([np.abs(states[:count]), np.abs(inputs_of_block[:count])]) @ whole.T
         largest, state = np.maximum(largest, sums.max(axis=0)), states[count]
     return largest, state

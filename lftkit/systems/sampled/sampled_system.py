@@ -137,10 +137,10 @@ class SampledSystem:
         sides = ("inputs", tuple(inputs), self.inputs), ("outputs", tuple(outputs), self.outputs)
         for kind, expected, present in sides:
             known = {port.name: port for port in expected}
-            for own in present:
-                port = known.get(own.name, own)
-                if own.size == port.size and not port.takes(own):
-                    raise InputError(f"{self.name}: {kind[:-1]} {own.name} must be in {port.unit}, got {own.unit}")
+            for one in present:
+                port = known.get(one.name, one)
+                if one.size == port.size and not port.takes(one):
+                    raise InputError(f"{self.name}: {kind[:-1]} {one.name} must be in {port.unit}, got {one.unit}")
             required, got = (", ".join(f"{p.name}[{p.size}]" for p in ports) for ports in (expected, present))
             if got != required:
                 raise InputError(f"{self.name}: {kind} must be {required}, got {got}")
@@ -153,7 +153,7 @@ class SampledSystem:
         A system with an input that is not among `ports`, or has another unit there, is returned as it is;
         :meth:`require` says what is wrong.
         """
-        if not all(any(port.takes(own) for port in ports) for own in self.inputs):
+        if not all(any(port.takes(one) for port in ports) for one in self.inputs):
             return self
         if [p.name for p in self.inputs] == [p.name for p in ports]:
             return self

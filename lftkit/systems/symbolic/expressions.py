@@ -153,14 +153,16 @@ class Expression:
         ports = ports_for(inputs, columns), ports_for(outputs, rows)
         fraction = self.fraction if self.fraction is not None and self.fraction.is_proper else None
         try:  # numbers alone have no occurrences to save, and the fraction is more accurate than a shifted s
-            found = realised(affine, self.elements, *ports, self.dt, shift=fraction is None or bool(self.elements))
+            realisation = realised(
+                affine, self.elements, *ports, self.dt, shift=fraction is None or bool(self.elements)
+            )
         except ValueError:
             if fraction is None:
                 raise
             named = {e.name: scalar(e) for e in self.elements}
             made: Expression = controllable_form(fraction, variable(self.dt), named, matrix)
             return replace(made, fraction=None).system(inputs, outputs, name)
-        return found.named(name)
+        return realisation.named(name)
 
     @checked
     def at(self, values: Mapping[str, Value] | None = None, **named: Value) -> System:
@@ -318,10 +320,10 @@ def as_expression(value: Any) -> Expression | None:
 
 def constant(gain: FloatArray, dt: float = 0.0) -> Expression:
     """A matrix of numbers."""
-    given = np.asarray(gain, dtype=float)
-    if not np.all(np.isfinite(given)):
+    value = np.asarray(gain, dtype=float)
+    if not np.all(np.isfinite(value)):
         raise InputError(f"numbers of an expression must be finite, got {gain}")
-    return Expression(given, dt=dt, fraction=Fraction.of(given.item()) if given.shape == (1, 1) else None)
+    return Expression(value, dt=dt, fraction=Fraction.of(value.item()) if value.shape == (1, 1) else None)
 
 
 def variable(dt: float = 0.0) -> Expression:
@@ -375,7 +377,7 @@ def _sum(a: Expression, b: Expression) -> Expression:
     (p, m), n = a.shape, a.inner + b.inner
     y, u = n + np.arange(p), n + np.arange(m)
     first, second = np.arange(a.inner), a.inner + np.arange(b.inner)
-    parts = [(e, np.r_[own, y], np.r_[own, u]) for e, own in ((a, first), (b, second))]
+    parts = [(e, np.r_[states, y], np.r_[states, u]) for e, states in ((a, first), (b, second))]
     return _placed(parts, (n + p, n + m), n, _period([a, b]))
 
 
@@ -438,7 +440,7 @@ def _multiplied(e: Expression, left: FloatArray, right: FloatArray) -> Expressio
         e,
         constant=L @ e.constant @ R,
         coefficients={name: L @ C @ R for name, C in e.coefficients.items()},
-        dynamics=tuple((name, L @ own, other @ R) for name, own, other in e.dynamics),
+        dynamics=tuple((name, L @ inner, other @ R) for name, inner, other in e.dynamics),
     )
 
 
@@ -446,11 +448,11 @@ def _size(e: Expression) -> str:
     return f"{e.shape[0]} x {e.shape[1]}"
 
 
-def ports_for(given: Any, size: int) -> tuple[Port, ...]:
+def ports_for(names: Any, size: int) -> tuple[Port, ...]:
     """Ports of `size` signals in all from one name, or from names, pairs and ports."""
-    if isinstance(given, str):
-        return (Port(given, size),)
-    sized = [(p, 1) if isinstance(p, str) else p for p in given] if isinstance(given, Iterable) else given
+    if isinstance(names, str):
+        return (Port(names, size),)
+    sized = [(p, 1) if isinstance(p, str) else p for p in names] if isinstance(names, Iterable) else names
     ports = as_ports(sized, "ports")
     if sum(p.size for p in ports) != size:
         raise InputError(f"ports must have {size} signals, got {', '.join(f'{p.name}[{p.size}]' for p in ports)}")
@@ -489,8 +491,8 @@ def matrix(rows: Any) -> Expression:
     parts, start = [], 0
     for i, row in enumerate(known):
         for j, e in enumerate(row):
-            own = start + np.arange(e.inner)
+            states = start + np.arange(e.inner)
             y, u = n + sum(heights[:i]) + np.arange(heights[i]), n + sum(widths[:j]) + np.arange(widths[j])
-            parts.append((e, np.r_[own, y], np.r_[own, u]))
+            parts.append((e, np.r_[states, y], np.r_[states, u]))
             start += e.inner
     return _placed(parts, (n + sum(heights), n + sum(widths)), n, _period(flat))

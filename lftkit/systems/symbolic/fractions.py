@@ -45,7 +45,7 @@ class ElementPolynomial:
 
     def coefficient(self, power: int) -> dict[tuple[str, ...], float]:
         """Coefficient of a power of s: products of elements with their numbers."""
-        return {names: number for (own, names), number in self.terms.items() if own == power}
+        return {names: number for (degree, names), number in self.terms.items() if degree == power}
 
 
 def _summed(terms: Iterable[tuple[Term, float]]) -> ElementPolynomial:

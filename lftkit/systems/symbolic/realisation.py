@@ -117,9 +117,9 @@ def _eliminated(e: Affine) -> Affine:
         if free[i, j] == 0.0:
             break
         if not busy_rows[i]:
-            given = stack[0, i] / stack[0, i, j]
-            stack = stack - stack[:, :, [j]] * given
-            rights = [R - R[:, [j]] * given for R in rights]
+            row = stack[0, i] / stack[0, i, j]
+            stack = stack - stack[:, :, [j]] * row
+            rights = [R - R[:, [j]] * row for R in rights]
         else:
             factor = stack[0, :, j] / stack[0, i, j]
             stack = stack - factor[None, :, None] * stack[:, [i], :]

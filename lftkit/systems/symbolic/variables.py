@@ -47,8 +47,8 @@ def real(
     >>> real("k", 10.0, percent=(-20, 50)).elements[0]
     RealParameter(name='k', nominal=10.0, lower=8.0, upper=15.0, unit='1', description='')
     """
-    given = [percent is not None, plus_minus is not None, lower is not None or upper is not None]
-    if sum(given) != 1 or (lower is None) != (upper is None):
+    ways = [percent is not None, plus_minus is not None, lower is not None or upper is not None]
+    if sum(ways) != 1 or (lower is None) != (upper is None):
         raise InputError(f"range of {name!r} must be given once: lower and upper, percent, or plus_minus")
     if lower is None or upper is None:
         size: Any = percent if percent is not None else plus_minus

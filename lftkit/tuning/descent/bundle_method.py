@@ -158,12 +158,12 @@ class _Running:
         if predicted > -1e-12 * level or self._proximity > MAX_PROXIMITY:
             return TuningStatus.CONVERGED if stationary else self._sample_gradients()
         trial = self.x + self._metric.step(d)
-        found = self._ask(trial)
-        gained = _progress(found, self.result)
+        answer = self._ask(trial)
+        gained = _progress(answer, self.result)
         if gained <= ACCEPTED * predicted:
-            self._accept(trial, found, weights, d, gained / predicted)
+            self._accept(trial, answer, weights, d, gained / predicted)
             return self._sample_gradients() if self._slow(level) else None
-        self._reject(found, trial, weights, d)
+        self._reject(answer, trial, weights, d)
         return None
 
     def _stationarity(self, offsets: FloatArray, G: FloatArray) -> float:
@@ -190,15 +190,17 @@ class _Running:
         weights, _ = simplex_minimum(G @ QG, offsets)
         return weights, -(QG @ weights)
 
-    def _learn(self, found: OracleResult, weights: FloatArray, d: FloatArray) -> None:
-        first = self._curvature.update(self.result, found, weights, d, self._metric)
+    def _learn(self, answer: OracleResult, weights: FloatArray, d: FloatArray) -> None:
+        first = self._curvature.update(self.result, answer, weights, d, self._metric)
         if first is not None:
             self._proximity = min(self._proximity, max(0.1 * first, MIN_PROXIMITY))
 
-    def _accept(self, trial: FloatArray, found: OracleResult, weights: FloatArray, d: FloatArray, ratio: float) -> None:
-        self._learn(found, weights, d)
-        self.x, self.result = trial, found
-        self._accepted_values.append(found.objective)
+    def _accept(
+        self, trial: FloatArray, answer: OracleResult, weights: FloatArray, d: FloatArray, ratio: float
+    ) -> None:
+        self._learn(answer, weights, d)
+        self.x, self.result = trial, answer
+        self._accepted_values.append(answer.objective)
         self._bundle.clear()
         self._rejected = 0
         self._renew_metric()
@@ -219,14 +221,14 @@ class _Running:
         change = float(np.sum((old.inverse @ self._metric.T) ** 2)) / len(self.x)
         self._proximity *= change
 
-    def _reject(self, found: OracleResult, trial: FloatArray, weights: FloatArray, d: FloatArray) -> None:
+    def _reject(self, answer: OracleResult, trial: FloatArray, weights: FloatArray, d: FloatArray) -> None:
         self._rejected += 1
         proximity = max(self._proximity, MIN_PROXIMITY_AFTER_REJECTION)
-        if not found.inside:
+        if not answer.inside:
             self._proximity = proximity * PROXIMITY_OUTSIDE
             return
-        self._learn(found, weights, d)
-        self._bundle.add_rejected(found, trial)
+        self._learn(answer, weights, d)
+        self._bundle.add_rejected(answer, trial)
         self._proximity = max(self._proximity, MIN_PROXIMITY_AFTER_REJECTION) * PROXIMITY_REJECTED
 
     def _slow(self, level: float) -> bool:
@@ -251,8 +253,8 @@ class _Running:
         return None
 
 
-def _progress(found: OracleResult, present: OracleResult) -> float:
-    if not found.inside:
+def _progress(answer: OracleResult, present: OracleResult) -> float:
+    if not answer.inside:
         return np.inf
     c = max(present.constraint, 0.0)
-    return float(max(found.objective - present.objective - c, found.constraint - c))
+    return float(max(answer.objective - present.objective - c, answer.constraint - c))

@@ -120,13 +120,13 @@ class DecayLimit:
         if self._problem.too_large(K):
             return ()
         loops = {pole.model: self._problem.closed(pole.model, K) for pole in poles}
-        found = []
+        followed = []
         for pole in poles:
             new = self._followed_to(x, pole, loops[pole.model])
             if not abs(np.vdot(new.vector, pole.vector)) > ALIKE:
                 return ()
-            found.append(new)
-        return tuple(found)
+            followed.append(new)
+        return tuple(followed)
 
     def _followed_to(self, x: FloatArray, pole: FollowedPole, loop: ClosedLoopMatrices) -> FollowedPole:
         shift: Any = pole.value if pole.value.imag else pole.value.real
@@ -172,8 +172,8 @@ class LimitWatch:
         Follow poles from the first point on.
     """
 
-    def __init__(self, problem: Problem, found: Evaluation, near: bool) -> None:
-        self.near = near or -found.abscissa < NEAR * problem.min_decay
+    def __init__(self, problem: Problem, evaluation: Evaluation, near: bool) -> None:
+        self.near = near or -evaluation.abscissa < NEAR * problem.min_decay
         self.solve: Solve = np.asarray
         self._problem = problem
         self._limit: DecayLimit | None = None

@@ -109,7 +109,7 @@ class _Direct:
         if self._problem.stable(x):
             return x
         target = -max(1e-3, 2.0 * self._problem.min_decay)
-        found = quasi_newton(
+        descent = quasi_newton(
             self._value.abscissa,
             x,
             self._metric,
@@ -118,9 +118,9 @@ class _Direct:
             floor=target,
             stop=self.late,
         )
-        if self._problem.stable(found.x):
-            return found.x
-        stable, steps = stabilise(self._problem, found.x, np.random.default_rng(seed), self._limits)
+        if self._problem.stable(descent.x):
+            return descent.x
+        stable, steps = stabilise(self._problem, descent.x, np.random.default_rng(seed), self._limits)
         if not self._problem.stable(stable.x):
             return unstable(stable, steps)
         return stable.x
@@ -134,9 +134,9 @@ class _Direct:
         target = max(self._limits.target, self._floor)
         if self.point.soft <= target:
             return
-        found = smooth_phase(self._problem, self.point.x, SMOOTH_EVALUATIONS, self._limits.deadline, target)
-        self._evaluations += found.evaluations
-        self._take(found.point)
+        descent = smooth_phase(self._problem, self.point.x, SMOOTH_EVALUATIONS, self._limits.deadline, target)
+        self._evaluations += descent.evaluations
+        self._take(descent.point)
 
     def descend(self) -> None:
         """Quasi-Newton on the exact value to the end, in the Gauss-Newton metric."""
@@ -176,9 +176,9 @@ class _Direct:
         return SmoothObjective(self._problem, point.x, point.found).metric(point.x, METRIC_FLOOR)
 
     def _restart_from(self, x: FloatArray, metric: Metric) -> None:
-        found = self._descended(x, RESTART_STEPS, RESTART_TOLERANCE, metric)
-        if np.exp(found.value) < self.point.soft:
-            self._take(point_at(self._problem, found.x))
+        descent = self._descended(x, RESTART_STEPS, RESTART_TOLERANCE, metric)
+        if np.exp(descent.value) < self.point.soft:
+            self._take(point_at(self._problem, descent.x))
 
     def follow_gain(self) -> None:
         """Descents from points of more gain, as long as they lower the value."""

@@ -75,12 +75,12 @@ class ExactValue:
         best, at = 0.0, None
         for k, plant in enumerate(self._plants):
             loop = plant.closed(K)
-            found = _peak(loop, self._limit, self._peaks[k]) if np.all(np.isfinite(loop.A)) else None
-            if found is None:
+            peak = _peak(loop, self._limit, self._peaks[k]) if np.all(np.isfinite(loop.A)) else None
+            if peak is None:
                 return OUTSIDE, np.zeros(len(x))
-            self._peaks[k] = found[2]
-            if found[0] > best or at is None:
-                best, at = found[0], (loop, found[1])
+            self._peaks[k] = peak[2]
+            if peak[0] > best or at is None:
+                best, at = peak[0], (loop, peak[1])
         assert at is not None
         value = max(best, 1e-300)
         gradient = _slope(*at) / value
@@ -129,18 +129,18 @@ def _peak(loop: ClosedLoopMatrices, limit: float, near: FloatArray) -> tuple[flo
     best, at = float(gains[top]), float(omega[top])
     inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
     inner = inner[gains[inner] > RIVAL * best]
-    found = []
+    frequencies = []
     for i in inner[np.argsort(-gains[inner])][:MAX_RIVALS]:
         w = float(omega[i])
         reach = float(np.abs(form.poles - 1j * w).min())
         w, gain = climb(form.with_derivatives, w, float(gains[i]), reach, PEAK_TOLERANCE)
-        found.append(w)
+        frequencies.append(w)
         if gain > best:
             best, at = gain, w
     direct = _gain(loop.D)
     if direct > best:
         best, at = direct, np.inf
-    return (best, at, np.array(found)) if np.isfinite(best) else None
+    return (best, at, np.array(frequencies)) if np.isfinite(best) else None
 
 
 def _modal(form: FrequencyResponse, omega: FloatArray) -> ComplexArray:
@@ -161,9 +161,11 @@ def _frequencies(poles: ComplexArray) -> FloatArray:
     upper = poles[poles.imag >= 0.0]
     sizes = np.abs(upper)
     resonances = np.sqrt(np.maximum((upper.imag - upper.real) * (upper.imag + upper.real), 0.0))
-    own = np.concatenate([sizes, resonances[resonances > 0.0]])
-    own.sort()
-    return np.concatenate([[0.0, 0.3 * own[0]], own, np.sqrt(own[:-1] * own[1:]), [3.0 * own[-1]]])
+    candidates = np.concatenate([sizes, resonances[resonances > 0.0]])
+    candidates.sort()
+    return np.concatenate(
+        [[0.0, 0.3 * candidates[0]], candidates, np.sqrt(candidates[:-1] * candidates[1:]), [3.0 * candidates[-1]]]
+    )
 
 
 def _slope(loop: ClosedLoopMatrices, omega: float) -> FloatArray:

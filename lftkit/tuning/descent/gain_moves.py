@@ -46,10 +46,10 @@ def with_gain(structure: Structure, x: FloatArray, factor: float) -> FloatArray 
 
 def gain_moves(problem: Problem, x: FloatArray, before: FloatArray | None = None) -> list[FloatArray]:
     """Stable points (size,) with more gain than `x`, and farther along the way from `before` to `x`."""
-    found = [with_gain(problem.structure, x, factor) for factor in GAINS]
+    moves = [with_gain(problem.structure, x, factor) for factor in GAINS]
     if before is not None:
-        found += [x + factor * (x - before) for factor in FURTHER]
-    return [y for y in found if y is not None and problem.stable(y)]
+        moves += [x + factor * (x - before) for factor in FURTHER]
+    return [y for y in moves if y is not None and problem.stable(y)]
 
 
 def descended(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> tuple[Point, int]:
@@ -61,7 +61,7 @@ def descended(problem: Problem, x: FloatArray, evaluations: int, deadline: float
         smooth = smooth_phase(problem, x, evaluations, deadline, target)
         return smooth.point, smooth.evaluations
     value, identity = ExactValue(problem), np.eye(len(x))
-    found = quasi_newton(
+    descent = quasi_newton(
         value,
         x,
         Metric(identity, identity),
@@ -69,4 +69,4 @@ def descended(problem: Problem, x: FloatArray, evaluations: int, deadline: float
         tolerance=TOLERANCE,
         stop=lambda: time.monotonic() > deadline,
     )
-    return point_at(problem, found.x), value.evaluations
+    return point_at(problem, descent.x), value.evaluations

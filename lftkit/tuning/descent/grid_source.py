@@ -58,8 +58,8 @@ class Point:
 
 def point_at(problem: Problem, x: FloatArray, *, quick: bool = False) -> Point:
     """Exact values at `x` (size,), without gradients; `quick`: H2 norms of the first model for all."""
-    found = problem.evaluate(x, gradients=False, h2_once=quick)
-    return Point(x, found, *worst_values(problem, found), quick)
+    evaluation = problem.evaluate(x, gradients=False, h2_once=quick)
+    return Point(x, evaluation, *worst_values(problem, evaluation), quick)
 
 
 class GridSource:
@@ -145,10 +145,10 @@ class GridSource:
         self._thin, self._extra = bool(memory[0]), tuple(np.array(e, dtype=float) for e in memory[1:])
 
 
-def _with_peaks(problem: Problem, k: int, extra: FloatArray, found: Evaluation) -> FloatArray:
+def _with_peaks(problem: Problem, k: int, extra: FloatArray, evaluation: Evaluation) -> FloatArray:
     """Frequencies that the grid of model k had missed."""
-    if not found.poles:
+    if not evaluation.poles:
         return extra
-    peaks = found.peak_frequencies[list(problem.hinf), k]
-    missed = [extra, unresolved(problem.gains[k].grid.omega, found.poles[k]), peaks]
+    peaks = evaluation.peak_frequencies[list(problem.hinf), k]
+    missed = [extra, unresolved(problem.gains[k].grid.omega, evaluation.poles[k]), peaks]
     return np.asarray(np.unique(np.concatenate(missed)))

@@ -62,13 +62,13 @@ def quasi_newton(
             H = None
             continue
         first = min(1.0, FIRST_STEP / max(float(linalg.norm(d)), 1e-300)) if H is None else 1.0
-        found = _weak_wolfe(function, x, f, slope, metric, d, first, stop)
-        if found is None:
+        accepted = _weak_wolfe(function, x, f, slope, metric, d, first, stop)
+        if accepted is None:
             if H is None:
                 break
             H = None
             continue
-        t, new_x, new_f, new_g = found
+        t, new_x, new_f, new_g = accepted
         s, y = t * d, new_g - g
         x, f, g = new_x, new_f, new_g
         if renewed is None:

@@ -64,14 +64,14 @@ def screen(
     stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
     if not problem.stable(stable.x):
         return unstable(stable, steps)
-    found = smooth_phase(problem, stable.x, evaluations, limits.deadline, limits.target)
-    count = stable.evaluations + found.evaluations
+    descent = smooth_phase(problem, stable.x, evaluations, limits.deadline, limits.target)
+    count = stable.evaluations + descent.evaluations
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
-    if found.point.feasible and found.point.soft < limits.target:
+    if descent.point.feasible and descent.point.soft < limits.target:
         status = TuningStatus.TARGET
-    elif found.point.settled:
+    elif descent.point.settled:
         status = TuningStatus.CONVERGED
-    return _result(status, found.point, 0.0 if found.point.settled else np.inf, count, steps)
+    return _result(status, descent.point, 0.0 if descent.point.settled else np.inf, count, steps)
 
 
 def tune_from(
@@ -159,8 +159,8 @@ def only_point(problem: Problem, x: FloatArray | None = None) -> StartResult:
 
 
 def _result(status: TuningStatus, point: Point, stationarity: float, evaluations: int, steps: int) -> StartResult:
-    found = point.found
-    return StartResult(status, point.x, point.soft, point.hard, found.abscissa, stationarity, evaluations, steps)
+    evaluation = point.found
+    return StartResult(status, point.x, point.soft, point.hard, evaluation.abscissa, stationarity, evaluations, steps)
 
 
 class _Run:
@@ -198,23 +198,23 @@ class _Run:
             if time.monotonic() > limits.deadline:
                 return TuningStatus.OUT_OF_TIME
             left = max(limits.iterations - self.steps, 1)
-            found = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
-            self.stationarity = found.stationarity
-            self._take(point_at(self._problem, found.x))
-            self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
+            result = minimise(self._oracle, self.point.x, replace(limits, iterations=left), self._rng)
+            self.stationarity = result.stationarity
+            self._take(point_at(self._problem, result.x))
+            self.evaluations, self.steps = self.evaluations + result.evaluations, self.steps + result.iterations
             if self._settled():
                 return TuningStatus.CONVERGED
             if self._at_limit():
                 return TuningStatus.UNBOUNDED
-            if found.status in ENDS or self.steps >= limits.iterations:
+            if result.status in ENDS or self.steps >= limits.iterations:
                 break
             confirmed = self._confirmed()
             if confirmed or time.monotonic() > limits.deadline:
                 break
-        if found.status is TuningStatus.TARGET and self._limits.target < limits.target:
+        if result.status is TuningStatus.TARGET and self._limits.target < limits.target:
             return TuningStatus.ITERATIONS
         late = time.monotonic() > limits.deadline
-        return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
+        return _status(result, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
 
     def _settled(self) -> bool:
         """A point with nothing left to lower, whose stationarity is then zero."""
@@ -272,10 +272,10 @@ class _Run:
             source = GridSource(self._problem, self._rng, self._limits.deadline)
             x = lower_point(source, self.point)
             self.evaluations += source.evaluations
-            found = self._with_more_gain() if x is None else point_at(self._problem, x)
-            if found is None:
+            confirming = self._with_more_gain() if x is None else point_at(self._problem, x)
+            if confirming is None:
                 return time.monotonic() <= self._limits.deadline
-            other = found
+            other = confirming
         self.point = other
         return False
 
@@ -283,10 +283,10 @@ class _Run:
         """A point visibly better that a descent from a larger gain leads to, or None."""
         limits = self._limits
         for x in gain_moves(self._problem, self.point.x):
-            found, used = descended(self._problem, x, CONFIRMING_EVALUATIONS, limits.deadline, limits.target)
+            reached, used = descended(self._problem, x, CONFIRMING_EVALUATIONS, limits.deadline, limits.target)
             self.evaluations += used
-            if found.better_than(self.point, VISIBLE):
-                return found
+            if reached.better_than(self.point, VISIBLE):
+                return reached
             if time.monotonic() > limits.deadline:
                 break
         return None
@@ -300,16 +300,16 @@ def unstable(stable: BundleResult, steps: int) -> StartResult:
     )
 
 
-def _status(found: BundleResult, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
-    if found.status in CUT:
-        return found.status
+def _status(result: BundleResult, point: Point, confirmed: bool, moved: bool, late: bool) -> TuningStatus:
+    if result.status in CUT:
+        return result.status
     if late and not confirmed:
         return TuningStatus.OUT_OF_TIME
     if not point.feasible:
         return TuningStatus.INFEASIBLE
-    if found.status is TuningStatus.TARGET or (found.status is TuningStatus.CONVERGED and confirmed):
-        return found.status
-    return TuningStatus.ITERATIONS if moved and found.status is TuningStatus.ITERATIONS else TuningStatus.STALLED
+    if result.status is TuningStatus.TARGET or (result.status is TuningStatus.CONVERGED and confirmed):
+        return result.status
+    return TuningStatus.ITERATIONS if moved and result.status is TuningStatus.ITERATIONS else TuningStatus.STALLED
 
 
 def stabilise(
@@ -326,17 +326,17 @@ def stabilise(
         return OracleResult(value, -np.inf, tuple(pieces))
 
     target = min(-0.1 * worst, -2.0 * problem.min_decay)
-    own = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
+    stabilising = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
     if np.isfinite(worst):
-        found = minimise(oracle, x0, own, rng)
+        bundle = minimise(oracle, x0, stabilising, rng)
     else:  # the loop has no solution there, and no slope
-        found = BundleResult(x0, OracleResult(worst, -np.inf, ()), TuningStatus.NOT_STABILISED, np.inf, 0, 1)
-    if not problem.stable(found.x) and found.status not in CUT:
+        bundle = BundleResult(x0, OracleResult(worst, -np.inf, ()), TuningStatus.NOT_STABILISED, np.inf, 0, 1)
+    if not problem.stable(bundle.x) and bundle.status not in CUT:
         lowered = lowered_gain(problem, x0)
         if lowered is not None:
             result = OracleResult(problem.abscissa(lowered), -np.inf, ())
-            return BundleResult(lowered, result, TuningStatus.TARGET, 0.0, 0, found.evaluations), found.iterations
-    return found, found.iterations
+            return BundleResult(lowered, result, TuningStatus.TARGET, 0.0, 0, bundle.evaluations), bundle.iterations
+    return bundle, bundle.iterations
 
 
 def _oracle_result(problem: Problem, evaluation: Evaluation) -> OracleResult:

@@ -77,41 +77,45 @@ class SmoothObjective:
         self,
         problem: Problem,
         x: FloatArray,
-        found: Evaluation,
+        evaluation: Evaluation,
         extra: tuple[FloatArray, ...] | None = None,
         *,
         thin: bool = False,
         near_limit: bool = False,
     ) -> None:
         self._problem = problem
-        self.limit_watch = LimitWatch(problem, found, near_limit)
+        self.limit_watch = LimitWatch(problem, evaluation, near_limit)
         self.power = 40.0
         self.evaluations = 0
         self._last: tuple[FloatArray, tuple[float, float]] | None = None
         self._multiplier, self._penalty, self._restoring, self._offset = 0.0, PENALTY, False, 0.0
-        self._ceiling = float(np.log(max(worst_values(problem, found)[1], 1.0))) + HARD_MARGIN
+        self._ceiling = float(np.log(max(worst_values(problem, evaluation)[1], 1.0))) + HARD_MARGIN
         K = problem.structure.gain_matrix(x)
         self._has_poles = any(i not in problem.gain_numbers for i in range(len(problem.requirements)))
         self._hinf = tuple(range(len(problem.hinf)))
         self._h2 = tuple(range(len(problem.hinf), len(problem.gain_numbers)))
         self.extra: list[FloatArray] = []
-        self._grids = [self._grid(k, found, extra[k] if extra else np.zeros(0)) for k in range(len(problem.models))]
-        self._h2_models = [0] if same_h2(problem, found) else list(range(len(self._grids)))
+        self._grids = [
+            self._grid(k, evaluation, extra[k] if extra else np.zeros(0)) for k in range(len(problem.models))
+        ]
+        self._h2_models = [0] if same_h2(problem, evaluation) else list(range(len(self._grids)))
         if thin:
             self._grids = [self._thinned(k, K) for k in range(len(self._grids))]
         for k in self._h2_models:
             _, norms = self._grids[k].gains(K)
             for i, norm in norms.items():
-                exact = found.values[problem.gain_numbers[i], k]
+                exact = evaluation.values[problem.gain_numbers[i], k]
                 self._grids[k].calibration[i] = float(exact / norm) if norm > 0.0 else 1.0
-        limits = [float(p.real.max(initial=-np.inf)) + problem.min_decay for p in found.poles]
+        limits = [float(p.real.max(initial=-np.inf)) + problem.min_decay for p in evaluation.poles]
         self._limits = [APPROACH * limit - problem.min_decay for limit in limits]
         self._reference = [None if self._small(k) else grid.return_determinant(K) for k, grid in enumerate(self._grids)]
 
-    def _grid(self, k: int, found: Evaluation, more: FloatArray) -> GridGains:
+    def _grid(self, k: int, evaluation: Evaluation, more: FloatArray) -> GridGains:
         loop = self._problem.gains[k]
-        peaks = np.unique(found.peak_frequencies[list(self._problem.hinf), k]) if self._problem.hinf else np.zeros(0)
-        extra = np.concatenate([unresolved(loop.grid.omega, found.poles[k]), peaks[np.isfinite(peaks)], more])
+        peaks = (
+            np.unique(evaluation.peak_frequencies[list(self._problem.hinf), k]) if self._problem.hinf else np.zeros(0)
+        )
+        extra = np.concatenate([unresolved(loop.grid.omega, evaluation.poles[k]), peaks[np.isfinite(peaks)], more])
         extra = np.setdiff1d(extra, loop.grid.omega)
         self.extra.append(extra)
         arrays = loop.grid.merged(loop.plant.arrays(extra)) if len(extra) else loop.grid
@@ -265,9 +269,9 @@ class SmoothObjective:
         gradients: list[FloatArray] = []
         hard: list[BoolArray] = []
         for e in entries:
-            own = self._problem.requirements[e.requirement].hard
-            level = float(np.log(HARD_TARGET)) if own else 0.0
-            least = (level if own else soft) + LEAST_NEAR
+            is_limit = self._problem.requirements[e.requirement].hard
+            level = float(np.log(HARD_TARGET)) if is_limit else 0.0
+            least = (level if is_limit else soft) + LEAST_NEAR
             logs = np.log(np.maximum(e.values, 1e-300))
             index = np.flatnonzero(logs > least)
             index = index[np.argsort(-logs[index], kind="stable")[:MAX_NEAR]]
@@ -285,7 +289,7 @@ class SmoothObjective:
                     s, G = s[kept], slopes[kept].reshape(-1, K.size) @ J
             values.append(np.log(np.maximum(s, 1e-300)) - level)
             gradients.append(G / s[:, None])
-            hard.append(np.full(len(s), own))
+            hard.append(np.full(len(s), is_limit))
         return np.concatenate(values), np.concatenate(gradients), np.concatenate(hard)
 
     def gauss_newton(self, x: FloatArray) -> FloatArray:
@@ -294,8 +298,10 @@ class SmoothObjective:
         K = structure.gain_matrix(x)
         J = jacobian(structure, x)
         total = self._gauss_newton(x, K, self._entries(x, K, np.inf), J)
-        own = RIDGE * np.diag(total) + max(RIDGE**3 * float(np.diag(total).max()), 1e-200)
-        return np.asarray(total + np.diag(own) + PROPORTION * (J.T / gain_sizes(K, structure.order).ravel() ** 2) @ J)
+        diagonal = RIDGE * np.diag(total) + max(RIDGE**3 * float(np.diag(total).max()), 1e-200)
+        return np.asarray(
+            total + np.diag(diagonal) + PROPORTION * (J.T / gain_sizes(K, structure.order).ravel() ** 2) @ J
+        )
 
     def metric(self, x: FloatArray, floor: float = EIGENVALUE_FLOOR) -> Metric:
         """Gauss-Newton metric at `x`: relative size of the change of all responses, weighted by their gains.
@@ -353,16 +359,16 @@ class SmoothObjective:
         p = self.power
         total: FloatArray = np.zeros((len(x), len(x)))
         for hard in (False, True):
-            own = [e for e in entries if self._problem.requirements[e.requirement].hard is hard]
-            if not own:
+            of_kind = [e for e in entries if self._problem.requirements[e.requirement].hard is hard]
+            if not of_kind:
                 continue
-            top = _log_of_largest(own)
+            top = _log_of_largest(of_kind)
             if top <= LEAST_LOG:
                 continue
-            weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in own]
+            weights = [np.exp(p * (np.log(np.maximum(e.values, 1e-300)) - top)) for e in of_kind]
             sum_of_weights = sum(float(w.sum()) for w in weights)
             mean, share = np.zeros(len(x)), 0.0
-            for e, w in zip(own, weights):
+            for e, w in zip(of_kind, weights):
                 index = np.argsort(-w)[:MAX_SLOPES]
                 index = index[w[index] > 1e-4 * sum_of_weights]
                 if len(index) == 0:
@@ -390,9 +396,9 @@ def _log_of_largest(entries: Sequence[_Entry]) -> float:
     return max([LEAST_LOG, *(float(np.log(max(float(e.values.max()), 1e-300))) for e in entries)])
 
 
-def same_h2(problem: Problem, found: Evaluation) -> bool:
+def same_h2(problem: Problem, evaluation: Evaluation) -> bool:
     """Whether every H2 norm is the same at all models."""
-    values = found.values[list(problem.h2)]
+    values = evaluation.values[list(problem.h2)]
     if values.size == 0:
         return True
     return bool(np.all(np.ptp(values, axis=1) <= SAME_H2 * np.abs(values).max(axis=1)))

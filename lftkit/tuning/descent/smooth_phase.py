@@ -131,9 +131,9 @@ class _Rounds:
         if self.left <= 0 or not self.point.soft > floor:
             return
         options = DescentOptions(self.left // PER_STEP, PROGRESS, floor, self._deadline, patience=1, retries=RETRIES)
-        found = descend(self.source, self.point.x, options, lambda _, p: self._report(p, self.source.evaluations))
-        if found.point.better_than(self.point):
-            self.point = found.point
+        descent = descend(self.source, self.point.x, options, lambda _, p: self._report(p, self.source.evaluations))
+        if descent.point.better_than(self.point):
+            self.point = descent.point
 
     def _restored(self, new: Point) -> Point:
         """A stable point that violates hard requirements, brought back to feasible ones if its soft value is lower."""

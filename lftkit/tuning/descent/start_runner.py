@@ -69,7 +69,7 @@ class StartSearch:
 
 def run_starts(
     problem: Problem,
-    given: Sequence[Start],
+    first: Sequence[Start],
     batch: Callable[[int], Sequence[Start]],
     limits: DescentOptions,
     band: float,
@@ -82,7 +82,7 @@ def run_starts(
     Parameters
     ----------
     problem : Problem
-    given : sequence of Start
+    first : sequence of Start
     batch : callable
         The starts of a batch by its number; empty where there are none.
     limits : DescentOptions
@@ -96,7 +96,7 @@ def run_starts(
     """
     runner = _Runner(problem, limits, band, workers, progress)
     direct = ExactValue.suits(problem)
-    runner.run(direct_polish if direct and batch(0) else _full, given)
+    runner.run(direct_polish if direct and batch(0) else _full, first)
     for number in range(batches):
         starts = batch(number)
         if not starts or not runner.going_on or (direct and _vanished(runner)):
@@ -124,7 +124,7 @@ def run_starts(
 
 def run_given(
     problem: Problem,
-    given: Sequence[Start],
+    starts: Sequence[Start],
     work: Work,
     limits: DescentOptions,
     band: float,
@@ -133,7 +133,7 @@ def run_given(
 ) -> StartSearch:
     """The given starts alone, each by the work. The other parameters are those of :func:`run_starts`."""
     runner = _Runner(problem, limits, band, workers, progress)
-    runner.run(work, given)
+    runner.run(work, starts)
     return runner.found()
 
 
@@ -151,8 +151,8 @@ def run_first(
     """
     runner = _Runner(problem, limits, band, workers, progress)
     for begin in range(0, len(starts), PORTION):
-        own = starts[begin : begin + PORTION]
-        runner.run(direct_cycles, _carried(own, runner.run(direct_screen, own), CARRIED_OF_PORTION))
+        portion = starts[begin : begin + PORTION]
+        runner.run(direct_cycles, _carried(portion, runner.run(direct_screen, portion), CARRIED_OF_PORTION))
     return runner.found()
 
 
@@ -320,8 +320,8 @@ class _Runner:
                         results.append(result)
                     self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
         except KeyboardInterrupt:
-            found = results or [_interrupted(self._problem, starts[0])]
-            return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
+            all_results = results or [_interrupted(self._problem, starts[0])]
+            return [replace(min(all_results, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
         ends = [k for k, r in enumerate(results) if self._ended([r])]
         return results[: ends[0] + 1] if ends else results  # those that one process would have run
 

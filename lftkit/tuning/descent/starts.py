@@ -41,20 +41,20 @@ class Start:
         return problem.admitted(x if problem.bounds is None else problem.bounds.drawn(x, rng))
 
 
-def start_sizes(problem: Problem, given: Sequence[FloatArray], seed: int) -> FloatArray:
+def start_sizes(problem: Problem, points: Sequence[FloatArray], seed: int) -> FloatArray:
     """Magnitudes of the parameters of starts (size,), at least 1: the given ones and a random one of each size."""
     random = [start.parameters(problem) for start in random_starts(len(SIZES), seed, 0)]
-    return np.asarray(np.abs([*given, *random]).max(axis=0, initial=1.0))
+    return np.asarray(np.abs([*points, *random]).max(axis=0, initial=1.0))
 
 
 def given_starts(points: Sequence[FloatArray], seed: int) -> list[Start]:
     """Starts from given parameters."""
-    return [Start(own, x) for x, own in zip(points, _seeds(seed, 0, len(points)))]
+    return [Start(of_point, x) for x, of_point in zip(points, _seeds(seed, 0, len(points)))]
 
 
 def random_starts(count: int, seed: int, batch: int) -> list[Start]:
     """One batch of `count` random starts."""
-    return [Start(own, None, batch * count + k) for k, own in enumerate(_seeds(seed, 1 + batch, count))]
+    return [Start(of_start, None, batch * count + k) for k, of_start in enumerate(_seeds(seed, 1 + batch, count))]
 
 
 def _seeds(seed: int, stream: int, count: int) -> list[int]:

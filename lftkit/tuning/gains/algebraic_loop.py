@@ -45,8 +45,8 @@ def algebraic_values(D22: FloatArray, K: FloatArray) -> list[tuple[float, FloatA
     """
     if not D22.any():
         return []
-    found: Any = linalg.eig(np.eye(len(D22)) - D22 @ K, left=True, right=True, check_finite=False)
-    poles, left, right = found
+    solved: Any = linalg.eig(np.eye(len(D22)) - D22 @ K, left=True, right=True, check_finite=False)
+    poles, left, right = solved
     size = np.maximum(np.abs(poles), 1e-300)
     values = []
     for i in np.flatnonzero((LEAST / size > NEAR) & (poles.imag >= 0.0)):

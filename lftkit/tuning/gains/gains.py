@@ -98,7 +98,7 @@ class LoopGains:
         omega = np.concatenate([arrays.omega for arrays in sets])
         index = np.argsort(omega, kind="stable")
         omega = omega[index]
-        found: list[list[GainPeak]] = []
+        by_gain: list[list[GainPeak]] = []
         for i in which:
             parts = [gains_above(response[i], min(band, 0.5)) for response in responses]
             w, gains = self._split_high_cells(omega, np.concatenate(parts)[index], gain_matrix, order, i)
@@ -108,8 +108,8 @@ class LoopGains:
             if gradients:
                 also = _shoulders(gains, band * top, maxima)
                 at, value = np.concatenate([at, w[also]]), np.concatenate([value, gains[also]])
-            found.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
-        return found
+            by_gain.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
+        return by_gain
 
     def _split_high_cells(
         self, w: FloatArray, gains: FloatArray, K: FloatArray, order: int, i: int
@@ -172,13 +172,13 @@ def singular_slopes(
 
     Shapes (N, r, order + u) and (N, order + y, r).
     """
-    own = plant.controller(K, order, arrays.omega)
-    responses, S, M = plant.closed(arrays, own, (i,))
+    controller = plant.controller(K, order, arrays.omega)
+    responses, S, M = plant.closed(arrays, controller, (i,))
     s, U, V = leading_pairs(responses[i])
     P12, P21 = plant.sides(arrays, i, responses[i])
     row = solve(S.swapaxes(1, 2), (U.conj().swapaxes(1, 2) @ P12).swapaxes(1, 2))
     forward = P21 @ V
-    return s, own.rows(row.swapaxes(1, 2)), own.columns(forward + arrays.P22 @ (M @ forward))
+    return s, controller.rows(row.swapaxes(1, 2)), controller.columns(forward + arrays.P22 @ (M @ forward))
 
 
 def _local_maxima(gains: FloatArray, level: float) -> IntArray:

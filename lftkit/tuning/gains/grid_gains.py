@@ -95,8 +95,8 @@ class GridGains:
         """The closed loop with the gain matrix `K`; that of the last one is kept."""
         key = K.tobytes()
         if self._last is None or self._last[0] != key:
-            own = self.plant.controller(K, self.order, self.arrays.omega)
-            self._last = key, _Closed(own, *self.plant.closed(self.arrays, own, which))
+            controller = self.plant.controller(K, self.order, self.arrays.omega)
+            self._last = key, _Closed(controller, *self.plant.closed(self.arrays, controller, which))
         known = self._last[1]
         missing = tuple(i for i in which if i not in known.responses)
         if missing:

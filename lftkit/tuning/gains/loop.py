@@ -126,8 +126,8 @@ def spectrum(loop: ClosedLoopMatrices, *, derivatives: bool) -> LoopSpectrum:
 
 def eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Eigenvalues (n,), left and right eigenvectors of unit length (n, n) of a matrix (n, n)."""
-    found: Any = linalg.eig(A, left=True, right=True, check_finite=False)  # the stubs say two results
-    return cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
+    solved: Any = linalg.eig(A, left=True, right=True, check_finite=False)  # the stubs say two results
+    return cast("tuple[ComplexArray, ComplexArray, ComplexArray]", solved)
 
 
 def h2_value(loop: ClosedLoopMatrices, need_gradient: bool) -> tuple[float, FloatArray | None]:

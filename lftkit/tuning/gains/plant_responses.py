@@ -159,11 +159,11 @@ class PlantResponses:
 
     def controller(self, K: FloatArray, order: int, omega: FloatArray) -> ControllerFactors:
         """The controller with its delay, as the plant after its pre-feedback sees it."""
-        own = controller_at(K, order, omega)
+        factors = controller_at(K, order, omega)
         if not self._delay:
-            return replace(own, response=own.response - self._F) if self._F.any() else own
+            return replace(factors, response=factors.response - self._F) if self._F.any() else factors
         turn = np.exp(-1j * np.where(np.isfinite(omega), omega, 0.0) * self._delay)[:, None, None]
-        return replace(own, response=own.response * turn - self._F, turn=turn)
+        return replace(factors, response=factors.response * turn - self._F, turn=turn)
 
     def closed(
         self, arrays: Arrays, K: ControllerFactors, which: tuple[int, ...]

@@ -62,8 +62,8 @@ def _promising(
     A: FloatArray, B2: FloatArray, C2: FloatArray, tried: list[FloatArray], scale: float
 ) -> list[FloatArray]:
     """The matrices F that damp the poles most as far as the first derivatives of the poles say."""
-    found: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
-    poles, left, right = found
+    solved: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
+    poles, left, right = solved
     product = np.sum(left.conj() * right, axis=0)
     rows = (left.conj() / np.where(np.abs(product) < LEAST_PRODUCT, LEAST_PRODUCT, product)).T @ B2
     size, moved = np.maximum(np.abs(poles), 1e-6 * scale), []

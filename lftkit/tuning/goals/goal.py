@@ -49,10 +49,10 @@ def resolved_build(
     example: Mapping[str, float],
 ) -> tuple[Callable[[Mapping[str, float]], System], tuple[TuningRequirement, ...]]:
     """As :func:`resolved` for models that are built from parameter values, `example` being some."""
-    own = tuple(goal for goal in goals if isinstance(goal, Goal))
-    if not own:
+    of_kind = tuple(goal for goal in goals if isinstance(goal, Goal))
+    if not of_kind:
         return build, tuple(goal for goal in goals if not isinstance(goal, Goal))
-    return PreparedBuild(build, own), resolved([build(example)], goals)[1]
+    return PreparedBuild(build, of_kind), resolved([build(example)], goals)[1]
 
 
 @dataclass(frozen=True)

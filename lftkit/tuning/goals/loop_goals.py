@@ -57,8 +57,8 @@ class _AtLoop:
     def _size(self, model: System) -> int:
         return len(model.input_indices(self._ports("added")))
 
-    def _name(self, given: str) -> str:
-        return given or f"{type(self).__name__} {'+'.join(self.location)}"
+    def _name(self, name: str) -> str:
+        return name or f"{type(self).__name__} {'+'.join(self.location)}"
 
 
 @checked
@@ -263,15 +263,15 @@ def _opened(model: System, name: str) -> System:
     B: FloatArray
     D: FloatArray
     C_own: FloatArray
-    own: FloatArray
+    unit: FloatArray
     if name in commands:
         columns = model.input_indices([name])
         size = len(columns)
-        own = np.eye(model.D.shape[1])[columns]
+        unit = np.eye(model.D.shape[1])[columns]
         B, D, C_own = model.B[:, columns], model.D[:, columns], np.zeros((size, model.order))
     else:
         rows = model.output_indices([name])
-        size, own, C_own = len(rows), model.D[rows], model.C[rows]
+        size, unit, C_own = len(rows), model.D[rows], model.C[rows]
         B, D = np.zeros((model.order, size)), np.eye(len(model.D))[:, rows]
     wide = System(
         model.A,
@@ -284,5 +284,5 @@ def _opened(model: System, name: str) -> System:
         dt=model.dt,
     )
     for kind, share in (("applied", 1.0), ("returned", 0.0), ("middle", 0.5)):
-        wide = with_output(wide, f"{name}.{kind}", C_own, np.hstack([own, share * np.eye(size)]))
+        wide = with_output(wide, f"{name}.{kind}", C_own, np.hstack([unit, share * np.eye(size)]))
     return wide

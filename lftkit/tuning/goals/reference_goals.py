@@ -45,8 +45,8 @@ class _FromReference:
     def _error(self) -> str:
         return f"{self.output}-{self.reference}"
 
-    def _name(self, given: str) -> str:
-        return given or f"{type(self).__name__} {self.reference} -> {self.output}"
+    def _name(self, name: str) -> str:
+        return name or f"{type(self).__name__} {self.reference} -> {self.output}"
 
 
 @checked

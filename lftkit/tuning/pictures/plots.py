@@ -83,15 +83,15 @@ def plot_goals(
     >>> figure.axes[0].get_title()
     'Sensitivity u: 0.5'
     """
-    given = [models] if isinstance(models, System) else list(models)
+    all_models = [models] if isinstance(models, System) else list(models)
     if not goals:
         raise InputError("expected at least one goal, got none")
-    ready, needs = resolved(given, goals)
+    ready, needs = resolved(all_models, goals)
     K = delayed_controller(controller, loop_delay)
     certificate = certify(ready, controller, needs, loop_delay)
     if not certificate.stable:
         raise InputError(f"{controller.name}: controller must make every loop stable, got an unstable one")
-    panels = [(goal, r) for goal in goals for r in resolved(given, [goal])[1]]
+    panels = [(goal, r) for goal in goals for r in resolved(all_models, [goal])[1]]
     rows = -(-len(panels) // COLUMNS)
     figure = Figure(figsize=(4.2 * min(len(panels), COLUMNS), 3.2 * rows), layout="constrained")
     for number, (goal, r) in enumerate(panels):
@@ -151,25 +151,25 @@ def _curves(r: HinfGain, loops: Sequence[System], w: FloatArray) -> tuple[FloatA
     responses = [T if into is None else T @ into for T in responses]
     responses = [T if out is None else out @ T for T in responses]
     if isinstance(r, SectorGain):
-        found = np.array([largest_gains(r.indexed(T / r.bound, w)) for T in responses])
-        return found, np.ones(len(w)), "index of the sector"
+        indices = np.array([largest_gains(r.indexed(T / r.bound, w)) for T in responses])
+        return indices, np.ones(len(w)), "index of the sector"
     return np.array([largest_gains(T) for T in responses]), np.full(len(w), r.bound), "weighted gain"
 
 
 def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:
     dt = models[0].dt
     matrices = [K.A] if isinstance(r, ControllerPoles) else [close_loop(m, K, (), ()).A for m in models]
-    found: ComplexArray = np.concatenate([linalg.eigvals(A) for A in matrices])
+    poles: ComplexArray = np.concatenate([linalg.eigvals(A) for A in matrices])
     if dt:
-        found = rates(found, dt)
-    size = np.abs(found[np.abs(found) > 0.0])
+        poles = rates(poles, dt)
+    size = np.abs(poles[np.abs(poles) > 0.0])
     reach = MARGIN * max(
         float(size.max(initial=1.0)), r.min_decay, r.max_frequency if np.isfinite(r.max_frequency) else 0
     )
     least = 0.3 * min([float(size.min(initial=1.0)), *([r.min_decay] if r.min_decay else [])])
     axes.set_xscale("symlog", linthresh=least)
     axes.set_yscale("symlog", linthresh=least)
-    right = max(least, float(found.real.max(initial=0.0)) * 2.0)
+    right = max(least, float(poles.real.max(initial=0.0)) * 2.0)
     edges: list[tuple[FloatArray, FloatArray]] = [(np.zeros(2), np.array([-reach, reach]))]
     radii: FloatArray = np.asarray(np.geomspace(1e-3 * least, reach, 200))
     if r.min_decay:
@@ -184,7 +184,7 @@ def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:
     for real, imaginary in edges[1:]:
         axes.plot(real, imaginary, color=LIMIT, linestyle="--", linewidth=1.2)
     axes.axvspan(-r.min_decay, right, color=REFUSED, zorder=0, linewidth=0)
-    axes.scatter(found.real, found.imag, marker="x", color=RESULT, s=24, zorder=3)
+    axes.scatter(poles.real, poles.imag, marker="x", color=RESULT, s=24, zorder=3)
     axes.set(xlim=(-reach, right), ylim=(-reach, reach), xlabel="real part [rad/s]", ylabel="imaginary part [rad/s]")
 
 
@@ -204,8 +204,8 @@ def _steps(axes: Axes, goal: StepTracking, models: Sequence[System], K: System) 
 def _frequencies(systems: Sequence[System], r: HinfGain, decades: float = DECADES) -> FloatArray:
     """Grid about the poles of systems, the first one of the loops, and the edges of the band."""
     dt = systems[0].dt
-    found = [rates(x.poles(), x.dt) if x.dt else x.poles() for x in systems]
-    poles: ComplexArray = np.concatenate([np.zeros(0, dtype=complex), *found])
+    of_systems = [rates(x.poles(), x.dt) if x.dt else x.poles() for x in systems]
+    poles: ComplexArray = np.concatenate([np.zeros(0, dtype=complex), *of_systems])
     least, most = pole_range(poles)
     edges = [1.0, *(w for w in r.band if 0.0 < w < np.inf)]
     low, high = min(least, *edges) / MARGIN, max(most, *edges) * MARGIN

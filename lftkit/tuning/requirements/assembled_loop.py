@@ -68,8 +68,8 @@ class AssembledLoop:
         return self._rates(self._plain)
 
     def _rates(self, system: System) -> ComplexArray:
-        found = np.asarray(scipy.linalg.eigvals(system.A), dtype=complex)
-        return rates(found, self.dt) if self.dt else found
+        poles = np.asarray(scipy.linalg.eigvals(system.A), dtype=complex)
+        return rates(poles, self.dt) if self.dt else poles
 
 
 def delayed_controller(controller: System, loop_delay: float) -> System:

@@ -63,10 +63,10 @@ class Gain(TuningRequirement):
             needed = len(model.input_indices(ports) if inner else model.output_indices(ports))
             if weight is None:
                 continue
-            found, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
-            if found != needed:
+            size, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
+            if size != needed:
                 raise InputError(
-                    f"{self.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {found}"
+                    f"{self.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {size}"
                 )
 
     def held(self: G, level: float) -> G:
@@ -94,12 +94,12 @@ class Gain(TuningRequirement):
             A weight whose inner side does not fit the ports.
         """
         self.check(loop.model)
-        own = self.sampled(loop.dt)
-        system = close_loop(loop.model, loop.controller, own.inputs, own.outputs)
-        if own.weight_in is not None:
-            system = cascade(own.weight_in, system)
-        if own.weight_out is not None:
-            system = cascade(system, own.weight_out)
+        sampled = self.sampled(loop.dt)
+        system = close_loop(loop.model, loop.controller, sampled.inputs, sampled.outputs)
+        if sampled.weight_in is not None:
+            system = cascade(sampled.weight_in, system)
+        if sampled.weight_out is not None:
+            system = cascade(system, sampled.weight_out)
         return system
 
     def _weights_on_image(self, model: System) -> dict[str, Any]:
@@ -199,8 +199,8 @@ class H2Gain(Gain):
         unlagged = replace(self, **changes)
         lag = transfer([1.0], [0.5 * model.dt, 1.0], len(model.input_indices(self.inputs)))
         changes["weight_in"] = lag if changes["weight_in"] is None else cascade(changes["weight_in"], lag)
-        given = {f.name: getattr(self, f.name) for f in fields(self)} | changes
-        return SampledH2Gain(**given, unlagged=unlagged, period=float(model.dt))
+        values = {f.name: getattr(self, f.name) for f in fields(self)} | changes
+        return SampledH2Gain(**values, unlagged=unlagged, period=float(model.dt))
 
     def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
         """Norm of the weighted loop; samples of white noise of unit density have the variance 1 / T."""

@@ -62,8 +62,8 @@ class ControllerBlock:
     @property
     def shape(self) -> tuple[int, int]:
         """Of the gain matrix."""
-        own = self.measurements
-        columns = own.stop - own.start if isinstance(own, slice) else len(own)
+        places = self.measurements
+        columns = places.stop - places.start if isinstance(places, slice) else len(places)
         return self.order + self.commands.stop - self.commands.start, self.order + columns
 
 
@@ -155,8 +155,8 @@ class BlockResponse:
     def __init__(self, M: FloatArray, order: int, factors: BlockFactors) -> None:
         self._M, self._n, self._factors = M, order, factors
         shifted = factors.variable[:, None, None] * np.eye(order) - M[:order, :order]
-        given = np.broadcast_to(np.eye(order), (len(shifted), order, order)).astype(complex)
-        self._inverse = solve(shifted.astype(complex), given) if order else given
+        identity = np.broadcast_to(np.eye(order), (len(shifted), order, order)).astype(complex)
+        self._inverse = solve(shifted.astype(complex), identity) if order else identity
 
     @cached_property
     def _observed(self) -> ComplexArray:
@@ -205,7 +205,8 @@ class ControllerResponse:
     ) -> None:
         self.blocks, self.measurements = tuple(blocks), measurements
         self.parts = tuple(
-            BlockResponse(M, block.order, own) for block, M, own in zip(blocks, gain_matrices(blocks, x), factors)
+            BlockResponse(M, block.order, of_block)
+            for block, M, of_block in zip(blocks, gain_matrices(blocks, x), factors)
         )
 
     def compute(self, active: Iterable[int]) -> None:
@@ -272,8 +273,8 @@ def active_commands(blocks: Sequence[ControllerBlock], active: Sequence[int]) ->
     """The commands of some blocks."""
     numbers, of_block, at = [], {}, 0
     for b in active:
-        own = np.arange(blocks[b].commands.start, blocks[b].commands.stop)
-        numbers.append(own)
-        of_block[b] = slice(at, at + len(own))
-        at += len(own)
+        rows_of_block = np.arange(blocks[b].commands.start, blocks[b].commands.stop)
+        numbers.append(rows_of_block)
+        of_block[b] = slice(at, at + len(rows_of_block))
+        at += len(rows_of_block)
     return ActiveCommands(np.concatenate(numbers), of_block)

@@ -62,8 +62,8 @@ def gram_sum(
             GR = right[j] @ right[i].conj().swapaxes(1, 2)
             (n, a, b), (_, d, c) = GL.shape, GR.shape
             product = np.real(GL.reshape(n, -1).T @ GR.reshape(n, -1)).reshape(a, b, d, c)
-            own = product.transpose(0, 3, 1, 2).reshape(a * c, b * d)
-            H[offsets[i] : offsets[i + 1], offsets[j] : offsets[j + 1]] = own
+            of_pair = product.transpose(0, 3, 1, 2).reshape(a * c, b * d)
+            H[offsets[i] : offsets[i + 1], offsets[j] : offsets[j + 1]] = of_pair
             if j > i:
-                H[offsets[j] : offsets[j + 1], offsets[i] : offsets[i + 1]] = own.T
+                H[offsets[j] : offsets[j + 1], offsets[i] : offsets[i + 1]] = of_pair.T
     return H

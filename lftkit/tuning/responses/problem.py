@@ -163,7 +163,7 @@ class ResponseProblem:
     def controllers(self, x: FloatArray, pairs: IntArray) -> tuple[ControllerResponse, IntArray]:
         """Responses of the controllers at the different frequencies of some pairs, and each pair's index among them."""
         at, positions = np.unique(self._index[pairs], return_inverse=True)
-        factors = [own.chosen(at) for own in self._factors]
+        factors = [one.chosen(at) for one in self._factors]
         return ControllerResponse(self.blocks, x, factors, self.samples.measurements), positions
 
     def at(self, pairs: IntArray) -> ResponseProblem:
@@ -177,22 +177,22 @@ class ResponseProblem:
         asked = sorted({b for active in loops for b in active})
         response.compute(asked)
         joint = active_commands(self.blocks, asked)
-        found = np.zeros((len(self.gains), count))
+        values = np.zeros((len(self.gains), count))
 
         def fill(begin: int) -> None:
-            own = slice(begin, begin + CHUNK)
-            samples = self.samples.chosen(own)
-            KP = response.matrix(asked, positions[own]) @ samples.response[:, : samples.measurements]
+            chunk = slice(begin, begin + CHUNK)
+            samples = self.samples.chosen(chunk)
+            KP = response.matrix(asked, positions[chunk]) @ samples.response[:, : samples.measurements]
             for active, rows in loops.items():
                 closed = close_with(samples, KP[:, joint.rows(active)], rows)
                 for g, gain in enumerate(self.gains):
                     if gain.active == active:
-                        counts = np.flatnonzero(self.scales[g, own])
+                        counts = np.flatnonzero(self.scales[g, chunk])
                         gains = largest_gains(closed.part(gain)[counts])
-                        found[g, begin + counts] = gains * self.scales[g, own][counts]
+                        values[g, begin + counts] = gains * self.scales[g, chunk][counts]
 
         self._each(fill, range(0, count, CHUNK))
-        return found
+        return values
 
     def _each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Results of a function for the items, in several threads: its work is in the linear algebra."""
@@ -211,10 +211,10 @@ class ResponseProblem:
         owners: list[IntArray] = []
         parts = [(int(g), entries[entries[:, 0] == g, 1]) for g in np.unique(entries[:, 0])]
         chunks = [(g, pairs[k : k + CHUNK]) for g, pairs in parts for k in range(0, len(pairs), CHUNK)]
-        for (g, _), found in zip(chunks, self._each(lambda chunk: self._planes(x, *chunk), chunks)):
-            values.append(found[0])
-            gradients.append(found[1])
-            owners.append(np.full(len(found[0]), g))
+        for (g, _), planes in zip(chunks, self._each(lambda chunk: self._planes(x, *chunk), chunks)):
+            values.append(planes[0])
+            gradients.append(planes[1])
+            owners.append(np.full(len(planes[0]), g))
         return np.concatenate(values), np.vstack(gradients), np.concatenate(owners)
 
     def _planes(self, x: FloatArray, g: int, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -244,12 +244,12 @@ class ResponseProblem:
 
     def noise_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Scaled noise and its gradients, shapes (noises,) and (noises, parameters)."""
-        found = self._noise(x, True)
+        noises = self._noise(x, True)
         size = len(self.free)
-        return np.array([v for v, _ in found]), np.array([g for _, g in found]).reshape(len(found), size)
+        return np.array([v for v, _ in noises]), np.array([g for _, g in noises]).reshape(len(noises), size)
 
     def _noise(self, x: FloatArray, slope: bool) -> list[tuple[float, FloatArray]]:
-        found = []
+        rows = []
         for n, noise in enumerate(self.noises):
             response, _, closed, K = self._noise_loop(x, n)
             L, Kn = closed.Peu @ closed.S, K * noise.density[:, None, :]
@@ -263,8 +263,8 @@ class ResponseProblem:
                 gradient = _matrix_chain(response, noise.active, inner) / (value * noise.limit)
             elif slope:
                 gradient = np.zeros(len(x))
-            found.append((value / noise.limit, gradient))
-        return found
+            rows.append((value / noise.limit, gradient))
+        return rows
 
     def _noise_loop(self, x: FloatArray, n: int) -> tuple[ControllerResponse, IntArray, Closed, ComplexArray]:
         noise = self.noises[n]
@@ -312,20 +312,20 @@ class ResponseProblem:
 
         Shape (2, pairs): their weights, and factors of the squares.
         """
-        found: list[tuple[ResponseGain, FloatArray]] = []
+        weights: list[tuple[ResponseGain, FloatArray]] = []
         for g, gain in enumerate(self.gains):
             near = values[g] > 0.5 * top
             if gain.outputs is not None or not near.any():
                 continue
-            same = (each for first, each in found if (first.active, first.inputs) == (gain.active, gain.inputs))
+            same = (each for first, each in weights if (first.active, first.inputs) == (gain.active, gain.inputs))
             each = next(same, None)
             if each is None:
                 each = np.zeros((2, len(near)))
-                found.append((gain, each))
+                weights.append((gain, each))
             weight = np.exp(sharpness * (values[g, near] / top - 1.0))
             each[0, near] += weight
             each[1, near] += weight * (self.scales[g, near] / values[g, near]) ** 2
-        return found
+        return weights
 
     def _active(self) -> dict[tuple[int, ...], ActiveCommands]:
         """The loops that are asked for, with their commands."""
@@ -339,7 +339,7 @@ def _matrix_chain(response: ControllerResponse, active: tuple[int, ...], inner: 
         if b not in active:
             out.append(np.zeros(block.shape[0] * block.shape[1]))
             continue
-        own = inner[:, rows_of[b], block.measurements]
-        whole = part.left.conj().swapaxes(1, 2) @ own @ part.right.conj().swapaxes(1, 2)
+        middle = inner[:, rows_of[b], block.measurements]
+        whole = part.left.conj().swapaxes(1, 2) @ middle @ part.right.conj().swapaxes(1, 2)
         out.append(np.real(whole.sum(axis=0)).ravel())
     return np.concatenate(out)

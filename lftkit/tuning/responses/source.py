@@ -116,8 +116,8 @@ class ResponseSource:
         other.note(other.look(x), look.merit[1])
         for _ in range(OTHER_METRIC):
             working = PairsWorkingSet(self.problem.at(other._pairs), self.stable, plain=True)
-            found = prox_linear(working, x, weight=weight)
-            x, weight = found.x, found.weight
+            trial = prox_linear(working, x, weight=weight)
+            x, weight = trial.x, trial.weight
             yield x
         rng, sizes = np.random.default_rng(len(x)), entry_sizes(self.problem.blocks, look.x) * self.problem.free
         for _ in range(RANDOM_DIRECTIONS):
@@ -190,8 +190,8 @@ class PairsModel:
         values, gradients, owners = problem.slopes(self._x, entries[order])
         lift = np.where(problem.hard[owners], self._lift, 1.0)
         f = np.concatenate([values * lift, _lifted_noise(problem, self._noise, self._lift)])
-        own = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
-        G = np.vstack([own, self._noise_gradients / np.maximum(self._noise, 1e-300)[:, None]])
+        scaled = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
+        G = np.vstack([scaled, self._noise_gradients / np.maximum(self._noise, 1e-300)[:, None]])
         return np.log(np.maximum(f, 1e-12)), G[:, problem.free]
 
     @property
@@ -226,8 +226,8 @@ class PairsModel:
         raw, current = self._problem.values(x), float(self.values.max())
         self._working.known = x, raw
         noise = _lifted_noise(self._problem, self._problem.noise(x), self._lift)
-        found = np.concatenate([_lifted(self._problem, raw, self._lift).ravel(), noise])
-        value = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
+        lifted = np.concatenate([_lifted(self._problem, raw, self._lift).ravel(), noise])
+        value = float(np.log(lifted.max())) if np.isfinite(lifted).all() else np.inf
         self.reached = x, (0.0, value)
         admitted = value < current - ACCEPTED * predicted and self._working.stable(x)
         return current - value if admitted else -np.inf
@@ -237,8 +237,8 @@ def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> Meri
     """Largest value, hard ones lifted; where soft ones are minimised, hard ones above 1 are a violation."""
     if problem.least_level:
         lift = _lift(problem, raw, noise)
-        found = float(_lifted(problem, raw, lift).max())
-        return 0.0, max(found, float(_lifted_noise(problem, noise, lift).max(initial=0.0)))
+        largest = float(_lifted(problem, raw, lift).max())
+        return 0.0, max(largest, float(_lifted_noise(problem, noise, lift).max(initial=0.0)))
     hard = _hard(problem, raw, noise)
     return 0.0 if hard <= 1.0 + FEASIBLE else hard, soft_level(problem, raw, noise)
 

@@ -135,16 +135,16 @@ def tune_robust(
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(parameters) for parameters in active] or [middle]
     ready, needs = resolved_build(build, requirements, chosen[0])
-    given = [start_checked(x, structure) for x in initial]
+    starting = [start_checked(x, structure) for x in initial]
     if options.tuning.lexicographic:
-        return _in_order(ready, box, needs, structure, loop_delay, options, chosen, given)
+        return _in_order(ready, box, needs, structure, loop_delay, options, chosen, starting)
     with one_thread(), Progress("robust design", options.tuning.progress) as progress:
-        design = _Design(ready, box, needs, structure, loop_delay, options, start_time, chosen, given, progress)
-        found = in_rounds(design, options.max_rounds, deadline=design.deadline)
-    advice = _advice(found.status, found.tuned, design.starts)
+        design = _Design(ready, box, needs, structure, loop_delay, options, start_time, chosen, starting, progress)
+        ended = in_rounds(design, options.max_rounds, deadline=design.deadline)
+    advice = _advice(ended.status, ended.tuned, design.starts)
     return replace(
-        found.tuned,
-        status=found.status,
+        ended.tuned,
+        status=ended.status,
         advice=advice,
         seconds=time.monotonic() - start_time,
         evaluations=design.evaluations,
@@ -164,7 +164,7 @@ def _in_order(
     loop_delay: float,
     whole: RobustOptions,
     active: Sequence[Mapping[str, float]],
-    given: Sequence[FloatArray],
+    starting: Sequence[FloatArray],
 ) -> TuningResult:
     """Level by level; the models that one level has made active remain so."""
     models = list(active)
@@ -177,13 +177,13 @@ def _in_order(
         options: TuningOptions,
     ) -> TuningResult:
         rounds = whole.max_rounds if structure.size else 1  # one controller is searched once
-        own = replace(whole, tuning=options, max_rounds=rounds)
-        common: Any = {"active": models, "loop_delay": loop_delay, "options": own}
-        found = tune_robust(build, box, requirements, structure, initial=initial, **common)
-        models[:] = found.active
-        return found
+        of_level = replace(whole, tuning=options, max_rounds=rounds)
+        common: Any = {"active": models, "loop_delay": loop_delay, "options": of_level}
+        result = tune_robust(build, box, requirements, structure, initial=initial, **common)
+        models[:] = result.active
+        return result
 
-    return tuned_in_order(run, requirements, structure, given, whole.tuning, whole.slack)
+    return tuned_in_order(run, requirements, structure, starting, whole.tuning, whole.slack)
 
 
 @dataclass
@@ -226,10 +226,10 @@ class _Design:
         first = not self.carried
         runs = sorted(self._first_round() if first else self._gone_on(), key=_rank)
         kept = [runs[0], *(run for run in runs[1:] if first and _another(run, runs[0]))][: self.options.carried]
-        found = [(self._worst(run, number), run) for run in kept[:1]]
-        found += [(self._worst(run, number), run) for run in kept[1:] if time.monotonic() < self.deadline]
-        found.sort(key=lambda pair: self._merit(pair[0]))
-        self.carried, self.searched = [run for _, run in found], [worst for worst, _ in found]
+        judged = [(self._worst(run, number), run) for run in kept[:1]]
+        judged += [(self._worst(run, number), run) for run in kept[1:] if time.monotonic() < self.deadline]
+        judged.sort(key=lambda pair: self._merit(pair[0]))
+        self.carried, self.searched = [run for _, run in judged], [worst for worst, _ in judged]
         return self.carried[0]
 
     def _gone_on(self) -> list[TuningResult]:
@@ -254,10 +254,10 @@ class _Design:
         self.problem.least = runs[0].lower_bound  # and so that of more models
         return runs
 
-    def _started(self, given: Sequence[FloatArray], options: TuningOptions) -> TuningResult:
+    def _started(self, starting: Sequence[FloatArray], options: TuningOptions) -> TuningResult:
         left = max(min(options.wall_limit, self.deadline - time.monotonic()), LEAST_SHARE)
         common: Any = {"loop_delay": self.loop_delay, "options": replace(options, wall_limit=left)}
-        return self._judged(tune(self.problem.models, self.requirements, self.structure, initial=given, **common))
+        return self._judged(tune(self.problem.models, self.requirements, self.structure, initial=starting, **common))
 
     def _again(self, tuning: TuningResult) -> TuningResult:
         """A tuning gone on with, on all models that are active, in its share of the time left."""
@@ -307,10 +307,10 @@ class _Design:
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:
         left, search = self.deadline - time.monotonic(), self.options.search
         effort = replace(search, seed=search.seed + number, wall_limit=max(1.0, min(search.wall_limit, left)))
-        found = worst_case(
+        cases = worst_case(
             self.build, self.box, tuning.controller, self.requirements, loop_delay=self.loop_delay, options=effort
         )
-        return tuple(self._or_active(w, tuning, i) for i, w in enumerate(found))
+        return tuple(self._or_active(w, tuning, i) for i, w in enumerate(cases))
 
     def _or_active(self, worst: WorstCase, tuning: TuningResult, i: int) -> WorstCase:
         """What a search found, or an active model that is worse: a search that the time ends may not come so far."""

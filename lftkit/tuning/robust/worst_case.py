@@ -168,7 +168,7 @@ class _Search:
             if np.isinf(table[-1][0]).any() or time.monotonic() > self._deadline:
                 break
         values = np.array([t[0] for t in table])
-        found = []
+        rows = []
         for i, r in enumerate(self._requirements):
             order = np.argsort(-values[:, i], kind="stable")
             best, omega, point = values[order[0], i], table[order[0]][1][i], points[order[0]]
@@ -180,8 +180,8 @@ class _Search:
                 if value > best:
                     best, omega, point = value, frequency, where
             others = self._runners_up(order, values[:, i], [t[1][i] for t in table], float(omega), points)
-            found.append(((r.name, float(best), self._parameters(point), float(omega), sampled), others))
-        cases = tuple(WorstCase(*f, self._count, others) for f, others in found)
+            rows.append(((r.name, float(best), self._parameters(point), float(omega), sampled), others))
+        cases = tuple(WorstCase(*f, self._count, others) for f, others in rows)
         return tuple(replace(w, omega=unwarped_frequency(w.omega, self._dt)) for w in cases) if self._dt else cases
 
     def _runners_up(

@@ -68,15 +68,15 @@ class Bounds:
 
     def pieces(self, x: FloatArray, requirement: int) -> list[Piece]:
         """Bounds near the parameters `x`, as pieces of a hard requirement that is met exactly at the bound."""
-        scales, found = self.scales, []
+        scales, pieces = self.scales, []
         for sign, distance in ((-1.0, x - self.lower), (1.0, self.upper - x)):
             for k in np.flatnonzero(distance <= NEAR_BOUND * scales):
                 gradient = np.zeros(len(x))
                 gradient[k] = sign / scales[k]
                 value = HARD_TARGET - float(distance[k]) / float(scales[k])
                 # pieces are told apart by frequency: one of its own for each parameter
-                found.append(Piece(value, gradient, True, requirement, 0, 2.0 ** float(k % 1000)))
-        return found
+                pieces.append(Piece(value, gradient, True, requirement, 0, 2.0 ** float(k % 1000)))
+        return pieces
 
 
 def bounds_of(structure: object) -> Bounds | None:
@@ -112,9 +112,9 @@ def bounds_by_name(names: Sequence[str], before: Bounds | None, limits: Mapping[
     """
     lower = np.full(len(names), -np.inf) if before is None else before.lower.copy()
     upper = np.full(len(names), np.inf) if before is None else before.upper.copy()
-    for name, given in limits.items():
+    for name, ends in limits.items():
         number = number_of(name, names)
-        low, high = (as_number(value, f"bound of {name}") for value in given)
+        low, high = (as_number(value, f"bound of {name}") for value in ends)
         if not low < high:
             raise InputError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
         lower[number], upper[number] = low, high

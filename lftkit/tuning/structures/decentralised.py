@@ -89,12 +89,12 @@ class Decentralised:
     @property
     def bounds(self) -> Bounds | None:
         """Bounds of all parts; None where none has any."""
-        own = [bounds_of(part) for part in self.parts]
-        if not any(own):
+        of_parts = [bounds_of(part) for part in self.parts]
+        if not any(of_parts):
             return None
         free = [np.full(part.size, np.inf) for part in self.parts]
-        lower = np.concatenate([-f if b is None else b.lower for b, f in zip(own, free)])
-        return Bounds(lower, np.concatenate([f if b is None else b.upper for b, f in zip(own, free)]))
+        lower = np.concatenate([-f if b is None else b.lower for b, f in zip(of_parts, free)])
+        return Bounds(lower, np.concatenate([f if b is None else b.upper for b, f in zip(of_parts, free)]))
 
     def values(self, x: ArrayLike) -> dict[str, float]:
         """Parameters (size,) by name."""
@@ -108,27 +108,32 @@ class Decentralised:
         ValueError
             Another name or entry than those of the parts, or a part that can hold nothing.
         """
-        own: list[dict[str | tuple[int, int], float]] = [{} for _ in self.parts]
+        by_part: list[dict[str | tuple[int, int], float]] = [{} for _ in self.parts]
         for key, value in entries.items():
             if isinstance(key, str):
                 number, name = self._part_of(key)
-                own[number][name] = value
+                by_part[number][name] = value
                 continue
             for number, (_, _, rows, columns) in enumerate(self._places()):
                 if key[0] in rows and key[1] in columns:
-                    own[number][rows.tolist().index(key[0]), columns.tolist().index(key[1])] = value
+                    by_part[number][rows.tolist().index(key[0]), columns.tolist().index(key[1])] = value
                     break
             else:
                 raise InputError(f"entry {key} of the gain matrix is in no part of the structure")
-        return Decentralised(tuple(_affine(p).with_fixed(held) if held else p for p, held in zip(self.parts, own)))
+        return Decentralised(tuple(_affine(p).with_fixed(held) if held else p for p, held in zip(self.parts, by_part)))
 
     def with_bounds(self, limits: Mapping[str, tuple[float, float]]) -> Decentralised:
         """Same structure with parameters, by name, kept between (lowest, highest); either may be infinite."""
-        own: list[dict[str, tuple[float, float]]] = [{} for _ in self.parts]
+        by_part: list[dict[str, tuple[float, float]]] = [{} for _ in self.parts]
         for key, limit in limits.items():
             number, name = self._part_of(key)
-            own[number][name] = limit
-        return Decentralised(tuple(_affine(p).with_bounds(given) if given else p for p, given in zip(self.parts, own)))
+            by_part[number][name] = limit
+        return Decentralised(
+            tuple(
+                _affine(p).with_bounds(limits_of_part) if limits_of_part else p
+                for p, limits_of_part in zip(self.parts, by_part)
+            )
+        )
 
     def _part_of(self, key: str) -> tuple[int, str]:
         """Number of the part that a parameter belongs to, and its name there."""
@@ -143,14 +148,14 @@ class Decentralised:
         first, at = dict[str, int](), self.order
         for port in self.inputs:
             first[port.name], at = at, at + port.size
-        found, at, x, u = [], 0, 0, self.order
+        places, at, x, u = [], 0, 0, self.order
         for part in self.parts:
             nu, states = total_size(part.outputs), np.arange(x, x + part.order)
             seen = [np.arange(first[p.name], first[p.name] + p.size) for p in part.inputs]
             columns = np.concatenate([states, *seen])
-            found.append((part, slice(at, at + part.size), np.concatenate([states, np.arange(u, u + nu)]), columns))
+            places.append((part, slice(at, at + part.size), np.concatenate([states, np.arange(u, u + nu)]), columns))
             at, x, u = at + part.size, x + part.order, u + nu
-        return found
+        return places
 
     def _blocks(self) -> list[tuple[Structure, slice, Any]]:
         return [(part, at, np.ix_(rows, columns)) for part, at, rows, columns in self._places()]

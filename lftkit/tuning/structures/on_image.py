@@ -101,7 +101,7 @@ def required_period(structure: Structure, dt: float) -> None:
     """Refuse a structure that is made for another period than `dt` [s], 0 for continuous time, with a ValueError."""
     for part in structure.parts if isinstance(structure, Decentralised) else ():
         required_period(part, dt)
-    own = structure.dt if isinstance(structure, AffineStructure) else None
-    if own is not None and own != dt:
-        asked, got = (f"sampling period {t:g} s" if t else "continuous time" for t in (dt, own))
+    stated = structure.dt if isinstance(structure, AffineStructure) else None
+    if stated is not None and stated != dt:
+        asked, got = (f"sampling period {t:g} s" if t else "continuous time" for t in (dt, stated))
         raise InputError(f"structure of {structure.outputs[0].name} must be made for {asked}, got {got}")

@@ -193,8 +193,8 @@ class AffineStructure:
         (('Kp', 'Ki'), ('D[0,0]',))
         """
         base, held = self.base.copy(), dict[int, float]()
-        for key, given in entries.items():
-            value = as_number(given, f"value of {key}")
+        for key, number in entries.items():
+            value = as_number(number, f"value of {key}")
             if isinstance(key, str):
                 self._hold(held, number_of(key, self.names), value)
                 continue
@@ -203,13 +203,13 @@ class AffineStructure:
                 raise InputError(
                     f"entry ({row}, {column}) is outside the {base.shape[0]} x {base.shape[1]} gain matrix"
                 )
-            own = np.flatnonzero((self.rows == row) & (self.columns == column))
-            if len(own) > 1:
-                names = " and ".join(self.names[k] for k in self.parameters[own])
+            entry = np.flatnonzero((self.rows == row) & (self.columns == column))
+            if len(entry) > 1:
+                names = " and ".join(self.names[k] for k in self.parameters[entry])
                 raise InputError(f"entry ({row}, {column}) depends on {names}: fix parameters by name")
-            if len(own):
-                difference = (value - self.base[row, column]) / self.coefficients[own[0]]
-                self._hold(held, int(self.parameters[own[0]]), float(difference))
+            if len(entry):
+                difference = (value - self.base[row, column]) / self.coefficients[entry[0]]
+                self._hold(held, int(self.parameters[entry[0]]), float(difference))
             else:
                 base[row, column] = value
         x, fixed = np.zeros(self.size), np.isin(self.parameters, list(held))

@@ -159,12 +159,12 @@ def descend(
             run.step()
         elif status is not TuningStatus.STALLED or not run.options.confirm:
             return Descent(run.best(), status, run.iteration)
-        elif (found := lower_point(source, run.best())) is None:
+        elif (restart := lower_point(source, run.best())) is None:
             return Descent(run.best(), TuningStatus.CONVERGED, run.iteration)
         elif run.iteration >= run.options.iterations:
             return Descent(run.best(), status, run.iteration)
         else:
-            run.go_on_at(found)
+            run.go_on_at(restart)
 
 
 def lower_point(source: DescentSource[L], best: L) -> FloatArray | None:
@@ -241,10 +241,10 @@ class _Run(Generic[L]):
     def step(self) -> None:
         """The steps to the next look."""
         now, working = self._now, self._source.working_set(self._from or self.best())
-        found = prox_linear(working, now.x, weight=now.weight, stop=self._late)
-        now.x, now.weight = found.x, found.weight
+        reached = prox_linear(working, now.x, weight=now.weight, stop=self._late)
+        now.x, now.weight = reached.x, reached.weight
         now.iteration += working.steps
-        now.failures = 0 if found.taken else now.failures + 1
+        now.failures = 0 if reached.taken else now.failures + 1
 
     def go_on_at(self, x: FloatArray) -> None:
         """Begin again at a lower point."""

@@ -57,10 +57,10 @@ def prox_linear(
                 factor = here.factor()
             except (linalg.LinAlgError, ValueError):  # values too large for a metric: no step can be told
                 return ProxLinear(x, FIRST_WEIGHT, taken)
-        found = _step(here, factor, weight, working.planes, stop)
-        if found is None:
+        step = _step(here, factor, weight, working.planes, stop)
+        if step is None:
             return ProxLinear(x, FIRST_WEIGHT, taken)
-        weight = found
+        weight = step
         x, merit = here.reached
         history.append(merit)
         if len(history) > STAGNATION and _slow(history[-1 - STAGNATION], merit, working.slow):
