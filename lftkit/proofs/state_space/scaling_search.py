@@ -214,6 +214,8 @@ def find_scalings(
     penalty : float
         Of :class:`lftkit.proofs.state_space.barrier.BarrierProblem`.
     """
+    if not blocks:  # are members of a system without elements well posed: no signal is left to show it for
+        return Scalings(1.0, (), (), np.zeros(0))
     problem = barrier_problem(blocks, penalty)
     y = problem.start()
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])

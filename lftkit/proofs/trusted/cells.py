@@ -248,6 +248,8 @@ class Inequality:
             middle[self.rows[name]] = 0.5 * (lower + upper) - self.nominal[name]
         states = self.signal(1.0, -1j * float(cell["centre"]))
         offsets = [states[0] @ states[1] if self.dt else states[0], self.w - middle[:, None] * self.z, self.d]
+        if not any(map(len, offsets)):  # LAPACK refuses what is empty
+            return np.zeros((0, 0), complex)
         factors, pivots, _ = linalg.lapack.zgetrf(np.vstack(offsets))
         return np.asarray(linalg.lapack.zgetri(factors, pivots)[0])
 

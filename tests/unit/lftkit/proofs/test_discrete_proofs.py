@@ -142,6 +142,21 @@ def test_a_forged_proof_is_refused(proof: Content, name: str) -> None:
         check_proof(forged(proof, FORGED[name]))
 
 
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_a_system_without_uncertain_elements(dt: float) -> None:
+    """Its gain, and stability at every factor, in either time; other dynamics are refused."""
+    pole = 0.5 if dt else -0.5
+    system = System([[pole]], [[1.0]], [[1.0]], [[0.0]], *PORTS, dt=dt)
+    gain, margin = worst_case_gain(system), robust_stability(system, largest=3.0)
+    assert gain.lower == pytest.approx(2.0) and 2.0 <= gain.upper <= 1.05 * 2.0
+    assert margin.lower == 3.0 and check_proof(margin.proof).stable and check_proof(gain.proof).stable
+    assert margin.proof is not None
+    with pytest.raises(ProofError):
+        check_proof(forged(margin.proof.content, lambda c: c["plant"].update(A=[[2.0 - pole]])))
+    static = System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[4.0]], *PORTS, dt=dt)
+    assert check_proof(worst_case_gain(static).proof).level == pytest.approx(4.0, rel=0.05)
+
+
 def test_the_disk_margin_of_a_discrete_integrator() -> None:
     """L = k / (z - 1): S - 1/2 = (z - 1 - k) / (2 (z - 1 + k)) is largest at z = -1: (2 + k) / (2 (2 - k))."""
     k = RealParameter("k", 0.5, 0.25, 1.0)
