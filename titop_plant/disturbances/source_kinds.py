@@ -452,7 +452,9 @@ class Pulses(SourceTable, Wrench):
             raise entry.error(f"width must not be above the period of {self.period:g} s, got {self.width:g} s")
         if last < self.first:
             raise entry.error(f"last must not be before first, {self.first:g} s, got {last:g} s")
-        return PulseSignal(self.values, self.first, self.width, self.period, last, DT), ()
+        late = self.first >= run.duration
+        remarks = (f"no pulse: the first is at {self.first:g} s, the run ends at {run.duration:g} s",) if late else ()
+        return PulseSignal(self.values, self.first, self.width, self.period, last, DT), remarks
 
 
 KINDS: Mapping[str, type[SourceTable]] = MappingProxyType(

@@ -192,6 +192,13 @@ def test_mistakes_and_what_would_be_ignored_are_one_line(folder: Path, text: str
     assert "\n" not in str(caught.value)
 
 
+def test_pulses_after_the_end_of_the_run_are_said(folder: Path) -> None:
+    late = source(folder, PULSES + "first = 2.0")
+    assert late.remarks == ("no pulse: the first is at 2 s, the run ends at 2 s",)
+    assert not np.any([late.signal.tick(k, np.linspace(0.0, 1.0, 9)) for k in range(2000)])
+    assert not source(folder, PULSES + "first = 1.9").remarks
+
+
 def recorded(folder: Path, values: np.ndarray) -> Any:
     np.savetxt(
         folder / "record.csv", np.c_[SECOND, values], delimiter=",", header="time (s),Fx (N)", comments="", fmt="%.15g"
