@@ -84,7 +84,7 @@ def compare_noise(proof: NoiseProof, loop: ImplementedLoop) -> ProofComparison:
 
 
 def _compared(one: Loop, model: Loop, band: Interval, mismatches: list[str]) -> ProofComparison:
-    """Compare the model of a file with that of a loop; `found` is what else is another one."""
+    """Compare the model of a file with that of a loop; `mismatches` is what else is another one."""
     mismatches = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + mismatches
     for name, where in POLES.items():
         if not _same_poles(getattr(one, name), getattr(model, name)):

@@ -43,7 +43,7 @@ def report_files(
     output : Path or None
         ``--output``.
     usual : Path or None
-        Where none is given; its ending is that of the format. None: no report without `given` or `form`.
+        Where none is given; its ending is that of the format. None: no report without `usual` or `form`.
     form, paper : str or None
         ``--format``, ``--paper``.
     export : Path or None

@@ -180,7 +180,7 @@ def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
 
 
 def _inspect(stamp: IntArray, period: float, counts: Mapping[str, int]) -> Integrity:
-    """Look at unique stamps; `found` are the counts of what was sorted out before."""
+    """Look at unique stamps; `counts` are the counts of what was sorted out before."""
     other, missing, irregular, gap_count = _OtherRate(period), 0, 0, 0
     gaps: list[tuple[float, int]] = []
     for begin, steps in _steps(stamp):

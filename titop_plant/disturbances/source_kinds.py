@@ -177,7 +177,7 @@ def _rate(entry: DisturbanceTable, table: Table, n: int, stated: float | None) -
 
 
 def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, stated: float | None) -> float:
-    """Sampling rate [Hz] by a column of times; a rate that is `given` tells that they are in seconds."""
+    """Sampling rate [Hz] by a column of times; a rate that is `stated` tells that they are in seconds."""
     unit = table.unit(when)
     try:
         stamps = column_stamps(when, entry.column(table, when), stated, "" if FORCE.knows(unit) else unit)

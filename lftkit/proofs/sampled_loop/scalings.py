@@ -188,7 +188,7 @@ class ScalingTest:
 def _opened(ends: Interval, scaling: ComplexArray) -> Interval:
     """The interval of a parameter, and a narrow one about a parameter that is fixed, whose D would be infinite.
 
-    `own`: from its channels to themselves. Scalings for a wider interval hold for the fixed value.
+    `scaling`: from its channels to themselves. Scalings for a wider interval hold for the fixed value.
     """
     if ends[1] > ends[0]:
         return ends

@@ -166,7 +166,7 @@ class LimitWatch:
     Parameters
     ----------
     problem : Problem
-    found : Evaluation
+    evaluation : Evaluation
         Values at the first point.
     near : bool
         Follow poles from the first point on.

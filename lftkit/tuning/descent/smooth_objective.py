@@ -61,7 +61,7 @@ class SmoothObjective:
     problem : Problem
     x : ndarray, shape (size,)
         Stable point at which the grid is refined.
-    found : Evaluation
+    evaluation : Evaluation
         Exact values there.
     extra : tuple of ndarray
         Frequencies [rad/s] to add to the grid of every model.

@@ -40,7 +40,7 @@ class Requesters:
     ----------
     node : Node
         The node.
-    own : bytes
+    gid : bytes
         Identifier of one of its publishers.
     """
 

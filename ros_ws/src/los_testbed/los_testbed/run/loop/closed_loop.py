@@ -112,7 +112,7 @@ class SimulatedLoop:
 
     @classmethod
     def of(cls, parts: RunParts, user_plant: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
-        """The loop of a run in the state in which it starts; `own` replaces the plant of `parts`.
+        """The loop of a run in the state in which it starts; `user_plant` replaces the plant of `parts`.
 
         Without `readings` further sensors that no controller uses are left out.
         """

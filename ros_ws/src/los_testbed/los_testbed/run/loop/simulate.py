@@ -84,7 +84,7 @@ def record(
     progress: Callable[[int], None] = lambda ticks: None,
     user_plant: SteppedPlant | None = None,
 ) -> dict[str, dict[str, str]]:
-    """Simulate and record the parts of a run, as :func:`run_in_process`; `own` replaces the plant of `parts`."""
+    """Simulate and record the parts of a run, as :func:`run_in_process`; `user_plant` replaces the plant of `parts`."""
     loop = SimulatedLoop.of(parts, user_plant)
     plant, start, name = loop.plant, AT_REST, {}
     if user_plant is None:

@@ -73,7 +73,7 @@ def module_of(name: str, device: str | None) -> str:
 def programs(processes: str = COMPOSED, usual: bool = True) -> dict[str, tuple[str, ...]]:
     """Programs of a run in the order in which they are started, with their nodes.
 
-    Each node has a process of its own where the setting `processes` says so, and where the `own` programs of this
+    Each node has a process of its own where the setting `processes` says so, and where the `usual` programs of this
     package are not the only ones: others speak the topics of single sensors and actuators.
 
     Examples
