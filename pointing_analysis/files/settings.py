@@ -221,12 +221,12 @@ class Setting:
     def _list(self, depth: int) -> str:
         """What a list holds, in words."""
         count = self._length(depth)
-        inner = (
-            f"lists of {self._list(depth + 1)}"
-            if depth + 1 < self.depth
-            else f"{'number' if self.item in (int, float) else 'text'}s"
-        )
-        return inner if count == ANY_OR_NONE else f"1 {inner[:-1]} or more" if count == ANY else f"{count} {inner}"
+        inner = f" of {self._list(depth + 1)}" if depth + 1 < self.depth else ""
+        item = "list" if inner else "number" if self.item in (int, float) else "text"
+        if count == ANY:
+            return f"1 {item}{inner} or more"
+        items = item if count == 1 else f"{item}s"
+        return items + inner if count == ANY_OR_NONE else f"{count} {items}{inner}"
 
     def _length(self, depth: int) -> int:
         """Length of a list in so many others."""
@@ -243,16 +243,23 @@ class Setting:
                 name, f"must be {self.range if both else self._needed('a finite number')}, got {_as_float(value):g}"
             )
         depth = len([i for i in place if isinstance(i, int)])
-        if depth < self.depth or isinstance(value, tuple):
+        if depth < self.depth:
             needed = f"a list of {self._list(depth)}"
         else:
             needed = self._needed(KINDS[self.item])
-        return Refused(name, f"must be {self.range if self.choices else needed}, got {value!r}")
+        return Refused(name, f"must be {self.range if self.choices else needed}, got {written(value)}")
 
     def _needed(self, kind: str) -> str:
         """A kind of value and its range, of a text what it is for."""
         more = f"({self.description})" if self.item is str and self.description else self.range
         return f"{kind} {more}".rstrip()
+
+
+def written(value: Any) -> str:
+    """A value of a key as it is written in a file: :meth:`Setting.read` makes lists tuples, integers floats."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(written, value))}]"
+    return f"{value:.12g}" if isinstance(value, float) else repr(value)
 
 
 def _as_float(value: float) -> float:

@@ -221,7 +221,9 @@ class SourceTable(CheckedTable):
     kind: str = setting(..., "kind of the source")
     place: str = setting("bus", "place where it acts")
     frame: Any = setting("own", "its axes: own, body, or three rows of three numbers")
-    offset: tuple[float, ...] | None = setting(None, "point where the force acts, from the place", "m", length=3)
+    offset: tuple[float, ...] | None = setting(
+        None, "point where the force acts, from the place", "m", -LARGEST, LARGEST, length=3
+    )
     scale: float = setting(1.0, "factor of its forces and torques")
 
     def make(self, entry: DisturbanceTable, run: RunConditions) -> Made:

@@ -168,6 +168,11 @@ FILES = [
     ("pma = 3\n", "line 1|'pma' must be a table"),
     ("\n\n[pma]\n\nmoving_mass = 0", "line 5|'pma.moving_mass' must be above 0 kg, got 0"),
     ("[fsm]\nstiffness = nan", "line 2|'fsm.stiffness' must be a finite number above 0 Nm/rad, got nan"),
+    ("[materials.aluminium]\nE = [7e10]", "line 2|E' must be a number above 0 Pa, got [70000000000]"),
+    ('[body]\nmodal_data = ["a"]', "line 2|'body.modal_data' must be a text|got ['a']"),
+    ("[body]\ndeck_heights = [[1.0], 0, 2]", "line 2|'body.deck_heights[0]' must be a number, got [1]"),
+    ("[body]\ndeck_heights = 1", "line 2|'body.deck_heights' must be a list of 3 numbers, got 1"),
+    ("[solar_array]\nparticipation = true", "line 2|must be a list of 1 list of 6 numbers or more, got True"),
     ("[isolator]\nstiffness = [1e6, 1e6]", "line 2|'isolator.stiffness' must hold 6 numbers, got 2"),
     (
         "[isolator]\ndamping = [1.0, 1.0, 1.0, -1.0, 1.0, 1.0]",

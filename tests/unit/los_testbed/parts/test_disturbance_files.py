@@ -172,6 +172,10 @@ def folder(tmp_path: Path) -> Path:
             'kind = "series"\nfile = "rated.npz"\nrate = 500.0\nrepeat = true',
             "rate must be that of .*rated.npz, 1000 Hz by its file, got 500 Hz",
         ),
+        (PULSES + "scale = [1, 1.5]", r"disturbance 'a': scale must be a number, got \[1, 1.5\]"),
+        (PULSES + "first = [[2]]", r"first must be a number, got \[\[2\]\]"),
+        (PULSES + "offset = [1e8, 0, 0]", r"offset\[0\] must be between -1e\+07 and 1e\+07 m, got 100000000"),
+        (PULSES + "frame = [[], [0, 1]]", r"frame must be own, .*, got \[\[\], \[0, 1\]\]"),
         (PULSES + "first = 3.0\nlast = 2.0", "last must not be before first, 3 s, got 2 s"),
         (
             HARMONIC % 1 + '\nfile = "h.csv"',
@@ -190,6 +194,12 @@ def test_mistakes_and_what_would_be_ignored_are_one_line(folder: Path, text: str
     with pytest.raises(ValueError, match=message) as caught:
         source(folder, text)
     assert "\n" not in str(caught.value)
+
+
+def test_an_empty_name_is_refused(folder: Path) -> None:
+    (folder / "a.toml").write_text(f'[[disturbance]]\nname = ""\n{PULSES}')
+    with pytest.raises(ValueError, match="disturbance '': name must be a text that is not empty, got ''"):
+        make_sources(entries_of([str(folder / "a.toml")]), load_telescope(), RunConditions(RUN.speeds, 2.0, 1))
 
 
 def test_pulses_after_the_end_of_the_run_are_said(folder: Path) -> None:

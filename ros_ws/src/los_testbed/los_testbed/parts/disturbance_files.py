@@ -23,6 +23,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from los_testbed.config.run_config import RunConfig
+from pointing_analysis.files.settings import written
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
@@ -130,6 +131,8 @@ def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     entry = replace(entry)  # without the remarks of an earlier run
     source = entry.made(KINDS[kind])
+    if not source.name:
+        raise entry.error("name must be a text that is not empty, got ''")
     place, offset = source.place, None if source.offset is None else np.array(source.offset)
     try:
         matrix = place_matrix(place, telescope, _frame(source.frame), offset)
@@ -147,4 +150,4 @@ def _frame(frame: Any) -> FloatArray | None:
     try:
         return np.eye(3) if frame == "body" else np.array(frame, dtype=float)
     except (ValueError, TypeError):
-        raise InputError(f"frame must be own, body or three rows of three numbers, got {frame!r}") from None
+        raise InputError(f"frame must be own, body or three rows of three numbers, got {written(frame)}") from None
