@@ -210,7 +210,7 @@ class Setting:
         elif self.choices and value is not None and value not in self.choices:
             raise Refused(name, f"must be {self.range}, got {value!r}")
         elif isinstance(value, (int, float)) and not self._holds(value):
-            raise Refused(name, f"must be {self.range or 'a number'}, got {value:.12g}")
+            raise Refused(name, f"must be {self.range or 'a number'}, got {written(value)}")
 
     def _holds(self, value: float) -> bool:
         """Whether a number is within the bounds."""

@@ -109,6 +109,7 @@ SHIPPED = design_file("k-fsm")
         (["control", "fault", "noise", "2020-01-01"], ["VALUE", "2020-01-01"]),
         (["control", "fault", "noise", "9" * 400], ["VALUE", "digits"]),
         (["replay", "{bag}", "--domain=999"], ["domain", "232", "999"]),
+        (["replay", "{bag}", "--domain=" + "9" * 400], ["domain must be between 0 and 232", "got 999"]),
         (["replay", "{bag}", "--to-ros", "--timeout=inf"], ["--timeout", "inf"]),
         (["run", "--set=seed=.inf"], ["seed", "inf"]),
         (["run", "--set=seed=1.5"], ["seed", "whole number", "1.5"]),
