@@ -130,7 +130,7 @@ def hinf_norm(
     as_positive(rtol, "rtol")
     (A, B, C, D), dt = given_system(A, B, C, D, dt)
     dt = dt if _is_discrete(dt) else None
-    system = checked_matrices(A, B, C, D)
+    system = _with_signals(checked_matrices(A, B, C, D))
     if dt is None:
         return _continuous(system, rtol, certificate)
     if certificate == "hamiltonian":
@@ -248,7 +248,7 @@ def band_gain(
     (0.332595, 2.0)
     """
     as_positive(rtol, "rtol")
-    a, b, c, d = checked_matrices(A, B, C, D)
+    a, b, c, d = _with_signals(checked_matrices(A, B, C, D))
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     if not (0.0 <= band[0] < band[1] and band[0] < last):
         raise InputError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
@@ -408,6 +408,14 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
         return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")
     except PoleError:  # a direct solution meets a pole that is on the axis to rounding
         return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
+
+
+def _with_signals(system: Matrices) -> Matrices:
+    """In place of no inputs or no outputs one of each without effect: LAPACK refuses matrices of size zero."""
+    if system[3].size:
+        return system
+    n = len(system[0])
+    return system[0], np.zeros((n, 1)), np.zeros((1, n)), np.zeros((1, 1))
 
 
 def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:

@@ -10,7 +10,7 @@ from support.resonant_systems import CERTIFICATES, EVERY, mixed, oscillator, res
 from lftkit.analysis import norms
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError, direct_response, refined_response
 from lftkit.analysis.hinf.peak_search import squared_gain
-from lftkit.analysis.norms import h2_norm, hinf_norm, schur_lyapunov, spectral_abscissa
+from lftkit.analysis.norms import band_gain, h2_norm, hinf_norm, linf_norm, schur_lyapunov, spectral_abscissa
 
 
 @pytest.mark.parametrize("certificate", CERTIFICATES)
@@ -72,6 +72,20 @@ def test_systems_without_states() -> None:
     assert h2_norm(*empty, dt=0.1) == 5.0
     assert h2_norm(*empty) == np.inf
     assert h2_norm(*empty[:3], 0.0 * empty[3]) == 0.0
+
+
+@pytest.mark.parametrize(("inputs", "outputs"), [(0, 1), (1, 0), (0, 0)])
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_without_inputs_or_outputs_the_norm_is_zero_or_that_of_an_unstable_system(
+    dt: float | None, inputs: int, outputs: int
+) -> None:
+    for stable in (True, False):
+        pole = (0.5 if stable else 1.5) if dt else (-1.0 if stable else 1.0)
+        system = [[pole]], np.ones((1, inputs)), np.ones((outputs, 1)), np.zeros((outputs, inputs))
+        limit = 0.0 if stable else np.inf
+        assert hinf_norm(*system, dt=dt).value == hinf_norm(*system, dt=dt).upper == limit
+        assert band_gain(*system, (0.0, 1.0), dt=dt).value == limit
+        assert linf_norm(*system, dt=dt).value == 0.0
     assert spectral_abscissa(np.zeros((0, 0))) == -np.inf
 
 
