@@ -9,7 +9,7 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.formatting.number_text import percent
-from pointing_analysis.indices.live_rows import hold_of, samples_behind, saturated_rows, stuck_rows
+from pointing_analysis.indices.live_rows import Hold, hold_of, samples_behind, saturated_rows, stuck_rows
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
@@ -104,19 +104,30 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
     # Series of the samples that the sensor took: :mod:`pointing_analysis.indices.live_rows`
     start = first * dt
     remarks = []
-    if hold := hold_of(rows):
+    blind: tuple[tuple[str, float], ...] = ()
+    moving, hold = rows, hold_of(rows)
+    if isinstance(hold, Hold):
         rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)
         remarks.append(
             f"each sample is held or interpolated over {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no "
             f"motion above {rate / 2:.4g} Hz"
         )
         dt *= hold.rows
-    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(rows)}
+        moving = rows
+    elif hold is not None:
+        rates = " and ".join(f"{1.0 / (count * dt):.4g}" for count in hold)
+        blind = ((f"the axes have samples at different rates, {rates} Hz", 1.0),)
+        remarks.append(f"{blind[0][0]}: give each of them a table of its own, with zeros in place of the other")
+        at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
+        moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
+    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
     dead["stuck"] &= ~dead["saturated"]
-    blind = tuple((what, float(one.mean())) for what, one in dead.items() if one.any())
-    if blind:
+    shares = {what: float(one.mean()) for what, one in dead.items() if one.any()}
+    unseen = tuple((f"{what}: {percent(share)} of the samples", share) for what, share in shares.items())
+    blind += unseen
+    if unseen:
         rows = np.where((dead["saturated"] | dead["stuck"])[:, None], np.nan, rows)
-        remarks += [f"{what}: {percent(share)} of the samples, which count as missing" for what, share in blind]
+        remarks += [f"{what}, which count as missing" for what, _ in unseen]
     missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
     return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks))
 

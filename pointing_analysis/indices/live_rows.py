@@ -50,6 +50,7 @@ class LiveRowSettings:
     turned : times the allowed bend of a line from which the change of its slope is one
     format : largest part of the largest norm that is the rounding of a number format
     multiple : part of a quantum by which the steps of a rounded record miss a multiple of it
+    same : part by which the rows for a sample may differ in the two axes
     decimated : rows that are taken together where rounding hides a polynomial between single ones
     """
 
@@ -71,6 +72,7 @@ class LiveRowSettings:
     turned: float = 3.0
     format: float = 1e-3
     multiple: float = 1e-3
+    same: float = 0.02
     decimated: int = 4
 
 
@@ -95,23 +97,32 @@ class Hold:
     repeats: IntArray
 
 
-def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | None:
-    """Regular repetition of samples in a record (n, 2), or in one of its axes; None where each row is a sample.
+def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | tuple[float, float] | None:
+    """Regular repetition of samples in a record (n, 2); None where each row is a sample.
 
-    Where one axis has fewer samples than the other, the record has as many.
+    Where the axes have different numbers of samples, the rows for each sample of either: no rows are those of both.
 
     Examples
     --------
     >>> white = np.random.default_rng(1).standard_normal((50, 2))
-    >>> hold_of(np.repeat(white, 20, axis=0)).rows, hold_of(white)
+    >>> held = np.repeat(white, 20, axis=0)
+    >>> hold_of(held).rows, hold_of(white)
     (20.0, None)
     >>> time, rows = np.arange(50.0), np.linspace(0.0, 49.0, 981)
     >>> hold_of(np.column_stack([np.interp(rows, time, axis) for axis in white.T])).rows
     20.0
+    >>> hold_of(np.column_stack([held[:, 0], np.random.default_rng(2).standard_normal(1000)]))
+    (20.0, 1.0)
     """
     # Both axes together as well: where one of them changes too little, the other one shows when a sample came.
-    each = [_hold_of(part, settings) for part in (e, e[:, :1], e[:, 1:2])]
-    return max((hold for hold in each if hold is not None), key=lambda hold: hold.rows, default=None)
+    both, x, y = (_hold_of(part, settings) for part in (e, e[:, :1], e[:, 1:2]))
+    slowest = max((hold for hold in (both, x, y) if hold is not None), key=lambda hold: hold.rows, default=None)
+    if slowest is None:
+        return None
+    same = (1.0 - settings.same) * slowest.rows
+    if (both is not None and both.rows >= same) or (x is not None and y is not None and min(x.rows, y.rows) >= same):
+        return slowest
+    return x.rows if x is not None else 1.0, y.rows if y is not None else 1.0
 
 
 def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:

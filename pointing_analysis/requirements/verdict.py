@@ -13,7 +13,6 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray
-from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
@@ -158,7 +157,7 @@ def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | 
     """
     for what, share in series.blind:
         if share > 1.0 - requirement.probability:
-            raise InputError(f"{what}: {percent(share)} of the samples")
+            raise InputError(what)
     samples = index_samples(series, requirement, optics)
     there = present(samples.values)
     if not there.size:

@@ -214,7 +214,7 @@ def test_smooth_motions_without_noise_are_no_interpolation() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_one_axis_of_fewer_samples_sets_the_rate(axis: int) -> None:
+def test_axes_of_different_rates_have_no_common_one(axis: int) -> None:
     """Held, joined by lines or by a spline, beside noise; a triangle, a square wave and a constant are motions."""
     rows, rng = np.arange(8000), np.random.default_rng(3)
     samples = rng.standard_normal(401)
@@ -223,4 +223,29 @@ def test_one_axis_of_fewer_samples_sets_the_rate(axis: int) -> None:
     motions = [np.abs(7e-3 * rows % 2 - 1), (5e-3 * rows % 1 < 0.5) * 1.0, np.full(8000, 3.0)]
     beside = rng.standard_normal(8000)
     found = [hold_of(np.column_stack([one, beside][:: 1 - 2 * axis])) for one in (*fewer, *motions)]
-    assert [hold and round(hold.rows, 1) for hold in found] == [20.0] * 3 + [None] * 3
+    assert found[3:] == [None] * 3
+    for hold in found[:3]:
+        assert isinstance(hold, tuple) and hold[axis] == pytest.approx(20.0, rel=0.01) and hold[1 - axis] == 1.0
+
+
+def test_of_axes_of_different_rates_nothing_is_judged() -> None:
+    """Taken every 20 rows, a tone of the axis that is not held would be a constant, and its windows those of noise."""
+    rng = np.random.default_rng(5)
+    held, time = np.repeat(1e-9 * rng.standard_normal(3000), 20), 1e-3 * np.arange(60_000)
+    live = 5e-8 * np.sin(2 * np.pi * 200.0 * time) + 1e-9 * rng.standard_normal(60_000)
+    limits = [
+        "prob(|APE_y| < 5 mas) >= 0.95 at 90 % confidence",
+        "prob(|RPE(50 ms)| < 9 mas) >= 0.95 at 90 % confidence",
+    ]
+    both, alone = (np.column_stack([x, live]) for x in (held, 0.0 * held))
+    for verdict in judge_series(time, both, unit="rad", requirements=limits, transient=0.0).verdicts:
+        assert (
+            verdict.status == "not judged"
+            and "the axes have samples at different rates, 50 and 1000 Hz" in verdict.note
+        )
+    for verdict in judge_series(time, alone, unit="rad", requirements=limits, transient=0.0).verdicts:
+        assert verdict.status == "not compliant"
+    other = np.repeat(1e-9 * rng.standard_normal(1500), 40)
+    assert hold_of(np.column_stack([held, other])) == (20.0, 40.0)
+    shifted = hold_of(np.column_stack([held, np.roll(held[::-1], 10)]))
+    assert shifted is not None and not isinstance(shifted, tuple) and shifted.rows == pytest.approx(20.0, rel=0.01)
