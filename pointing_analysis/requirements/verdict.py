@@ -328,9 +328,10 @@ def decide(
         each = seconds / (number if unknown else effective.with_missing)
         again = period(values, float(np.std(values))) < len(values)  # a longer record of it tells no more
         samples = math.inf if open_share or again else confidence.samples_to_decide(p, c, share, unseen * number)
-        needed = each * samples
+        needed = max(each * samples, seconds + each)  # the record itself was not enough
         if status_of(requirement, worst, best, effective, runs) == "compliant":
-            note = "exceedances come in clusters, of which too few are in the record to say how large they are"
+            what = "exceedances come" if above else "the largest values come"
+            note = f"{what} in clusters, of which too few are in the record to say how large they are"
     note = "; ".join(filter(None, (note, _missing_note(requirement, missing, len(values)))))
     bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective, missing)
     if requirement.lower:

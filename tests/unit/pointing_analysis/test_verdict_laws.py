@@ -387,3 +387,17 @@ def test_an_ensemble_needs_runs_not_seconds() -> None:
         assert verdict.status == status
         if count == 2:
             assert verdict.statement.endswith("needs 22 runs")
+
+
+def test_a_record_that_was_not_enough_needs_more_than_it_has() -> None:
+    """Also where only the largest values, none of them above the limit, come in clusters."""
+    rng, notes = np.random.default_rng(4), list[str]()
+    for _ in range(40):
+        values = 0.1 * rng.random(20_000)
+        for start in rng.integers(0, 19_000, 4):
+            values[start : start + 400] = 0.3 + 0.1 * rng.random(400)
+        found = judge(parse("prob(|APE| < 0.5 rad) >= 0.9 at 95 % confidence"), [run(values)], 0.0)
+        if found.status == "not enough data":
+            assert found.exceeding == 0.0 and found.seconds_needed > found.seconds
+            notes.append(found.note)
+    assert {note.partition(",")[0] for note in notes if note} == {"the largest values come in clusters"}
