@@ -21,7 +21,8 @@ WITHIN = "within limit"
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
 ALL_RUNS = "all runs"
-TOO_SHORT = "not demonstrated: record too short"
+NOT_DEMONSTRATED = "not demonstrated"
+TOO_SHORT = f"{NOT_DEMONSTRATED}: record too short"
 """In place of a bound that the record does not show, without a word on proofs."""
 MISSING = "not demonstrated: samples are missing"
 """In place of a bound above which as many samples may be as are allowed, and more with those that are missing."""
@@ -179,7 +180,8 @@ class RequirementRow:
         if math.isinf(self.bound):
             if self.beside.proven is not None:
                 return self.beside.proven.text(self._scale, self.unit)
-            return MISSING if self.missing else self.beside.unproven or TOO_SHORT
+            short = NOT_DEMONSTRATED if math.isinf(self.seconds_needed) else TOO_SHORT
+            return MISSING if self.missing else self.beside.unproven or short
         bound = with_unit(f"{'above ' if self.lower else ''}{digits_beside(self.bound, self.limit)}", self.unit)
         return f"{bound} at {100 * self.confidence:g} %"
 

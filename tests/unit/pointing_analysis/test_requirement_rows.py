@@ -162,7 +162,9 @@ def test_a_row_has_the_proven_bound_where_the_record_shows_none() -> None:
     assert content["proven_bound"] == pytest.approx(39.9841, abs=2e-4) and content["upper_bound"] is None
     assert "unproven" not in content
     (row,) = rows_of([SHORT], [beside_of(SimpleNamespace(parameters={}), FINEST)])
-    assert row.bound_text == "not demonstrated: record too short" and "unproven" not in row.as_dict()
+    assert replace(row, seconds_needed=9.0).bound_text == "not demonstrated: record too short"
+    assert replace(row, seconds_needed=math.inf).bound_text == "not demonstrated"  # a longer one shows no more
+    assert "unproven" not in row.as_dict()
 
 
 def test_a_run_that_missed_too_many_ticks_is_disturbed() -> None:
