@@ -134,6 +134,27 @@ def test_each_mistake_is_one_line(model, wrong, lines):
     assert said == [*lines], "20 ticks of 2 ms are 40 ms"
 
 
+class NoisyM1(Bench):
+    def read(self, now_ns):
+        samples = super().read(now_ns)
+        for sample in samples:
+            if sample.port == "accel_M1":
+                sample.values[:] += 20.0 * self.rng.standard_normal(sample.values.shape)
+        return samples
+
+
+def test_dead_forces_are_found_beside_a_sensor_whose_noise_hides_them(model):
+    """The other accelerometers show it; they were called dead instead, and the forces good."""
+    said = faults(checked(model, NoisyM1("pma_force=dead")))
+    assert len(said) == 2 and "pma_force: dead: moves nothing" in said
+    assert any(line.startswith("accel_M1: noise ") and line.endswith("times the model's") for line in said)
+
+
+def test_commands_that_no_sensor_shows_are_not_judged(model):
+    said = faults(checked(model, Bench(noise=30.0)))
+    assert "pma_force: not judged: no sensor responds above its noise" in said
+
+
 def test_motions_that_the_noise_hides_are_not_judged(model):
     said = faults(checked(model, Bench(noise=1.0)))
     assert any("not judged: without motion" in line for line in said)

@@ -207,11 +207,12 @@ def _delay(sensor: _Seen, commanded: ComplexArray) -> float:
 def _actuators(
     driver: str, sensors: Sequence[_Seen], clear: Sequence[_Seen], delays: dict[str, float], commanded: ComplexArray
 ) -> list[_Match]:
-    """Motion of each actuator of a port: its own, unless all sensors agree on another one."""
+    """Motion of each actuator of a port: its own, unless all sensors agree on another one; NaN where none shows it."""
     size = COLUMNS[driver].stop - COLUMNS[driver].start
     if not clear:
-        nothing = bool(sensors) and all(sensor.known and _clear(sensor, commanded) for sensor in sensors)
-        return [_Match(k, 0.0 if nothing else 1.0, 0.0) for k in range(size)]
+        still = sum(sensor.known and _clear(sensor, commanded) for sensor in sensors)  # these should see a motion
+        dead = bool(sensors) and still >= min(2, len(sensors))
+        return [_Match(k, 0.0 if dead else np.nan, 0.0) for k in range(size)]
     matched = [_by_actuators(sensor, delays[sensor.port], commanded) for sensor in clear]
     actuators = []
     for k in range(size):
@@ -237,7 +238,7 @@ def _corrected(actuators: Sequence[_Match], commanded: ComplexArray, driver: str
     done = commanded.copy()
     done[COLUMNS[driver]] = 0.0
     for k, match in enumerate(actuators):
-        done[first + match.index] += match.gain * commanded[first + k]
+        done[first + match.index] += (1.0 if np.isnan(match.gain) else match.gain) * commanded[first + k]
     return done
 
 
@@ -249,6 +250,8 @@ def _command_rows(
         fault = _words(match, k, "moves")
         if not seen_by:
             fault = "no sensor responds"
+        elif np.isnan(match.gain):
+            fault = "not judged: no sensor responds above its noise"
         elif not fault and delay > DELAY_TOLERANCE_S:
             fault = f"{1e3 * delay:.0f} ms late, by all sensors"
         rows.append(DeviceCheckRow(driver, k, match.gain, 1e3 * delay, np.nan, np.nan, np.nan, fault))
@@ -289,11 +292,12 @@ def _sensor_rows(
         elif expected[j] == 0.0:
             fault = _noise_fault(noise[j], low, high)
         else:
-            fault = _unknown(sensor, j, matches[j], expected[j])
-            if not fault:
+            fault, loud = _unknown(sensor, j, matches[j], expected[j]), _noise_fault(noise[j], low, high)
+            if fault:
+                fault = "; ".join(filter(None, (loud, fault)))
+            else:
                 gain, behind = matches[j].gain, 1e3 * (delay - common)
-                fault = _fault(sensor, j, matches[j], expected[j], delay - common)
-            fault = fault or _noise_fault(noise[j], low, high)
+                fault = _fault(sensor, j, matches[j], expected[j], delay - common) or loud
         age = 1e3 * float(np.median(ages)) if len(ages) else np.nan
         rows.append(DeviceCheckRow(sensor.port, j, gain, behind, noise[j], low, age, fault))
     return rows
