@@ -364,23 +364,17 @@ PAIRED = 1000
 """Most windows of an observation that are compared with those of another."""
 
 
-def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = PAIRED) -> FloatArray:
-    """Reproducibility: differences of the window means of two observations.
+def pre(first: FloatArray, second: FloatArray, max_windows: int = PAIRED) -> FloatArray:
+    """Reproducibility: differences of the window means of two observations, whose rates may differ.
 
     Parameters
     ----------
-    first, second : (n, 2) errors of the two observations
-    dt, window : sampling period and window length [s]
+    first, second : (m1, 2), (m2, 2) means of their windows, `mpe`
     max_windows : windows to take of each observation, spread evenly over it (the number of pairs is its square)
 
     Returns
     -------
     (m1 * m2, 2) every window of the second minus every window of the first
     """
-
-    def means(error: ArrayLike) -> FloatArray:
-        m = mpe(error, dt, window)
-        return m[np.unique(np.linspace(0, len(m) - 1, min(max_windows, len(m))).astype(int))] if len(m) else m
-
-    a, b = means(first), means(second)
+    a, b = (m[np.unique(np.linspace(0, len(m) - 1, min(max_windows, len(m))).astype(int))] for m in (first, second))
     return np.asarray((b[None, :, :] - a[:, None, :]).reshape(-1, 2))

@@ -252,9 +252,8 @@ def _reproducibility(
     for i, first in enumerate(series):
         for second in series[i + 1 :]:
             window = requirement.times[0]
-            samples = metrics.pre(first.values, second.values, first.dt, window)
-            values = _norm(samples, requirement)
             means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
+            values = _norm(metrics.pre(means[0], means[1]), requirement)
             most = min(IndependentSamples.of(metrics.radial(m), components=m).most for m in means)
             pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end

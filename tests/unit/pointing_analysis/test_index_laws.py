@@ -98,10 +98,11 @@ def test_reproducibility() -> None:
     a, b = rng.standard_normal((100, 2)), rng.standard_normal((60, 2))
     first, second = ([x[i : i + 10].mean(axis=0) for i in range(0, len(x), 10)] for x in (a, b))
     expected = [y - x for x in first for y in second]
-    assert np.allclose(metrics.pre(a, b, DT, 0.01), expected)
-    few = metrics.pre(a, b, DT, 0.01, max_windows=3)
+    means = [metrics.mpe(e, DT, 0.01) for e in (a, b)]
+    assert np.allclose(metrics.pre(means[0], means[1]), expected)
+    few = metrics.pre(means[0], means[1], max_windows=3)
     assert np.allclose(few, [second[j] - first[i] for i in (0, 4, 9) for j in (0, 2, 5)])
-    assert metrics.pre(np.full((100, 2), np.nan), b, DT, 0.01).shape == (0, 2)
+    assert metrics.pre(metrics.mpe(np.full((100, 2), np.nan), DT, 0.01), means[1]).shape == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -282,6 +282,14 @@ def test_several_runs_are_needed(interpretation: str) -> None:
     assert (pre.quantile.probability, pre.quantile.confidence, pre.missing) == (0.9, 0.9, 0.0)
 
 
+def test_reproducibility_of_recordings_of_different_rates() -> None:
+    """Each of 30 windows of a second beside each of 30, whatever the rates; a drift of 1 mas/s differs by 29 s."""
+    drifts = [np.repeat(np.arange(30.0 * rate)[:, None] / rate, 2, axis=1) for rate in (512, 1000)]
+    runs = [series(None, drift, unit="mas", rate=float(len(drift) // 30)) for drift in drifts]
+    verdict = judge(parse("prob(|PRE_x(1 s)| < 29.01 mas) >= 0.9 at 60 % confidence"), runs, 0.0)
+    assert (verdict.samples, verdict.missing, verdict.exceeding) == (900, 0.0, 0.0)
+
+
 def wave(count: int = 400) -> np.ndarray[Any, Any]:
     rng = np.random.default_rng(5)
     return np.asarray(0.1 * rng.standard_normal((count, 2)) + 0.05)
@@ -351,7 +359,7 @@ def test_reproducibility_is_of_each_pair_of_runs() -> None:
     assert (found.samples, found.missing) == (20 * 15, 0.0) and found.seconds == pytest.approx(0.7)
     means = [metrics.radial(metrics.mpe(e, 1e-3, 0.02)) for e in (a, b)]
     assert found.effective == min(IndependentSamples.of(mean).most for mean in means)
-    difference = metrics.pre(a, b, 1e-3, 0.02)
+    difference = metrics.pre(metrics.mpe(a, 1e-3, 0.02), metrics.mpe(b, 1e-3, 0.02))
     assert found.quantile.value == confidence.quantile(np.hypot(*difference.T), 0.9, 0.9, 1.0).value
     worst = judge(requirement, [run(a), run(b), run(far)], 0.0)
     assert worst.exceeding > 0.9 and worst.samples in (20 * 10, 15 * 10)
