@@ -7,10 +7,11 @@ the values themselves:
   third order, for a regular number of rows. The samples behind them have a longer period; the rows between say nothing
   of the motion between.
 - **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
-  a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart.
+  a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart. A motion
+  without noise comes to rest: at zero without a jump, elsewhere without a jump of the velocity.
 - **saturated**: more rows at one extreme value than a smooth distribution has there.
 
-A constant is a motion that does not change, and a motion without noise may rest at zero.
+An axis that is constant in the whole record is a motion that does not change.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class LiveRowSettings:
     corners : share of the rows that are not straight, in runs of more than two, beyond which a motion is a curve
     cubic : part of the rms of the third differences by which a fourth one may miss zero within a polynomial
     left : times the rounding of the fourth differences that the third ones of a polynomial have at least
-    turned : times the allowed bend of a line from which the change of its slope is one
+    turned : times the allowed bend of a line, or the typical step of a motion, from which a change is one
     format : largest part of the largest norm that is the rounding of a number format
     multiple : part of a quantum by which the steps of a rounded record miss a multiple of it
     same : part by which the rows for a sample may differ in the two axes
@@ -259,10 +260,7 @@ def samples_behind(e: FloatArray, hold: Hold) -> FloatArray:
 
 
 def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
-    """Which rows (n,) of a record (n, 2) repeat the one before, in an axis that moves, more often than by chance.
-
-    An axis at zero is at rest; where the other one repeats its value, too, only if what moves is smooth: then the
-    record is of a motion without noise.
+    """Which rows (n,) of a record (n, 2) repeat the one before in either axis, more often than by chance.
 
     Examples
     --------
@@ -274,25 +272,16 @@ def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray
     stuck = np.zeros(len(e), bool)
     if len(e) < settings.fewest:
         return stuck
-    still = [_marks(e[:, k : k + 1], lambda rows: rows[1:-1, 0] == rows[:-2, 0]) for k in range(2)]
-    # Whether the steps of rows (n, 2) change less from row to row than those of noise, by 1.4 or 1.7 of themselves
-    moving = e[~(still[0] & still[1])][:PART]
-    step = np.diff(moving, axis=0)
-    sizes = [np.abs(one).sum(axis=1) for one in (step, np.diff(step, axis=0))]
-    typical, change = (float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0 for size in sizes)
-    smooth = change <= settings.smooth * typical
-    for column, repeated in enumerate(still):
+    for x in e.T:
+        repeated = _marks(x[:, None], lambda rows: rows[1:-1, 0] == rows[:-2, 0])
         repeated[0] = False
-        if not repeated.any():
-            continue
-        by_chance = _chance_repeats(e[:, column], repeated, settings)
-        at_rest = (e[:, column] == 0.0) & (~still[1 - column] | smooth)
-        stuck |= repeated & ~by_chance & ~at_rest
+        if repeated.any():
+            stuck |= repeated & ~_explained_repeats(x, repeated, settings)
     return stuck
 
 
-def _chance_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSettings) -> BoolArray:
-    """Which rows are in a run of equal values that quantisation explains; all of them in an axis that does not move."""
+def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSettings) -> BoolArray:
+    """Which rows are in a run of equal values of quantisation or rest; all of them in an axis that does not move."""
     steps = np.abs(np.diff(x))
     moving = steps[steps > 0.0]
     if not moving.size:
@@ -306,7 +295,12 @@ def _chance_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSetting
     one = float(repeated.mean()) if quantised else quantum / typical  # probability of one row that repeats
     longest = math.log(settings.chance / len(x)) / math.log(one)
     still = 2.001 * quantum if quantised else settings.fine * typical  # step of a motion that hardly moves
-    return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still), lengths))
+    # The steps of a motion without noise change less from row to row than those of noise, by 1.4 or 1.7 of themselves
+    changes = np.abs(np.diff(x[starts], n=2)[:PART])
+    change = float(np.nanmedian(changes)) if np.isfinite(changes).any() else 0.0
+    allowed = settings.turned * np.where(x[starts] == 0.0, typical, change)
+    rests = (change <= settings.smooth * typical) & ~(into > allowed)
+    return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
 
 
 def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:

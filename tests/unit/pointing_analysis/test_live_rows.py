@@ -160,6 +160,18 @@ def test_a_motion_without_noise_may_rest_at_zero() -> None:
     assert not stuck_rows(event).any()
     dead = judged(np.where((TIME < 20.0)[:, None], 0.0, white(10.0)))
     assert [verdict.note for verdict in dead.verdicts] == ["stuck: 33.3 % of the samples"] * 2
+    slew = np.cumsum(np.maximum(0.0, 1.0 - np.abs(TIME - 1.0)))  # to an angle, with a trapezoid of the velocity
+    assert not stuck_rows(np.column_stack([slew, white(10.0)[:, 0]])).any()
+
+
+@pytest.mark.parametrize("motion", [white(10.0)[:, 1], tone(0.37, 900.0)[:, 0], tone(7.0, 20.0)[:, 1]])
+@pytest.mark.parametrize("value", [0.0, 3.0])
+def test_an_axis_that_stops_is_stuck_whatever_the_other_one_does(motion: FloatArray, value: float) -> None:
+    """A dead channel has zeros from some row on: a motion of any kind does not jump to rest."""
+    stops = np.where(TIME < 40.15, motion, value)
+    for beside in (white(10.0)[:, 0], tone(1.3, 70.0)[:, 0], np.zeros(N)):
+        assert stuck_rows(np.column_stack([stops, beside])).mean() == pytest.approx(0.331, abs=1e-3)
+    assert not stuck_rows(np.column_stack([np.full(N, value), motion])).any(), "constant in the whole record"
 
 
 @pytest.mark.parametrize("rate", [24.0, 30.0, 45.0, 60.0, 99.0, 120.0, 150.0])
