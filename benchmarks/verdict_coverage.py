@@ -325,7 +325,7 @@ def has_burst(name: str, seconds: int, count: int, seed: int) -> np.ndarray:
 def statuses(e: np.ndarray, rate: float, limits: np.ndarray) -> list[Status]:
     """Status of a record (2, n) for each share."""
     error = performance_error(series(None, e.T.astype(float), unit="mas", rate=rate), 0.0)
-    samples = run_samples(replace(error, blind=()), REQUIREMENTS[0.5])
+    samples = run_samples(error, REQUIREMENTS[0.5])
     lost = max((share for _, share in error.blind), default=0.0)
     return [
         "not judged"

@@ -121,11 +121,12 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfT
     summation = content.get("summation", "distribution")
     if summation not in ("distribution", "rss"):
         raise InputError(f"{file}: summation must be distribution or rss, got {summation!r}")
-    reader = _Reader(file, ANGLES[unit], len(axes), testbed)
+    requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
+    unseen = min((1.0 - r.probability for r in requirements), default=0.0)
+    reader = _Reader(file, ANGLES[unit], len(axes), testbed, unseen)
     sources = tuple(reader.tree(content.get("sources", {}), ()))
     if not sources:
         raise InputError(f"{file}: sources must hold at least one source, got none")
-    requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
     totals = tuple(_total(file, entry) for entry in content.get("total", ()))
     table = testbed_table(content.get("sources", {}))
     if not requirements and not totals and of_testbed is not None and table is not None:
@@ -196,10 +197,10 @@ def _positive(file: Path, name: str, value: Any) -> float:
 
 
 class _Reader:
-    """Reads the tree of sources of one file."""
+    """Reads the tree of sources of one file; of a recorded one the sensor may miss the share `unseen`."""
 
-    def __init__(self, file: Path, scale: float, axes: int, testbed: Testbed | None) -> None:
-        self.file, self.scale, self.axes, self.testbed = file, scale, axes, testbed
+    def __init__(self, file: Path, scale: float, axes: int, testbed: Testbed | None, unseen: float) -> None:
+        self.file, self.scale, self.axes, self.testbed, self.unseen = file, scale, axes, testbed, unseen
         self.kinds: dict[str, tuple[set[str], Callable[[tuple[str, ...], Entry, list[Any]], list[ErrorSource]]]] = {
             "constant": ({"value", "half_range", "sigma", "random"}, self._constant),
             "random": ({"sigma", "correlation_time"}, self._random),
@@ -360,6 +361,9 @@ class _Reader:
         if run.contradictions:
             raise self.wrong(path, f"bag must agree with its own digests: {run.contradictions[0]}", str(bag))
         series = performance_error(run, table.get("transient"))
+        for what, share in series.blind:
+            if share > self.unseen:
+                raise self.wrong(path, f"bag must show the motion: {what}", str(bag))
         return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
 
     def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:

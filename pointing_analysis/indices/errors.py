@@ -10,6 +10,7 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.indices.live_rows import Hold, hold_of, samples_behind, saturated_rows, stuck_rows
+from pointing_analysis.indices.metrics import AXES
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
@@ -36,7 +37,7 @@ class ErrorSeries:
 
     Attributes
     ----------
-    values : (n, 2) [rad], NaN where a sample is missing
+    values : (n, 2) [rad], NaN where a sample is missing; of the error of one axis the other column is zero
     dt : sampling period [s]
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
@@ -85,13 +86,17 @@ def transient_of(run: Recording, transient: float | None, duration: float) -> fl
     return float(value)
 
 
-def _drop(values: FloatArray, dt: float, transient: float, path: object, open_end: bool = False) -> ErrorSeries:
+def _drop(
+    values: FloatArray, dt: float, transient: float, path: object, axis: str, open_end: bool = False
+) -> ErrorSeries:
     first = round(min(transient / dt, len(values)))
     if first >= len(values):
         raise ShortRunError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
     rows = by_parts(np.array, values[first:, :2])
+    if axis:
+        rows[:, 1 - AXES.index(axis)] = 0.0
     if all(np.isnan(rows[part]).any(axis=1).all() for part in parts(len(rows))):
         raise BagError(f"{path}: the line of sight must have finite samples, got none")
     for part in parts(len(rows)):
@@ -117,7 +122,7 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
     elif hold is not None:
         rates = " and ".join(f"{1.0 / (count * dt):.4g}" for count in hold)
         blind = ((f"the axes have samples at different rates, {rates} Hz", 1.0),)
-        remarks.append(f"{blind[0][0]}: give each of them a table of its own, with zeros in place of the other")
+        remarks.append(f"{blind[0][0]}: requirements on one axis are judged by its samples, those on both are not")
         at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
         moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
     dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
@@ -144,7 +149,7 @@ def _gridded(run: Recording, name: str, off_grid: float = OFF_GRID) -> tuple[Flo
     return on_grid(replace(run[name], name=f"{run.path}: {run.shown(name)}"), off_grid)
 
 
-def performance_error(run: Recording, transient: float | None = None) -> ErrorSeries:
+def performance_error(run: Recording, transient: float | None = None, axis: str = "") -> ErrorSeries:
     """True controlled line of sight minus its target, which is zero; that of the camera where :func:`on_camera`.
 
     **Sign: error = actual minus target.**
@@ -153,6 +158,7 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
     ----------
     run : a run with the topic ``truth/los``
     transient : seconds to drop at the start (`transient_of`)
+    axis : ``x`` or ``y``: the error of this axis alone, by the samples that it has; "" that of both
 
     Raises
     ------
@@ -162,21 +168,21 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
     if on_camera(run):
         values, dt = _gridded(run, CAMERA, OFF_PHASE)
         left_out = transient_of(run, transient, dt * (len(values) - run[CAMERA].lost_after))
-        return _drop(values, dt, left_out, run.path, run[CAMERA].open_end)
+        return _drop(values, dt, left_out, run.path, axis, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = _gridded(run, "truth/los")
     left_out = transient_of(run, transient, dt * (len(values) - run["truth/los"].lost_after))
-    return _drop(values, dt, left_out, run.path, run["truth/los"].open_end)
+    return _drop(values, dt, left_out, run.path, axis, run["truth/los"].open_end)
 
 
-def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:
+def knowledge_error(run: Recording, transient: float | None = None, axis: str = "") -> ErrorSeries:
     """Estimated minus true line of sight, joined by stamp.
 
     The observer estimates the line of sight *without* the mirror's contribution (the mirror law
     ``u = -estimate / los_sensitivity`` cancels it), so the truth is the controlled line of sight less
     ``los_sensitivity`` times the mirror angle by its gauges.
-    **Sign: error = estimate minus truth.**
+    **Sign: error = estimate minus truth.** The parameters are those of `performance_error`.
 
     Raises
     ------
@@ -185,7 +191,7 @@ def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeri
     """
     _need(run, "los_estimate")
     estimate = run["los_estimate"]
-    return knowledge_error_of(run, estimate.stamp, estimate.values, transient)
+    return knowledge_error_of(run, estimate.stamp, estimate.values, transient, axis)
 
 
 def _need(run: Recording, *names: str) -> None:
@@ -197,7 +203,7 @@ def _need(run: Recording, *names: str) -> None:
 
 
 def knowledge_error_of(
-    run: Recording, stamp: IntArray, estimate: FloatArray, transient: float | None = None
+    run: Recording, stamp: IntArray, estimate: FloatArray, transient: float | None = None, axis: str = ""
 ) -> ErrorSeries:
     """Knowledge error of any estimate against the truth of a run; see `knowledge_error`.
 
@@ -207,6 +213,7 @@ def knowledge_error_of(
     stamp : (n,) stamps of the estimate [ns], strictly increasing
     estimate : (n, 2 or more) estimated line of sight without the mirror [rad]
     transient : seconds to drop at the start
+    axis : ``x``, ``y``, or "" for both
     """
     _need(run, "truth/los", "fsm/strain_gauge")
     truth, angle = run["truth/los"], run["fsm/strain_gauge"]
@@ -222,4 +229,4 @@ def knowledge_error_of(
         index, rows, columns = index[fits], rows[fits], columns[fits]
         full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
     left_out = transient_of(run, transient, dt * (len(grid) - truth.lost_after))
-    return _drop(full, dt, left_out, run.path, truth.open_end)
+    return _drop(full, dt, left_out, run.path, axis, truth.open_end)

@@ -25,7 +25,7 @@ from pointing_analysis.report.figures import (
     stroke,
 )
 from pointing_analysis.requirements.requirement import Requirement, parse, time_text
-from pointing_analysis.requirements.verdict import index_samples
+from pointing_analysis.requirements.verdict import index_samples, series_of
 
 LEFT = 0.99
 """Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
@@ -63,7 +63,8 @@ def _distribution(views: Sequence[RunView], quantity: str, requirements: Sequenc
     requirement = requirements[0] if requirements else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
     try:
-        values = [present(index_samples(view.series, requirement).values) for view in views]
+        series = [series_of(requirement, view.run, view.series.start) for view in views]
+        values = [present(index_samples(one, requirement).values) for one in series]
     except InputError as error:
         return f"No distribution of {quantity}: {error}."
     if without := [view.label for view, samples in zip(views, values) if not len(samples)]:

@@ -20,12 +20,12 @@ from scipy import linalg
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
-from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.conditions import MEASURED, START_UP
 from pointing_analysis.requirements.requirement import Requirement, parse, time_text
-from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged
+from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged, series_of
 from pointing_analysis.spectra.tone_budget import named_tones
 
 BLOCKS = 60
@@ -65,9 +65,8 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
     """Verdict on one run, its start-up measured and left out where the run begins with one and none is given."""
     if transient is not None or run.parameters.get(START_UP) != MEASURED or requirement.across_runs:
         return Settled(judge(requirement, [run], transient))
-    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
     try:
-        series = make(run, None)
+        series = series_of(requirement, run)
         seconds = series.start + start_up(series, requirement, named_tones(run))
     except ValueError:
         return Settled(judge(requirement, [run], None))  # with the reason

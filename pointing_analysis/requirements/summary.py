@@ -477,7 +477,14 @@ def summarise(
     settled = [judge_settled(r, run, transient) for r in asked]
     knowledge, without = _knowledge(run, transient, window, parts.knowledge)
     sensors, unknown = read_sensors(run)
-    remarks = dict.fromkeys((*series.remarks, *(one.remark for one in settled)))
+    axes = sorted({r.axis for r in asked if r.axis})
+    alone = [
+        f"{a}: {text}"
+        for a in axes
+        for text in performance_error(run, transient, a).remarks
+        if text not in series.remarks
+    ]
+    remarks = dict.fromkeys((*series.remarks, *alone, *(one.remark for one in settled)))
     problems += [text for text in (damaged, unusable, unread, without, unknown, *remarks) if text]
     problems += _of_series(run, series, window, transient)
     return Summary(

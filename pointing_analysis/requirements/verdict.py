@@ -43,6 +43,7 @@ __all__ = [
     "parse",
     "refusal",
     "run_samples",
+    "series_of",
 ]
 
 ROUNDING = 1e-9
@@ -141,23 +142,36 @@ class IndexSamples:
         return replace(verdict, start=self.start)
 
 
+def series_of(requirement: Requirement, run: Recording, transient: float | None = None) -> ErrorSeries:
+    """The error series that a requirement is about: performance or knowledge error, of one axis or of both.
+
+    Raises
+    ------
+    ValueError
+        There is none, or the sensor did not see more of the motion than the requirement allows to exceed.
+    """
+    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
+    series = make(run, transient, requirement.axis)
+    for what, share in series.blind:
+        if share > 1.0 - requirement.probability:
+            raise InputError(what)
+    return series
+
+
 def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
     """Samples of the judged index of one run: a recording, or a member of a campaign.
 
     Parameters
     ----------
-    series : performance or knowledge error, whichever the index is of
+    series : the error that the requirement is about, `series_of`
     requirement : of any index but the PRE
     optics : of an index of the image
 
     Raises
     ------
     ValueError
-        The index cannot be formed, or the sensor did not see more of the motion than the requirement allows to exceed.
+        The index cannot be formed.
     """
-    for what, share in series.blind:
-        if share > 1.0 - requirement.probability:
-            raise InputError(what)
     samples = index_samples(series, requirement, optics)
     there = present(samples.values)
     if not there.size:
@@ -247,7 +261,7 @@ def _reproducibility(
 
     The windows of a run are used many times over, so a pair weighs as much as the shorter of its two runs.
     """
-    series = [performance_error(run, transient) for run in runs]
+    series = [series_of(requirement, run, transient) for run in runs]
     pairs_of_runs = []
     for i, first in enumerate(series):
         for second in series[i + 1 :]:
@@ -451,10 +465,9 @@ def _collect(requirement: Requirement, runs: Sequence[Recording], transient: flo
     """Of each run, and for the PRE of each pair: the samples of the index."""
     if requirement.index == "PRE":
         return _reproducibility(requirement, runs, transient)
-    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
     collected = []
     for run in runs:
-        series = make(run, transient)
+        series = series_of(requirement, run, transient)
         try:
             optics = optics_of(run) if requirement.of_image else None
             collected.append(run_samples(series, requirement, optics))

@@ -11,6 +11,7 @@ from scipy import optimize, special
 from support.command_line import refused
 
 import pointing_analysis
+from lftkit.errors import InputError
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.lines import combine, contribution, periodic, uniform
@@ -151,6 +152,21 @@ def test_a_measured_bag_replaces_a_source(tmp_path: Path) -> None:
     requirement = "prob(|RPE(20 ms)| < 10 mas) >= 0.9 at 95 % confidence"
     found = budget(tmp_path, '[sources.a]\ntype = "measured"\nbag = "bag"\ntransient = 1.0\n', requirement)
     assert found.level == pytest.approx(3 * math.sqrt(19 / 20) * math.sqrt(2 * math.log(10)), rel=0.02)
+
+
+def test_a_recorded_source_that_the_sensor_did_not_see_is_refused(tmp_path: Path) -> None:
+    """A budget of a stuck or clipped sensor would be too small; fewer such samples than may exceed are missing ones."""
+    sources = '[sources.a]\ntype = "measured"\nbag = "bench.csv"\ntransient = 0.0\n'
+    for stuck, clip, said in ((6000, math.inf, "stuck: 30 %"), (0, 1.0, "saturated: "), (100, math.inf, "")):
+        e = np.random.default_rng(1).standard_normal((20_000, 2)).clip(-clip, clip)
+        e[: stuck + 1] = e[0]
+        table = np.column_stack([1e-3 * np.arange(len(e)), e])
+        np.savetxt(tmp_path / "bench.csv", table, delimiter=",", header="time,x (mas),y (mas)", comments="")
+        if said:
+            with pytest.raises(InputError, match=f"a: bag must show the motion: {said}"):
+                budget(tmp_path, sources)
+        else:
+            assert budget(tmp_path, sources).level == pytest.approx(1.645, rel=0.05)
 
 
 def test_a_measured_source_takes_the_windows_of_an_analysis(tmp_path: Path) -> None:

@@ -13,8 +13,11 @@ from scipy.signal import lfilter, resample
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.live_rows import hold_of, samples_behind, saturated_rows, stuck_rows
+from pointing_analysis.read.series import series
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.series_verdict import judge_series
 from pointing_analysis.requirements.summary import Summary
+from pointing_analysis.requirements.verdict import judge
 
 N, DT = 60_000, 1e-3
 TIME = DT * np.arange(N)
@@ -225,6 +228,24 @@ def test_smooth_motions_without_noise_are_no_interpolation() -> None:
     assert [hold_of(e) for e in motions] == [None] * len(motions)
 
 
+@pytest.mark.parametrize("wrong", ["stuck", "saturated", "missing"])
+def test_an_axis_that_was_not_seen_leaves_the_other_one_judged(wrong: str) -> None:
+    e = white(10.0)
+    e[:, 1] = np.clip(e[:, 1], -5.0, 5.0) if wrong == "saturated" else e[:, 1]
+    e[20_000:38_000, 1] = {"stuck": e[20_000, 1], "saturated": 0.1, "missing": np.nan}[wrong]
+    texts = [f"prob(|APE{axis}| < 50 mas) >= 0.99 at 95 % confidence" for axis in ("_x", "_y", "")]
+    texts += [f"prob(|PRE{axis}(1 s)| < 9 mas) >= 0.9 at 90 % confidence" for axis in ("_x", "_y")]
+    ape_x, ape_y, norm = (judge(parse(text), [series(TIME, e, unit="mas")], 0.0) for text in texts[:3])
+    pair = [series(TIME, white(10.0)[::-1], unit="mas"), series(TIME, e, unit="mas")]
+    pre_x, pre_y = (judge(parse(text), pair, 0.0) for text in texts[3:])
+    assert (ape_x.status, ape_x.samples, ape_x.missing) == ("compliant", N, 0.0)
+    assert pre_x.status == "compliant" and pre_x.missing == 0.0
+    if wrong == "missing":
+        assert ape_y.missing == norm.missing == 18_000 and pre_y.missing > 0
+    else:
+        assert all(verdict.note.startswith(f"{wrong}: ") for verdict in (ape_y, norm, pre_y))
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_axes_of_different_rates_have_no_common_one(axis: int) -> None:
     """Held, joined by lines or by a spline, beside noise; a triangle, a square wave and a constant are motions."""
@@ -240,23 +261,26 @@ def test_axes_of_different_rates_have_no_common_one(axis: int) -> None:
         assert isinstance(hold, tuple) and hold[axis] == pytest.approx(20.0, rel=0.01) and hold[1 - axis] == 1.0
 
 
-def test_of_axes_of_different_rates_nothing_is_judged() -> None:
+def test_axes_of_different_rates_are_judged_alone() -> None:
     """Taken every 20 rows, a tone of the axis that is not held would be a constant, and its windows those of noise."""
     rng = np.random.default_rng(5)
     held, time = np.repeat(1e-9 * rng.standard_normal(3000), 20), 1e-3 * np.arange(60_000)
     live = 5e-8 * np.sin(2 * np.pi * 200.0 * time) + 1e-9 * rng.standard_normal(60_000)
     limits = [
-        "prob(|APE_y| < 5 mas) >= 0.95 at 90 % confidence",
-        "prob(|RPE(50 ms)| < 9 mas) >= 0.95 at 90 % confidence",
+        f"prob({index} < {limit} mas) >= 0.95 at 90 % confidence"
+        for index, limit in (("|APE_y|", 5), ("|RPE_y(50 ms)|", 9), ("|RPE(50 ms)|", 9), ("|APE_x|", 1))
     ]
+    limits.append("prob(rms RPE_x(20 ms) < 9 mas) >= 0.95 at 90 % confidence")
     both, alone = (np.column_stack([x, live]) for x in (held, 0.0 * held))
-    for verdict in judge_series(time, both, unit="rad", requirements=limits, transient=0.0).verdicts:
-        assert (
-            verdict.status == "not judged"
-            and "the axes have samples at different rates, 50 and 1000 Hz" in verdict.note
-        )
-    for verdict in judge_series(time, alone, unit="rad", requirements=limits, transient=0.0).verdicts:
-        assert verdict.status == "not compliant"
+    summary = judge_series(time, both, unit="rad", requirements=limits, transient=0.0)
+    *of_y, norm, of_x, within = summary.verdicts
+    assert norm.status == "not judged" and "the axes have samples at different rates, 50 and 1000 Hz" in norm.note
+    judged_alone = judge_series(time, alone, unit="rad", requirements=limits[:3], transient=0.0).verdicts
+    assert [verdict.status for verdict in judged_alone] == ["not compliant"] * 3
+    assert of_y == list(judged_alone[:2]), "an axis is judged as if it were alone"
+    assert of_x.samples == 3000 and of_x.status == "compliant"
+    assert within.status == "not judged" and "two samples of 20 ms" in within.note
+    assert any(text.startswith("x: each sample is held") for text in summary.problems)
     other = np.repeat(1e-9 * rng.standard_normal(1500), 40)
     assert hold_of(np.column_stack([held, other])) == (20.0, 40.0)
     shifted = hold_of(np.column_stack([held, np.roll(held[::-1], 10)]))
