@@ -29,11 +29,13 @@ class TimeGridSettings:
     ----------
     local : intervals whose mean is the period about a sample
     told : part of the period by which an interval may miss a whole number of periods, if it tells how many they are
+    lost : part of the period by which times miss the line where it is none: the period is the mean interval
     drift : largest change of the rate, a part of it, that is one of a clock
     """
 
     local: int = 257
     told: float = 0.25
+    lost: float = 0.45
     drift: float = 1e-3
 
 
@@ -114,7 +116,7 @@ def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid |
 
     steps = np.diff(since)
     middle = float(np.median(steps))
-    usual = (steps > 0.5 * middle) & (steps < 1.5 * middle)
+    usual = (steps > 0.49 * middle) & (steps < 1.51 * middle)  # also of times rounded to half of the period
     if middle <= 0 or not usual.any():
         return None
     width = min(settings.local, steps.size)
@@ -138,8 +140,12 @@ def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid |
         drift = float(np.ptp(local[inner])) / period
     jitter, largest = float(np.sqrt(np.mean(np.square(rest)))), float(np.abs(rest).max())
     resolution = _resolution(since)
-    drift = max(drift - 16.0 * max(resolution, jitter) / (width * period), 0.0)
-    if drift == 0.0:
+    # Largest difference of the means of so many intervals due to jitter, and to rounding
+    noise = max(16.0 * jitter, 2.0 * max(resolution, 1.0 / NANO)) / (width * period)
+    drift = float(np.sqrt(max(drift**2 - noise**2, 0.0)))
+    if not told and largest > settings.lost * period:
+        period = float(steps[usual].mean())
+    elif drift == 0.0:
         period = _round_rate(period, float(np.ptp(place)), max(2.0 * largest, 1e-9))
     return TimeGrid(period, place.astype(np.int64), jitter, largest, resolution, drift)
 
