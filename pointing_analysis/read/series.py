@@ -273,7 +273,7 @@ def make_series(
                 f"times must have one sampling rate, got one that changes by {100.0 * timing.drift:.2g} %, "
                 f"{1 / timing.period:.6g} Hz on average: resample them to a constant rate"
             )
-        period = timing.period if timing is not None and timing.fits else None
+        period = timing.period if timing is not None else None
     sent = (stamps if published is None else published).copy()
     topic = make_topic(LOS, provenance.schema, "rad", ("x", "y"), stamps.copy(), values, sent, period)
     about = {

@@ -78,8 +78,8 @@ class TimeGrid:
         rate = f"{1 / self.period:.9g} Hz from the times"
         if self.drift:
             rate += f", which changes by {1e6 * self.drift:.2g} ppm"
-        if self.largest < 1e-9:
-            return rate
+        if self.largest <= max(0.51 * self.resolution, 2.0 / NANO):
+            return f"{rate}, rounded to {1e6 * self.resolution:g} us" if self.largest > 2.0 / NANO else rate
         return f"{rate}, jitter {1e6 * self.jitter:.2g} us rms, at most {1e6 * self.largest:.2g} us"
 
 
@@ -95,7 +95,7 @@ def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeG
     >>> t = np.round(np.delete(np.arange(30720), np.arange(3000, 3103)) / 512, 6)
     >>> grid = time_grid(t)
     >>> print(grid)
-    512 Hz from the times, jitter 0.29 us rms, at most 0.5 us
+    512 Hz from the times, rounded to 1 us
     >>> int(grid.place[-1]) + 1 - t.size
     103
     """
@@ -137,12 +137,13 @@ def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid |
     inner, drift = slice(width // 2, -(width // 2)), 0.0
     if told and len(since) > 4 * width:
         rest = (rest - uniform_filter1d(rest, width, mode="nearest"))[inner]
+        rest -= rest.mean()  # a mean of times whose rate changes is not in their middle
         drift = float(np.ptp(local[inner])) / period
     jitter, largest = float(np.sqrt(np.mean(np.square(rest)))), float(np.abs(rest).max())
     resolution = _resolution(since)
     # Largest difference of the means of so many intervals due to jitter, and to rounding
     noise = max(16.0 * jitter, 2.0 * max(resolution, 1.0 / NANO)) / (width * period)
-    drift = float(np.sqrt(max(drift**2 - noise**2, 0.0)))
+    drift = float(np.sqrt(drift**2 - noise**2)) if drift > 1.01 * noise else 0.0
     if not told and largest > settings.lost * period:
         period = float(steps[usual].mean())
     elif drift == 0.0:

@@ -295,10 +295,9 @@ def on_grid(topic: Topic, off_grid: float = OFF_GRID) -> tuple[FloatArray, float
             f"{100 * state.other_rate:.0f} % of the run"
         )
     if state.irregular > off_grid * len(topic):
-        mean_rate = (len(topic) - 1) / (int(topic.stamp[-1]) - int(topic.stamp[0])) * NANO
         raise BagError(
-            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, got "
-            f"{counted(state.irregular, 'interval')} off it, {mean_rate:.6g} Hz on average "
+            f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms ({1.0 / topic.period:.6g} Hz), got "
+            f"{counted(state.irregular, 'interval')} off it "
             "(with a known sampling rate, --rate HZ moves them to its grid)"
         )
     rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after

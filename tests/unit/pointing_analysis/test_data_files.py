@@ -150,7 +150,7 @@ def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int)
     found = summarise(run)
     assert found.ticks == n and found.samples_lost == gap and found.transient == 5.0
     assert not any("shorter" in problem for problem in found.problems)
-    assert found.sampling.startswith("512 Hz from the times, jitter 0.2")
+    assert found.sampling.startswith("512 Hz from the times, rounded to 1 us")
 
 
 @pytest.mark.parametrize("rate", [300.7, 999.9, 48.3, 1000.0, 2000.0])
@@ -176,7 +176,7 @@ def test_the_order_of_the_rows_does_not_count(tmp_path: Path, order: str) -> Non
     asked = parse("prob(rms RPE(31.25 ms) < 1 mas) >= 0.9 at 90 % confidence")
     run = open_los(tmp_path / "a.csv", unit="mas")
     found = summarise(run, requirements=[asked])
-    assert found.sampling.startswith("512 Hz from the times, jitter 0.29 us rms")
+    assert found.sampling.startswith("512 Hz from the times, rounded to 1 us")
     assert found.ticks == n and found.samples_lost == 3 and found.verdicts[0].status == "compliant"
     expected = values.round(6) * RAD_PER_MAS
     expected[3000:3003] = np.nan
@@ -197,7 +197,7 @@ def test_times_rounded_to_half_of_the_period_have_the_rate_of_their_record(chang
     mean = 30_719 / times[-1]
     grid = time_grid(times)
     assert grid is not None and not grid.fits and 1.0 / grid.period == pytest.approx(mean, rel=2e-5)
-    with pytest.raises(BagError, match=rf"off it, {mean:.6g} Hz on average"):
+    with pytest.raises(BagError, match=rf"on a grid of {1e3 / mean:.4g}\d* ms \({mean:.6g} Hz\)"):
         performance_error(series(times, xy, unit="mas"), 0.0)
     if change:
         with pytest.raises(InputError, match=rf"rate must match the samples, {mean:.6g}\d* Hz by their times"):
@@ -212,6 +212,28 @@ def test_the_change_of_a_rate_is_said_as_it_is(decimals: int) -> None:
     rate = 512.0 * (1.0 + 0.01 * np.linspace(-0.5, 0.5, 60_000))
     grid = time_grid(np.round(np.append(0.0, np.cumsum(1.0 / rate[:-1])), decimals))
     assert grid is not None and grid.drift == pytest.approx(0.01, rel=0.03)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 3e-7, 5e-6])
+def test_a_record_is_as_long_as_its_times_whatever_their_jitter(jitter: float) -> None:
+    """The period was the most frequent interval or the median: 30.009 s of 30 s, and a grid of 0.999887 ms."""
+    rng = np.random.default_rng(1)
+    times = np.arange(30_000) / 1000.0 + jitter * rng.standard_normal(30_000)
+    found = summarise(series(times, rng.standard_normal((30_000, 2)), unit="mas"), transient=0.0)
+    assert found.duration == pytest.approx(30.0, abs=1e-6) and found.sampling.startswith("1000 Hz from the times")
+    far = series(times + 3e-5 * rng.standard_normal(30_000), np.zeros((30_000, 2)), unit="mas")
+    with pytest.raises(BagError, match=r"stamps must be on a grid of (1|1\.00000\d*|0\.99999\d*) ms"):
+        performance_error(far, 0.0)
+
+
+@pytest.mark.parametrize("rate", [300.0, 512.0, 333.3, 44_100.0])
+def test_rounding_is_no_jitter(rate: float) -> None:
+    """Of whole nanoseconds, of a clock that drifts, too."""
+    times = np.arange(30_000) / rate
+    for since in (times, times * (1.0 + 1e-5 * times / times[-1])):
+        stamps = np.floor(since * 1e9).astype(np.int64) + 1_700_000_000_123_456_789
+        grid = time_grid((stamps - stamps[0]) / 1e9)
+        assert grid is not None and "jitter" not in str(grid) and "rounded" not in str(grid)
 
 
 def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
