@@ -26,8 +26,9 @@ from pointing_analysis.read.run_end import RunEnd, count_of, run_end, statistics
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-State = Literal["agrees", "none", "early", "damaged", "contradicts"]
-"""``early``: intact, but the run did not end as planned, or its messages do not show that it did."""
+State = Literal["agrees", "none", "missing", "irregular", "early", "damaged", "contradicts"]
+"""``none``: not known. Intact, but with messages ``missing`` or ``irregular``, as they came to the recorder; ``early``:
+the run did not end as planned, or its messages do not show that it did."""
 
 CHECKSUMS, WHOLE_FILE, SIGNATURE = "checksums", "digest of the file", "signature"
 REFUTED = (SIGNATURE, "contradicts")
@@ -337,7 +338,7 @@ def _lost(losses: Sequence[TopicLoss], arrived: Mapping[str, Arrivals]) -> BagCh
     beside = f"; not known of {counted(unknown, 'topic')} without stamps or a regular rate" if unknown else ""
     if missing:
         what = f"{counted(missing, 'message')} missing between the stamps: not recorded, or removed since"
-        return BagCheckRow("lost messages", "none", what + beside)
+        return BagCheckRow("lost messages", "missing", what + beside)
     return BagCheckRow("lost messages", "agrees", "none" + beside)
 
 
@@ -351,7 +352,7 @@ def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     )
     irregular = sum(topic.period is None for topic in arrived.values())
     beside = f"; gaps not judged of {counted(irregular, 'topic')} without a regular rate" if irregular else ""
-    return BagCheckRow("times of the messages", "none" if parts else "agrees", text + beside)
+    return BagCheckRow("times of the messages", "irregular" if parts else "agrees", text + beside)
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:
