@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
+from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, empty, parts
 from pointing_analysis.read.mcap.records import BagError
@@ -403,7 +404,8 @@ class Comparison:
                 parts.append(f"{d.topic}: identical on {d.compared} ticks")
             else:
                 begin = "" if d.first is None else f", first after {d.first:.3f} s, largest {d.largest:.3g}"
-                parts.append(f"{d.topic}: {d.different} of {d.compared} ticks differ{begin}; {d.missing} ticks missing")
+                alone = f"; {counted(d.missing, 'tick')} in one of the two only" if d.missing else ""
+                parts.append(f"{d.topic}: {d.different} of {d.compared} ticks differ{begin}{alone}")
         return "; ".join(parts) or "the bag holds neither estimates nor commands to compare with"
 
 

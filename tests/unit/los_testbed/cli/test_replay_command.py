@@ -137,6 +137,34 @@ def test_another_stage_with_the_recorded_controllers_is_named(call, recorded, tm
     assert "other controllers" in call(recorded, "--k-fsm", other_observer(tmp_path / "quick.json"))[1]
 
 
+CODE = """
+import numpy as np
+class {name}:
+    def reset(self):
+        self.held = np.zeros(6)
+    def step(self, accel_Ip, out):
+        self.held += 0.1 * (accel_Ip - self.held)
+        out[:] = {gain} * self.held
+"""
+
+
+@pytest.mark.parametrize("start", ["steady", "rest"])
+def test_code_as_recorded_is_known_by_its_source(call, tmp_path, monkeypatch, start) -> None:
+    """Its controllers start at rest and are switched on: the replay of the same code begins as the run did."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "law_of_run.py").write_text(CODE.format(name="Law", gain=0.5) + CODE.format(name="Other", gain=0.4))
+    files = {"k_fsm": write_controllers(tmp_path)["k_fsm"], "k_pma": "law_of_run:Law"}
+    config = RunConfig(duration=2.0, mode="inprocess", start=start, **files)
+    run_in_process(config, tmp_path / "bag", SimpleTelescope())
+    code, out, err = call(tmp_path / "bag", "--k-pma", "law_of_run:Law")
+    assert code == 0, err
+    assert "controllers as recorded: replay bit-identical" in out and "the bag is complete" in out
+    assert "steady state" not in err
+    code, out, _ = call(tmp_path / "bag", "--k-pma", "law_of_run:Other")
+    assert code == 0 and "other controllers: " in out and "bit-identical" not in out
+    assert "ticks differ" in out and "missing" not in out, "the replay has each tick of the bag"
+
+
 def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path) -> None:
     new = other_observer(tmp_path / "quick.json")
     code, out, _ = call(recorded, "--k-fsm", new, "--output", "replayed", "--json")

@@ -26,6 +26,7 @@ from los_estimator.runtime import LosEstimator
 from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.config.plugins import source_hashes
 from los_testbed.config.run_config import RunConfig, is_code, is_library
 from los_testbed.config.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
@@ -174,7 +175,8 @@ def controllers(
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
-    read = {name: _law_of(run, name, asked, in_order) for name, asked in (("k_fsm", k_fsm), ("k_pma", k_pma))}
+    asked = {"k_fsm": k_fsm, "k_pma": k_pma}
+    read = {name: _law_of(run, name, law, in_order) for name, law in asked.items()}
     chosen, telescope = {name: law for name, (law, _) in read.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
     rows = {name: _rows_of(run, law) for name, law in chosen.items()}
@@ -185,7 +187,10 @@ def controllers(
     )
     controller = assemble_controller(laws, _completed(telescope), stage, fade_ticks, rows["k_pma"])
     files = {_file_name(name, law): data for name, (law, data) in read.items() if data}
-    same = {name: run.attachments.get(name) == data for name, data in files.items()}
+    same = (
+        run.attachments.get(_file_name(name, law)) == data if data else _is_code_of(run, name, asked[name])
+        for name, (law, data) in read.items()
+    )
     estimator = LosEstimator(fsm, rows["k_fsm"].further_measured) if isinstance(fsm, SampledSystem) else fsm
     start, resting = _started(run, laws, closed=stage == recorded)
     if start is not None:
@@ -196,7 +201,7 @@ def controllers(
         warnings += (f"the run starts in a steady state, {of_replay} of the replay at rest: figures have the start-up",)
     layout = layout_of(rows["k_fsm"], rows["k_pma"])
     difference = "" if stage == recorded else f"controllers as recorded, with loop {stage} instead of {recorded}"
-    if len(files) != len(read) or not all(same.values()):
+    if not all(same):
         difference = "other controllers"
     changes = UNCHANGED, UNCHANGED
     if stage == recorded:
@@ -230,6 +235,12 @@ def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tu
     if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
         law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
     return law, read_bytes(text) if text.endswith(".json") else law.to_json().encode()
+
+
+def _is_code_of(run: Run, name: str, asked: str | Path | None) -> bool:
+    """Whether code is that of a recorded run: the same object of a source file with the same bytes."""
+    recorded = run.parameters.get(f"{name}_source_sha256")
+    return bool(recorded) and run.parameters.get(name) == asked and source_hashes({name: str(asked)})[name] == recorded
 
 
 def _rows_of(run: Run, law: Law) -> LoopPorts:
@@ -267,7 +278,8 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
     """
     # States in which the recorded controllers started; None: at rest
     data = run.attachments.get(START_FILE)
-    states = None if data is None else RunStart.from_bytes(data).states
+    recorded = RunStart() if data is None else RunStart.from_bytes(data)
+    states = recorded.states
     if states is None:
         return None, []
     same = {name: _starts_as_recorded(run, name, law, getattr(states, name)) for name, law in laws.items()}
@@ -275,7 +287,7 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
     still = {name: np.zeros(law.order) for name, law in laws.items() if not same[name]}
     if "k_fsm" in still:
         still["camera"] = np.zeros_like(states.camera)
-    return replace(states, **still), [name for name in laws if not same[name]]
+    return replace(states, **still), [name for name in laws if not same[name] and recorded.steady]
 
 
 def telescope_of(run: Run) -> DesignBasis:
