@@ -16,14 +16,15 @@ Without stamps a gap in the times of recording may be any of these. Topics witho
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from pointing_analysis.arrays import IntArray
+from pointing_analysis.arrays import BoolArray, IntArray
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
 
 Kind = Literal["gap", "stall", "clock step"]
 KINDS: tuple[Kind, ...] = ("gap", "stall", "clock step")
@@ -112,56 +113,72 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
     """
     stamped = stamps.size == logged.size > 0
     if stamped:
-        back, stamps_back = (np.diff(one) < -STEP * NANO for one in (logged, stamps))
-        if back.any() and np.array_equal(back, stamps_back):  # parts of the file changed places; no clock stepped
+        back, stamps_back = (_where(_steps(one), lambda steps: steps < -STEP * NANO) for one in (logged, stamps))
+        if back.size and np.array_equal(back, stamps_back):  # parts of the file changed places; no clock stepped
             order = np.argsort(logged, kind="stable")
             logged, stamps = logged[order], stamps[order]
-    times = stamps if stamped else logged
     if logged.size < FEWEST:
         return Arrivals(logged.size, stamped, None)
-    steps = np.diff(times)
-    ahead = steps[steps > 0]
-    period = float(np.median(ahead)) if ahead.size else 0.0
-    regular = period > 0 and float(np.mean(np.abs(steps - period) <= 0.5 * period)) >= REGULAR
+    steps = _steps(stamps if stamped else logged)
+    ahead = SortedValues(by_parts(lambda part: np.where(part > 0, part, np.nan), steps))
+    period = ahead.quantile(0.5) if ahead.size else 0.0
+    near = sum(int((np.abs(steps[part] - period) <= 0.5 * period).sum()) for part in parts(len(steps)))
+    regular = period > 0 and near >= REGULAR * len(steps)
     jumps = _delays(logged, stamps, period if regular else 0.0) if stamped else _backwards(logged)
-    since = np.asarray((logged - logged[0]) / NANO)
-    events = [Event(kind, float(since[i]), size / NANO) for i, (kind, size) in jumps.items()]
+
+    def since(i: int) -> float:
+        return float((logged[i] - logged[0]) / NANO)
+
+    events = [Event(kind, since(i), size / NANO) for i, (kind, size) in jumps.items()]
     if regular:
-        steps = steps.copy()
         for i, (kind, _) in jumps.items():
             if kind == "clock step":  # the clock that did not step counts what is missing: the shorter of the two
                 both = [step for step in (steps[i], logged[i + 1] - logged[i]) if step > -STEP * NANO]
                 shorter = min(both, default=period)  # with the jitter of the recorder
                 steps[i] = shorter if shorter > max(GAP * period, STEP * NANO) else period
         least = GAP * period if stamped else max(2.0 * GAP * period, STALL * NANO)
-        for i in np.flatnonzero(steps > least).tolist():
+        for i in _where(steps, lambda part: part > least).tolist():
             lost = round(float(steps[i]) / period) - 1 if stamped else 0
-            events.append(Event("gap", float(since[i]), float(steps[i]) / NANO, lost))
+            events.append(Event("gap", since(i), float(steps[i]) / NANO, lost))
     events.sort(key=lambda event: event.at)
     return Arrivals(logged.size, stamped, period / NANO if regular else None, tuple(events))
 
 
+def _steps(times: IntArray) -> IntArray:
+    """Differences (n - 1,) of times (n,)."""
+    return np.asarray(by_parts(np.subtract, times[1:], times[:-1], dtype=np.int64))
+
+
+def _where(values: IntArray, holds: Callable[[IntArray], BoolArray]) -> IntArray:
+    """Rows of which something holds."""
+    return np.flatnonzero(by_parts(holds, values, dtype=bool))
+
+
 def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, tuple[Kind, float]]:
     """Stalls and clock steps by the message before them, sizes [ns]."""
-    delay = logged - stamps
+    delay = np.asarray(by_parts(np.subtract, logged, stamps, dtype=np.int64))
     least, longest = max(STEP * NANO, GAP * period), max(STALL * NANO, 2.0 * GAP * period)
     delays: dict[int, tuple[Kind, float]] = {}
     start = caught_up = 0  # of the present level; end of a stall
-    for i in np.flatnonzero(np.abs(np.diff(delay)) > least).tolist():
+    for i in _where(_steps(delay), lambda steps: np.abs(steps) > least).tolist():
         if i < caught_up:
             continue
         level = int(delay[max(start, i + 1 - BEFORE) : i + 1].min())
         rise = float(delay[i + 1] - level)
         if abs(rise) <= least:
             continue
-        after = delay[i + 1 :]
-        within = logged[i + 1 :] <= logged[i + 1] + 2.0 * abs(rise) + NANO
-        back = np.flatnonzero((after - level <= max(0.1 * rise, least)) & within)
-        if rise > 0 and (back.size or after.size < BEFORE):
+        after, until = delay[i + 1 :], logged[i + 1] + 2.0 * abs(rise) + NANO
+        end = logged.size  # the first one whose delay is back in time
+        for part in parts(len(after)):
+            back = (after[part] - level <= max(0.1 * rise, least)) & (logged[i + 1 :][part] <= until)
+            if back.any():
+                end = i + 1 + part.start + int(back.argmax())
+                break
+        if rise > 0 and (end < logged.size or after.size < BEFORE):
             if rise > longest:
                 delays[i] = ("stall", rise)
-            end = i + 1 + int(back[0]) if back.size else logged.size
-            caught_up = end - 1 if back.size and level - delay[end] > least else end  # where it falls below: a step
+            falls = end < logged.size and level - delay[end] > least  # below the level: a step
+            caught_up = end - 1 if falls else end
         elif period > 0:  # of a topic without one, several nodes may send, each with its own delay
             change = float(after[:BEFORE].min() - level)
             jitter = float(np.quantile(after[:BEFORE], USUAL) - after[:BEFORE].min())
@@ -173,5 +190,5 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
 
 def _backwards(logged: IntArray) -> Mapping[int, tuple[Kind, float]]:
     """Steps of the recorder's clock that are seen without stamps: those to earlier times."""
-    steps = np.diff(logged)
-    return {int(i): ("clock step", float(steps[i])) for i in np.flatnonzero(steps < -STEP * NANO)}
+    steps = _steps(logged)
+    return {int(i): ("clock step", float(steps[i])) for i in _where(steps, lambda part: part < -STEP * NANO)}

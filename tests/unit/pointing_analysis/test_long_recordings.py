@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +18,7 @@ from support.scripts import script
 from pointing_analysis.indices import confidence
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read import mapped_arrays
+from pointing_analysis.read.arrivals import arrivals
 from pointing_analysis.read.mapped_arrays import (
     GrowingArray,
     SortedValues,
@@ -182,6 +184,22 @@ def largest_memory(*arguments: str) -> float:
     size, unit = last_line("-c", code, timeout=7000).split()
     assert unit == "kB"
     return int(size) / 1024
+
+
+def test_the_times_of_messages_are_judged_in_bounded_memory() -> None:
+    """Nine topics of two hours had 1 GB of times in a replay and in `bag verify`."""
+    grown = [GrowingArray(None, np.int64) for _ in range(2)]
+    for first in range(0, 3_000_000, 100_000):
+        sent = 1_000_000 * np.arange(first, first + 100_000)
+        for one, late in zip(grown, (300_000, 0)):
+            one.append(np.delete(sent + late, [5000, 5001]))
+    logged, stamps = (one.array() for one in grown)
+    tracemalloc.start()
+    found = arrivals(logged, stamps)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.lost == 60 and len(found.of("gap")) == 30
+    assert peak < 0.7 * stamps.nbytes, "less than a copy of the times of one topic"
 
 
 @pytest.mark.slow

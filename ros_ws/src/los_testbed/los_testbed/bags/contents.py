@@ -11,6 +11,7 @@ import numpy as np
 from pointing_analysis.arrays import IntArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.arrivals import Arrivals, arrivals
+from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED
 from pointing_analysis.read.mcap.records import BODY, HEAD, BagError, Block, Channel, FileInfo
@@ -33,7 +34,7 @@ class Contents:
     def __init__(self) -> None:
         self.files: list[Counter[str]] = []
         self.stamps: dict[str, tuple[int, int]] = {}
-        self._times: dict[str, list[tuple[IntArray, IntArray]]] = {}
+        self._times: dict[str, tuple[GrowingArray, GrowingArray]] = {}
         self._stamped: dict[Channel, bool] = {}
 
     def add(self, number: int, info: FileInfo, block: Block) -> None:
@@ -43,7 +44,10 @@ class Contents:
             self.files[number][channel.topic] += int(rows.size)
             stamps = _stamps(block, rows) if self._has_stamps(channel) else np.zeros(rows.size, np.int64)
             logged = block.heads["log"][rows].astype(np.int64)
-            self._times.setdefault(channel.topic, []).append((logged, stamps))
+            if channel.topic not in self._times:
+                self._times[channel.topic] = GrowingArray(None, np.int64), GrowingArray(None, np.int64)
+            for times, more in zip(self._times[channel.topic], (logged, stamps)):
+                times.append(more)
             stamps = stamps[stamps != 0]
             if stamps.size and channel.schema in COLUMNS:
                 first, last = self.stamps.get(channel.topic, (int(stamps[0]), int(stamps[0])))
@@ -60,12 +64,17 @@ class Contents:
         return self._stamped[channel]
 
     def arrivals(self) -> dict[str, Arrivals]:
-        """Gaps, stalls and clock steps of each topic; messages without a stamp among others with one are left out."""
+        """Gaps, stalls and clock steps of each topic; messages without a stamp among others with one are left out.
+
+        To be asked for once, at the end.
+        """
         by_topic = {}
-        for topic, parts in sorted(self._times.items()):
-            logged, stamps = (np.concatenate(arrays) for arrays in zip(*parts))
-            stamped = stamps != 0
-            by_topic[topic] = arrivals(logged[stamped], stamps[stamped]) if stamped.any() else arrivals(logged)
+        for topic, times in sorted(self._times.items()):
+            logged, stamps = (one.array() for one in times)
+            stamped = by_parts(lambda part: part != 0, stamps, dtype=bool)
+            if stamped.any() and not stamped.all():
+                logged, stamps = logged[stamped], stamps[stamped]
+            by_topic[topic] = arrivals(logged, stamps) if stamped.any() else arrivals(logged)
         return by_topic
 
     @property
