@@ -94,9 +94,8 @@ def _drop(
         raise ShortRunError(
             f"{path}: the run must be longer than its start-up transient of {transient:g} s, got {len(values) * dt:g} s"
         )
-    rows = by_parts(np.array, values[first:, :2])
-    if axis:
-        rows[:, 1 - AXES.index(axis)] = 0.0
+    judged = [axis in ("", one) for one in AXES]
+    rows = by_parts(lambda part: np.where(judged, part, 0.0), values[first:, :2])
     if all(np.isnan(rows[part]).any(axis=1).all() for part in parts(len(rows))):
         raise BagError(f"{path}: the line of sight must have finite samples, got none")
     for part in parts(len(rows)):
