@@ -21,6 +21,7 @@ from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.source_table import read_sources
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource
 from pointing_analysis.budget.table_files import ENDINGS
+from pointing_analysis.files.settings import refuse_unknown
 from pointing_analysis.files.structured_text import is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
@@ -112,9 +113,7 @@ def read_content(file: Path) -> dict[str, Any]:
 
 
 def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> PointingBudget:
-    unknown = set(content) - TOP
-    if unknown:
-        raise InputError(f"{file}: keys must be among {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
+    refuse_unknown(content, sorted(TOP))
     unit, axes = content.get("unit"), tuple(content.get("axes", ("x", "y")))
     if unit not in ANGLES:
         raise InputError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
@@ -226,9 +225,7 @@ class _Reader:
         if kind not in self.kinds:
             raise self.wrong(path, f"type must be one of {', '.join(self.kinds)}", kind)
         known, make = self.kinds[kind]
-        unknown = set(table) - known - {"type", "transfer"}
-        if unknown:
-            raise self.wrong(path, f"keys must be among {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
+        refuse_unknown(table, sorted(known | {"type", "transfer"}), ".".join(("sources", *path)))
         yield from make(path, table, gains)
 
     def wrong(self, path: tuple[str, ...], what: str, got: object) -> InputError:

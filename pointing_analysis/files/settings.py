@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
@@ -49,20 +49,20 @@ POSITIVE = Excluded(0.0)
 class Refused(InputError):
     """A key and what is wrong with its value, from which the reader of a file makes a message with file and line.
 
-    The key is empty for a mistake of a whole table.
+    The key is empty for a mistake of a whole table. Of an unknown key the names that are `known` are given in place of
+    the problem.
     """
 
-    def __init__(self, key: str, problem: str) -> None:
+    def __init__(self, key: str, problem: str = "", known: Iterable[str] = ()) -> None:
         super().__init__(key, problem)
-        self.key, self.problem = key, problem
+        self.key, self.problem, self.known = key, problem, tuple(known)
 
     def __str__(self) -> str:
-        unknown_key = f"unknown parameter {self.key!r}, {self.problem}"
-        return unknown_key if self.problem.startswith("expected") else f"{self.key or 'table'} {self.problem}"
+        return unknown(self.key, self.known) if self.known else f"{self.key or 'table'} {self.problem}"
 
     def within(self, outer: str) -> Refused:
         """The same of a table in another one, or of a list in a table."""
-        return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem)
+        return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem, self.known)
 
 
 class Missing(Refused):
@@ -270,11 +270,36 @@ def _as_float(value: float) -> float:
         return math.inf
 
 
-def unknown(name: str, known: Mapping[str, Any]) -> str:
-    """Message about a name that is not a parameter."""
-    near = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
-    return f"unknown parameter {name!r}: {hint}"
+def proposal(name: str, known: Iterable[str]) -> str:
+    """End of a sentence about a name that is not known: the nearest one that is, else all of them.
+
+    Examples
+    --------
+    >>> proposal("durtion", ["duration", "seed"]), proposal("colour", ["duration", "seed"])
+    (': did you mean duration?', ', expected one of: duration, seed')
+    """
+    names = tuple(known)
+    near = difflib.get_close_matches(name, names, 1)
+    return f": did you mean {near[0]}?" if near else f", expected one of: {', '.join(names)}"
+
+
+def unknown(key: str, known: Iterable[str]) -> str:
+    """Message about a key that is not known, of its last part in a table of tables."""
+    return f"unknown parameter {key!r}{proposal(key.rpartition('.')[2], known)}"
+
+
+def refuse_unknown(table: Iterable[str], known: Iterable[str], outer: str = "") -> None:
+    """Refuse the first key of a table that is not known; `outer` is the name of the table.
+
+    Raises
+    ------
+    Refused
+        There is one.
+    """
+    names = tuple(known)
+    for key in table:
+        if key not in names:
+            raise Refused(f"{outer}.{key}" if outer else key, known=names)
 
 
 def settings_class(kind: type[T]) -> type[T]:
@@ -335,9 +360,7 @@ class CheckedTable:
         Refused
             A key that is unknown or missing, a value that does not fit.
         """
-        for key in table:
-            if key not in cls.SETTINGS:
-                raise Refused(key, f"expected one of: {', '.join(cls.SETTINGS)}")
+        refuse_unknown(table, cls.SETTINGS)
         return cls.of_part(table, **parts)
 
     @classmethod

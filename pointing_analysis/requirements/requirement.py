@@ -382,18 +382,18 @@ def from_entries(rows: Sequence[Any], where: str, stages: Sequence[str] = ()) ->
     InputError
         An entry of another form.
     """
+    from pointing_analysis.files.settings import refuse_unknown  # slow to import
+
     made = []
     for i, entry in enumerate(rows):
         if not isinstance(entry, dict) or "text" not in entry:
             raise InputError(f"{where}: must hold a list 'requirement' whose entries have a 'text'")
-        unknown = set(entry) - {"text", "name", "loop"}
-        if unknown:
-            raise InputError(f"{where}: keys must be among text, name, loop, got {sorted(unknown)}")
         loops = entry.get("loop", ())
         loops = [loops] if isinstance(loops, str) else loops
         if not isinstance(loops, (list, tuple)) or not all(isinstance(loop, str) for loop in loops):
             raise InputError(f"{where}: loop must be a name or a list of names, got {loops!r}")
         try:
+            refuse_unknown(entry, ("text", "name", "loop"))
             made.append(parse(str(entry["text"]), str(entry.get("name", "")), loops))
             for loop in loops if stages else ():
                 _member("loop", loop, stages)

@@ -221,7 +221,7 @@ REQUIREMENTS: dict[str, Row] = {
     "an unknown index": (requirement(LIMIT.replace("APE", "XPE")), "mission.toml|index|APE|'XPE'"),
     "no window": (requirement(LIMIT.replace("APE", "RPE")), "mission.toml|must have 1 time, got 0"),
     "a window without unit": (requirement(LIMIT.replace("APE", "RPE(20)")), "mission.toml|time|20 ms|'20'"),
-    "an unknown key of a requirement": (requirement(LIMIT, "colour = 1\n"), "mission.toml|keys|colour"),
+    "an unknown key of a requirement": (requirement(LIMIT, "colour = 1\n"), "mission.toml|unknown parameter|colour"),
     "no text": ("[[requirement]]\nname = 'a'\n", "mission.toml|requirement|text"),
     "no requirement": ("", "mission.toml|requirement"),
     "broken TOML": ("[[requirement\n", "mission.toml|TOML|line 1"),
@@ -230,7 +230,7 @@ REQUIREMENTS: dict[str, Row] = {
 ARRAY = "[[solar_array]]\nname = 'wing'\npoint = 'A1'\nlike = 'reference'\n"
 TELESCOPE: dict[str, Row] = {
     "an unknown table": ("[isolater]\n", "line 1|isolater|isolator"),
-    "an unknown key": ("[isolator]\nstifness = 1\n", "line 2|isolator.stifness|stiffness"),
+    "an unknown key": ("[isolator]\nstifness = 1\n", "line 2|isolator.stifness|did you mean stiffness"),
     "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|above 0|-1"),
     "a damping above one": (ARRAY + "damping = 1.5\n", "line 1|solar_array[0]|damping|1.5"),
     "modes heavier than the body": (ARRAY + "mass = 2.0\n", "line 1|solar_array[0]|residual mass"),

@@ -45,6 +45,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import parse
+from pointing_analysis.files.settings import unknown
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass
@@ -243,9 +244,8 @@ class _Reader:
             raise self.error(str(error), key, table, k) from None
 
     def refuse_unknown(self, table: Mapping[str, Any], known: set[str], name: str = "", k: int = 0) -> None:
-        unknown = sorted(set(table) - known)
-        if unknown:
-            raise self.error(f"key must be one of {sorted(known)}, got {unknown[0]!r}", unknown[0], name, k)
+        for key in sorted(set(table) - known):
+            raise self.error(unknown(key, sorted(known)), key, name, k)
 
     def error(self, message: str, key: str, table: str = "", k: int = 0) -> InputError:
         line = self.line_of(key, table, k)

@@ -188,7 +188,12 @@ def test_a_measured_source_takes_the_windows_of_an_analysis(tmp_path: Path) -> N
         ('[sources.a]\ntype = "magic"\n', "a: type must be one of constant, .* got 'magic'"),
         ('[sources.a]\ntype = "random"\nsigma = -1\n', "a: sigma must be zero or more"),
         ('[sources.a]\ntype = "random"\nsigma = [1, 2, 3]\n', "sigma must be 2 finite numbers"),
-        ('[sources.a]\ntype = "random"\nsigma = 1\nvalue = 2\n', "among correlation_time, sigma, got 'value'"),
+        (
+            '[sources.a]\ntype = "random"\nsigma = 1\nvalue = 2\n',
+            "unknown parameter 'sources.a.value', expected one of: correlation_time, sigma, transfer, type",
+        ),
+        ('[sources.a.b]\ntype = "random"\nsgma = 1\n', r"unknown parameter 'sources.a.b.sgma': did you mean sigma\?"),
+        ('[source.a]\ntype = "random"\n', r"unknown parameter 'source': did you mean sources\?"),
         ('[sources.a]\ntype = "tones"\n', "tones must be a list"),
         ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such file or folder"),
         ('[sources.a]\ntype = "testbed"\n', "type testbed needs the command"),

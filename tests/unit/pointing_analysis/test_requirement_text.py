@@ -218,7 +218,11 @@ def test_a_list_of_entries_holds_what_they_say() -> None:
     [
         ("text", "must hold a list 'requirement'"),
         ({"name": "a"}, "must hold a list 'requirement'"),
-        ({"text": text(), "limit": 3}, r"keys must be among text, name, loop, got \['limit'\]"),
+        (
+            {"text": text(), "limit": 3},
+            r".*\[1\]: unknown parameter 'limit', expected one of: text, name, loop",
+        ),
+        ({"text": text(), "loops": "fsm"}, r".*\[1\]: unknown parameter 'loops': did you mean loop\?"),
         ({"text": text(), "loop": 3}, "loop must be a name or a list of names, got 3"),
         ({"text": text(), "loop": ["fsm", 3]}, "loop must be a name or a list of names"),
         ({"text": text(), "loop": {"fsm": 1}}, "loop must be a name or a list of names"),

@@ -199,7 +199,7 @@ tip = [0.3, 0.0, 0.0, 0.0, 0.0, 0.04]
         ("version = 1", "version = 2", ["line 1", "version = 1"]),
         ("mass = 59.0", "mass = -59.0", ["line 6", "panel", "mass must be positive"]),
         ("mass = 59.0\n", "", ["panel", "mass must be given"]),
-        ("mass = 59.0", "weight = 59.0", ["line 6", "panel", "key must be one of", "got 'weight'"]),
+        ("mass = 59.0", "weight = 59.0", ["line 6", "panel", "unknown parameter 'weight'"]),
         ("cg = [0.007, -5.517, 0.0]", "cg = [0.007, -5.517]", ["line 8", "panel", "cg", "(3,)", "(2,)"]),
         (
             "damping = 0.001\nparticipation = [6.8",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from lftkit.errors import InputError
-from pointing_analysis.files.settings import CheckedTable, Refused
+from pointing_analysis.files.settings import CheckedTable, Refused, unknown
 from titop_plant.sensors import SENSORS
 from titop_plant.telescope.sections import TABLES, Equipment, Material, RequirementTable
 
@@ -42,13 +42,13 @@ class ParameterFile:
         self.path = path
         self.lines = dict(_keys(text))
 
-    def error(self, key: str, problem: str) -> InputError:
-        """A ValueError that names the file, the line and the key."""
+    def error(self, key: str, problem: str = "", known_keys: Iterable[str] = ()) -> InputError:
+        """A ValueError that names the file, the line and the key; of an unknown key the known ones are given."""
         known = key
         while known and known not in self.lines:
             known = re.sub(r"[.\[]?[^.\[]*$", "", known)
         line = self.lines.get(known)
-        about = f"unknown parameter {key!r}, {problem}" if problem.startswith("expected") else f"{key!r} {problem}"
+        about = f"{key!r} {problem}" if problem else unknown(key, known_keys)
         return InputError(f"{self.path}{f', line {line}' if line else ''}: {about}")
 
     @contextmanager
@@ -58,7 +58,7 @@ class ParameterFile:
             yield
         except Refused as error:
             refused = error.within(name)
-            raise self.error(refused.key, refused.problem) from None
+            raise self.error(refused.key, refused.problem, refused.known) from None
 
     def check_tables(self, tables: Mapping[str, Any]) -> None:
         """Refuse values that the classes of the tables do not take.
@@ -95,7 +95,7 @@ class ParameterFile:
             like = base[key] if key in base else self._model(name, key, prefix, base)
             if like is None and key not in added:
                 known = dict.fromkeys([*base, *sorted(added), *([REPLACE] if _named(base) else [])])
-                raise self.error(name, f"expected one of: {', '.join(known)}")
+                raise self.error(name, known_keys=known)
             if isinstance(like, dict):
                 if not isinstance(value, dict):
                     raise self.error(name, f"must be a table, got {value!r}")

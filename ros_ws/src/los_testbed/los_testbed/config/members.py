@@ -7,7 +7,6 @@ it, or ``frequencies`` of all arrays and appendages). The ranges are those of th
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_design.files import WORST_POINTS
 from los_testbed.config.run_config import RunConfig, read_yaml
+from pointing_analysis.files.settings import proposal
 from titop_plant.simulation.plant_config import check_wheels, frequencies
 from titop_plant.telescope.layout import ANGLE, speed_names
 from titop_plant.telescope.load import load_telescope
@@ -78,9 +78,7 @@ def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
     """
     cases = named_cases(path)
     if name not in cases:
-        near = difflib.get_close_matches(name, cases, 1)
-        hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(cases)}"
-        raise InputError(f"{path.name} has no case {name!r}: {hint}")
+        raise InputError(f"{path.name} has no case {name!r}{proposal(name, cases)}")
     return {key: value for key, value in cases[name].items() if key != "description"}
 
 

@@ -27,6 +27,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.source_alone import errors_of_source
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
+from pointing_analysis.files.settings import refuse_unknown
 from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
@@ -64,9 +65,7 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part not in PARTS:
         raise InputError(f"{' / '.join(path)}: part must be one of {', '.join(PARTS)}, got {part!r}")
     settings = dict(table.get("settings", {}))
-    if set(settings) - SETTINGS:
-        unknown = ", ".join(sorted(set(settings) - SETTINGS))
-        raise InputError(f"{' / '.join(path)}: settings must be among {', '.join(sorted(SETTINGS))}, got {unknown}")
+    refuse_unknown(settings, sorted(SETTINGS), ".".join(("sources", *path, "settings")))
     values = {key: table[key] for key in ("loop", "scenario", "seed") if key in table}
     config = RunConfig.from_mapping({**settings, **values})
     parts = RunParts(config)
