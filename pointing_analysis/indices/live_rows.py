@@ -240,6 +240,8 @@ def _of_quantisation(steps: FloatArray, settings: LiveRowSettings, rounded: Floa
 
 def _regular(begins: BoolArray, settings: LiveRowSettings) -> Hold | None:
     """Runs between rows that begin one, where nearly all of them have a multiple of one length of two rows or more."""
+    if 3 * int(begins.sum()) > 2 * len(begins) + 2 * settings.fewest:
+        return None  # more than half of the runs have one row
     starts = np.flatnonzero(begins)
     lengths = np.diff(np.append(starts, len(begins)))
     inner = lengths[1:-1]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from support.call_count import calls
 from support.scripts import script
 
 from pointing_analysis.indices import confidence
+from pointing_analysis.indices.live_rows import hold_of
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.arrivals import arrivals
@@ -171,6 +174,7 @@ def test_messages_are_decoded_in_blocks(benchmark: ModuleType, tmp_path: Path) -
     assert counts[1] - counts[0] < 0.5 * (messages[1] - messages[0])
 
 
+T = TypeVar("T")
 MEGABYTES = 400
 """Most memory that a command may take, whatever the length of the run."""
 
@@ -186,6 +190,25 @@ def largest_memory(*arguments: str) -> float:
     return int(size) / 1024
 
 
+def with_peak(function: Callable[[], T]) -> tuple[T, int]:
+    """What a function returns, and the largest size of its arrays that are not mapped [byte]."""
+    tracemalloc.start()
+    try:
+        return function(), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_held_samples_are_looked_for_in_bounded_memory() -> None:
+    """Of noise each row is a sample: the rows at which one begins are as many as the rows."""
+    noise = GrowingArray(2)
+    for seed in range(30):
+        noise.append(np.random.default_rng(seed).standard_normal((100_000, 2)))
+    e = noise.array()
+    held, peak = with_peak(lambda: hold_of(e))
+    assert held is None and peak < 0.8 * e.nbytes, "a mark or two for each row, and parts"
+
+
 def test_the_times_of_messages_are_judged_in_bounded_memory() -> None:
     """Nine topics of two hours had 1 GB of times in a replay and in `bag verify`."""
     grown = [GrowingArray(None, np.int64) for _ in range(2)]
@@ -194,10 +217,7 @@ def test_the_times_of_messages_are_judged_in_bounded_memory() -> None:
         for one, late in zip(grown, (300_000, 0)):
             one.append(np.delete(sent + late, [5000, 5001]))
     logged, stamps = (one.array() for one in grown)
-    tracemalloc.start()
-    found = arrivals(logged, stamps)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    found, peak = with_peak(lambda: arrivals(logged, stamps))
     assert found.lost == 60 and len(found.of("gap")) == 30
     assert peak < 0.7 * stamps.nbytes, "less than a copy of the times of one topic"
 
