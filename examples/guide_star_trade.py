@@ -35,14 +35,13 @@ with tempfile.TemporaryDirectory() as scratch:
             folder = (asked.output or Path(scratch)) / f"magnitude-{magnitude:g}-rate-{rate:g}"
             folder.mkdir(parents=True, exist_ok=True)
             star = {"magnitude": magnitude, "exposure": round(1.0 / rate, 9)}
-            changed = {"sensors": {**own.get("sensors", {}), "camera": "image"}}
+            changed = {"sensors": {**own.get("sensors", {}), "camera": "image", "camera_rate": rate}}
             changed["camera"] = {**own.get("camera", {}), **star}
             file, bag = folder / "telescope.toml", folder / "bag"
             file.write_text(tomli_w.dumps({**own, **changed}), "utf-8")
-            settings = {"parameters": file, "camera_rate": rate, "duration": asked.duration}
+            settings = {"parameters": file, "duration": asked.duration}
             if asked.design:
-                telescope = load_telescope(file).for_frames(round(1000.0 / rate))
-                design_all(telescope, folder / "designs", DesignOptions(short=True))
+                design_all(load_telescope(file), folder / "designs", DesignOptions(short=True))
                 settings["designs"] = folder / "designs"
             found = api.analyse(bag) if bag.exists() else api.run(bag, **settings)
             s, lost = found.summary, found.summary.camera_dropped

@@ -80,7 +80,7 @@ def actuator_plant(
     observer: System,
     *,
     loop_delay: float = 0.0,
-    camera_period: float = 0.0,
+    sampled: bool = False,
     command_hold: float = 0.0,
 ) -> ActuatorPlant:
     """Plant that K_PMA is designed on: the mirror loop is closed.
@@ -93,12 +93,12 @@ def actuator_plant(
         Continuous K_FSM, measurements to ``los_estimate``.
     loop_delay : float
         Delay of the mirror's command beyond its hold [s].
-    camera_period : float
-        Time that a camera frame is held [s].
+    sampled : bool
+        Whether values of slower sensors are held; otherwise all are continuous, as in the paper.
     command_hold : float
         Mean delay of held commands [s]: this part of the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope, camera_period=camera_period, command_hold=command_hold)
+    plant = control_plant(telescope, sampled=sampled, command_hold=command_hold)
     (measured,), together = K_PMA_INPUTS, plant.input_port(PLANT_NOISE_PORTS[K_PMA_INPUTS[0].name])
     n_base, n_mirrors = Port(PLATFORM_NOISE, measured.size), Port(MIRRORS_NOISE, together.size - measured.size)
     mirror = MIRROR_COMMAND

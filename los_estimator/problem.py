@@ -73,20 +73,20 @@ def describe(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name}={value:.4g}" for name, value in values.items()) or "nominal"
 
 
-def observer_plant(telescope: Telescope, *, camera_period: float = 0.0, command_hold: float = 0.0) -> ObserverPlant:
+def observer_plant(telescope: Telescope, *, sampled: bool = False, command_hold: float = 0.0) -> ObserverPlant:
     """Plant that K_FSM is designed on.
 
     Parameters
     ----------
     telescope, parameters
         Assembled telescope and its parameter file.
-    camera_period : float
-        Time that a camera frame is held [s]; 0: the paper's continuous camera.
+    sampled : bool
+        Whether values of slower sensors are held; otherwise all are continuous, as in the paper.
     command_hold : float
         Mean delay of a held command [s] (:data:`titop_plant.interface.HOLD_DELAY`): this part of
         the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope, camera_period=camera_period, command_hold=command_hold)
+    plant = control_plant(telescope, sampled=sampled, command_hold=command_hold)
     mirror = -np.eye(2) / telescope.fsm.los_sensitivity
     inputs = (*disturbances_of(plant), *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})

@@ -31,15 +31,9 @@ from los_loop.spec import state_parts
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import (
     CAMERA,
-    COLUMNS,
-    FRAME_TICKS,
     FSM_ANGLE,
-    HELD,
-    HELD_PARTS,
     MEASUREMENTS,
     TRUTH,
-    period_ticks,
-    sample_ticks,
 )
 from titop_plant.sensors import CAMERA_PORT
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -135,7 +129,6 @@ def sampled_loop(
     plant: System | ModalPlant,
     control: ControlLaws,
     *,
-    frame_ticks: int = FRAME_TICKS,
     step: FloatArray | None = None,
     delays: Delays = NONE,
 ) -> SampledLoop:
@@ -149,9 +142,7 @@ def sampled_loop(
         plant's part of the state is in these. With sensors and actuators of the telescope's file the readings are
         behind the line of sight, and the forces behind the commands.
     control : ControlLaws
-        With the sensors and actuators that plant and `step` have.
-    frame_ticks : int
-        Ticks between camera frames; other sensors have the rate of their entry.
+        With the sensors, at their rates, and the actuators that plant and `step` have.
     step : ndarray, shape (n + 24, n + 8), optional
         Of the plant, as :func:`titop_plant.simulation.plant_step.step_matrix` makes it without tones, if it is known.
         A plant in modal coordinates has no forces of a file: `step` must be given then.
@@ -163,9 +154,10 @@ def sampled_loop(
     ValueError
         Frames that are later than the next one, or late ones without a sensitivity.
     """
-    commands = control.ports.commands
-    if delays.frames and (delays.frames >= frame_ticks or control.los_sensitivity is None):
-        got = f"{delays.frames} of {frame_ticks} ticks and a sensitivity of {control.los_sensitivity}"
+    ports = control.ports
+    commands, every = ports.commands, ports.ticks
+    if delays.frames and (delays.frames >= every[CAMERA_PORT] or control.los_sensitivity is None):
+        got = f"{delays.frames} of {every[CAMERA_PORT]} ticks and a sensitivity of {control.los_sensitivity}"
         raise InputError(f"late frames must come before the next one, with a sensitivity of the mirror, got {got}")
     if step is None:
         if isinstance(plant, ModalPlant):
@@ -173,16 +165,13 @@ def sampled_loop(
         else:
             step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
     close = _TickClosing(step, control, delays)
-    every, period = sample_ticks(frame_ticks), period_ticks(frame_ticks)
-    due = _due(every, period, delays)
+    due = _due(every, ports.period, delays)
     frame, noise_frame = close.matrices(due[0])
     hold, noise_hold = close.matrices(frozenset())
     some = {names: close.matrices(names) for names in set(due.values()) - {due[0], frozenset()}}
     between = {k: some[names] for k, names in due.items() if names in some}
     n = close.plant_order
-    return SampledLoop(
-        frame, hold, noise_frame, noise_hold, close.of_plant(close.truth), period, n, between, every, commands
-    )
+    return SampledLoop(frame, hold, noise_frame, noise_hold, close.of_plant(close.truth), n, ports, between)
 
 
 class _TickClosing:
@@ -202,11 +191,12 @@ class _TickClosing:
         n = self.plant_order = step.shape[1] - commands
         self.mirror = control.los_sensitivity or 0.0
         k_fsm, k_pma = (law.system.order for law in control.laws)
-        self.plant, self.command, *self.own, held = state_parts(n, k_fsm, k_pma, commands)
+        self.plant, self.command, *self.own, held = state_parts(n, k_fsm, k_pma, control.ports)
         ends = [held.start + k * commands for k in range(delays.commands + 1)]
         self.sent = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.late = slice(ends[-1], ends[-1] + (2 if delays.frames else 0))
-        self.held = slice(self.late.stop, self.late.stop + HELD.size)
+        self.ports = control.ports
+        self.held = slice(self.late.stop, self.late.stop + self.ports.held.size)
         self.next, self.truth = step[:n], step[n:][truth]
         self.measured = self.of_plant(np.delete(step[n:], truth, axis=0))
 
@@ -219,8 +209,9 @@ class _TickClosing:
     def sensed(self, sampled: frozenset[str]) -> FloatArray:
         """What the laws measure by state and noise, if the ports `sampled` have a sample at the tick."""
         measured, noise = self.measured.copy(), np.eye(len(self.measured))
-        for name, part in HELD_PARTS.items():
-            rows = COLUMNS[name]
+        columns = self.ports.columns
+        for name, part in self.ports.held_parts.items():
+            rows = columns[name]
             if name not in sampled:
                 measured[rows], noise[rows] = 0.0, 0.0
                 measured[rows, self.held.start + part.start : self.held.start + part.stop] = np.eye(
@@ -237,7 +228,7 @@ class _TickClosing:
         sensed, size = self.sensed(sampled), self.held.stop
         out = np.zeros((size, sensed.shape[1]))
         out[self.plant, :size] = self.of_plant(self.next)
-        out[self.held] = sensed[HELD]
+        out[self.held] = sensed[self.ports.held]
         if ACQUIRED in sampled:
             seen = np.hstack([self.measured, np.eye(len(self.measured))])
             out[self.late] = seen[CAMERA] - self.mirror * seen[FSM_ANGLE]

@@ -22,15 +22,13 @@ from titop_plant.interface import (
     COMMAND_PORTS,
     DT,
     FORCE_STAGES,
-    FRAME_TICKS,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     K_PMA_OUTPUTS,
     MIRROR_STAGES,
     DesignBasis,
-    sample_ticks,
 )
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.loop_ports import LoopPorts
 
 
 @dataclass(frozen=True)
@@ -68,12 +66,12 @@ class ControlLaws:
     k_fsm, k_pma : SampledSystem
         Measured ports that the file of K_FSM leaves out have no effect.
     stage : {"none", "isolator", "fsm", "fsm+pma"}
+    ports : LoopPorts
+        Rows that the loop has. A controller has the further sensors that it uses behind its other inputs, in this
+        order, and K_PMA the further actuators behind its other outputs.
     los_sensitivity : float, optional
         Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
         one it was made.
-    ports : LoopPorts
-        Rows that the loop has; default: those of the reference. A controller has the further sensors that it uses
-        behind its other inputs, in this order, and K_PMA the further actuators behind its other outputs.
 
     Raises
     ------
@@ -84,8 +82,8 @@ class ControlLaws:
     k_fsm: SampledSystem
     k_pma: SampledSystem
     stage: str
+    ports: LoopPorts
     los_sensitivity: float | None = None
-    ports: LoopPorts = REFERENCE_PORTS
 
     def __post_init__(self) -> None:
         _ = self.laws  # refused here where nothing says a sensitivity
@@ -108,11 +106,8 @@ class ControlLaws:
 
     @property
     def held_ticks(self) -> IntArray:
-        """Ticks for which each measured value is held, shape (measurements,), at the frame rate of the reference."""
-        found = np.ones(self.ports.measurements, dtype=np.int64)
-        for name, ticks in sample_ticks(FRAME_TICKS).items():
-            found[COLUMNS[name]] = ticks
-        return found
+        """Ticks for which each measured value is held, shape (measurements,)."""
+        return np.concatenate([np.full(row.port.size, row.ticks) for row in self.ports.sensors])
 
     def response(self, omega: FloatArray) -> ComplexArray:
         """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22), one tick of delay and the hold in it.
@@ -128,8 +123,9 @@ class ControlLaws:
                 K = law.system
                 part = np.ix_(np.arange(len(omega)), rows[law.command], seen[law.measured])
                 out[part] = law.gain * transfer_matrices((K.A, K.B, K.C, K.D), z)
-        for name, ticks in sample_ticks(FRAME_TICKS).items():
-            out[:, :, COLUMNS[name]] *= held_response(z, ticks)[:, None, None]
+        columns = self.ports.columns
+        for name, ticks in self.ports.ticks.items():
+            out[:, :, columns[name]] *= held_response(z, ticks)[:, None, None]
         return np.asarray(out / z[:, None, None])
 
     def modes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:

@@ -116,7 +116,7 @@ class ImplementedLoop:
         self.pair = (k_fsm, k_pma)
         self.ports = open_loop.ports
         sensitivity = self.telescope.fsm.los_sensitivity
-        self.control_laws = ControlLaws(k_fsm, k_pma, stage, sensitivity, self.ports)
+        self.control_laws = ControlLaws(k_fsm, k_pma, stage, self.ports, sensitivity)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""

@@ -20,7 +20,7 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import LOS_ROWS
-from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, HELD, MIRROR
+from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 BOUND_ROUNDING = 1e-9
@@ -210,7 +210,8 @@ def delayed(loop: SampledLoop) -> SampledLoop:
     """The loop with one more tick of delay at all commands; 8 states more, before the held values."""
     V = np.arange(loop.plant_order, loop.plant_order + loop.commands)
     n, commands = loop.hold.shape[0], loop.commands
-    order = np.r_[np.arange(n - HELD.size), np.arange(n, n + commands), np.arange(n - HELD.size, n)]
+    held = n - loop.ports.held.size
+    order = np.r_[np.arange(held), np.arange(n, n + commands), np.arange(held, n)]
 
     def later(A: FloatArray) -> FloatArray:
         whole = np.zeros((n + commands, n + commands))

@@ -105,7 +105,7 @@ class MemberMetrics:
         stage : {"none", "isolator", "fsm", "fsm+pma"}
         """
         model = MemberLoop.of(telescope, k_fsm, k_pma, stage)
-        sigma = model.loop.ports.noise_of_ticks()
+        sigma = model.loop.ports.noise_of_ticks
         seen = rpe_weight(model.omega, telescope.weights.rpe_window)
         noise = _exact_noise(model.loop, {})
         everywhere = np.arange(model.omega.size)

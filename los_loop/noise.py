@@ -19,7 +19,7 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop
 from pointing_analysis.indices.window_rows import window_rows, window_starts
-from titop_plant.interface import DT, FRAME_TICKS, PLATFORM
+from titop_plant.interface import DT, PLATFORM
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import relative_error_weight
 from titop_plant.telescope.window_noise import ON_AXIS, WindowNoise
@@ -35,7 +35,6 @@ def noise_covariances(
     telescope: Telescope,
     *,
     loop: str,
-    frame_ticks: int = FRAME_TICKS,
     sensors: str | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
@@ -44,7 +43,7 @@ def noise_covariances(
     telescope that the controllers use. Infinite if the loop is unstable.
     """
     sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
-    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports), frame_ticks=frame_ticks)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, ports, sensitivity))
     if closed.spectral_radius() < 1.0:
         return covariances(closed, telescope, sensors)
     return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
@@ -65,7 +64,7 @@ def loop_noise(
     and that of the budgets at least. The root mean squares are infinite if the loop is unstable.
     """
     sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
-    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports))
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, ports, sensitivity))
     if closed.spectral_radius() >= 1.0:
         return WindowNoise(np.inf), WindowNoise(np.inf)
     both = covariances(closed, telescope, None)

@@ -21,7 +21,8 @@ from scipy import linalg
 from lftkit.analysis.real_schur import RealSchur
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
-from titop_plant.interface import COMMANDS, DT, HELD
+from titop_plant.interface import DT
+from titop_plant.telescope.loop_ports import LoopPorts
 
 Made = TypeVar("Made")
 
@@ -67,16 +68,12 @@ class SampledLoop:
         Next state from the measurement noise of the tick; more columns with readings of sensors of a file.
     truth : ndarray, shape (2, n)
         Controlled line of sight [rad] from the state.
-    frame_ticks : int
-        N, the period: ticks from one tick with all sensors to the next.
     plant_order : int
         Number of plant states, the first of the state.
+    ports : LoopPorts
+        Rows of the loop.
     between : mapping of int to (ndarray, ndarray)
         The same two matrices at the other ticks of a period at which a sensor that is held has a sample.
-    sample_ticks : mapping of str to int
-        Ticks from one sample to the next of each port that is held; those left out have one in a period.
-    commands : int
-        Number of commands, forces of actuators of the telescope's file among them.
     """
 
     frame: FloatArray
@@ -84,11 +81,19 @@ class SampledLoop:
     noise_frame: FloatArray
     noise_hold: FloatArray
     truth: FloatArray
-    frame_ticks: int
     plant_order: int
+    ports: LoopPorts
     between: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
-    sample_ticks: Mapping[str, int] = field(default_factory=dict)
-    commands: int = COMMANDS
+
+    @property
+    def frame_ticks(self) -> int:
+        """N, the period: ticks from one tick with all sensors to the next."""
+        return self.ports.period
+
+    @property
+    def commands(self) -> int:
+        """Number of commands, forces of actuators of the telescope's file among them."""
+        return self.ports.commands
 
     def at(self, tick: int) -> tuple[FloatArray, FloatArray]:
         """Next state from state and from measurement noise at a tick of the run."""
@@ -124,7 +129,8 @@ class SampledLoop:
     @property
     def free(self) -> FloatArray:
         """Next state from state with the held values at zero, without those."""
-        return self.hold[: -HELD.size, : -HELD.size]
+        own = len(self.hold) - self.ports.held.size
+        return self.hold[:own, :own]
 
     @cached_property
     def period(self) -> FloatArray:

@@ -30,9 +30,6 @@ from los_loop.spec import LOS_ROWS, held_response
 from titop_plant.interface import (
     COMMANDS,
     DT,
-    FRAME_TICKS,
-    HELD,
-    HELD_PARTS,
     MEASUREMENTS,
     MIRROR_STAGES,
     TRUTH,
@@ -88,7 +85,6 @@ def sampled_loop_metrics(
     telescope: Telescope,
     *,
     loop: str,
-    frame_ticks: int = FRAME_TICKS,
     noise: bool = True,
     sensors: str | None = None,
 ) -> SampledLoopMetrics:
@@ -102,15 +98,13 @@ def sampled_loop_metrics(
     telescope : Telescope
         Telescope parameters (weights, sensors, authority).
     loop : {"isolator", "fsm", "fsm+pma"}
-    frame_ticks : int
-        Ticks between camera frames.
     noise : bool
         Compute the noise metrics too (a Lyapunov equation).
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
     sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
-    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports), frame_ticks=frame_ticks)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, ports, sensitivity))
     radius = closed.spectral_radius()
     if not radius < 1.0:
         inf = np.inf
@@ -233,10 +227,10 @@ class ToneModes:
     @classmethod
     def of(cls, loop: SampledLoop, plant: System | ModalPlant) -> ToneModes:
         """Of a loop and its continuous plant, each in its own coordinates."""
-        n, size = loop.plant_order, loop.hold.shape[0] - HELD.size
+        n, size = loop.plant_order, loop.hold.shape[0] - loop.ports.held.size
         A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
         # Places of the values that are held beyond a tick among all held values
-        parts = [np.arange(HELD.size)[part] for part, _, _ in _components(loop)]
+        parts = [np.arange(loop.ports.held.size)[part] for part, _, _ in _components(loop)]
         kept = size + (np.concatenate(parts) if parts else np.arange(0))
         commands, sensed = loop.commands, N.shape[1]
         outputs = np.zeros((LOS_ROWS.stop + commands, size))
@@ -325,8 +319,8 @@ def tone_response(
 
 def _components(loop: SampledLoop) -> list[tuple[slice, int, int]]:
     """Of each port without a sample at every tick: part of the held values, ticks of a sample, components of it."""
-    every = {name: loop.sample_ticks.get(name, loop.frame_ticks) for name in HELD_PARTS}
-    return [(HELD_PARTS[name], n, loop.frame_ticks // n) for name, n in every.items() if n > 1]
+    parts, period = loop.ports.held_parts, loop.ports.period
+    return [(parts[name], n, period // n) for name, n in loop.ports.ticks.items() if n > 1]
 
 
 def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:

@@ -2,7 +2,7 @@
 
 Sensors and actuators are those of :mod:`titop_plant.telescope.loop_ports`, which has the rows and columns of the
 response. Commands act one tick after the measurement; a value of a sensor that is slower than the tick is held until
-its next one (:func:`titop_plant.interface.sample_ticks`).
+its next one (:attr:`titop_plant.telescope.loop_ports.LoopPorts.ticks`).
 
 ======== ================ ==== ======================================================
 port     name             size content
@@ -23,8 +23,8 @@ import itertools
 import numpy as np
 
 from lftkit.arrays import ComplexArray
-from titop_plant.interface import COMMANDED, COMMANDS, HELD, TRUTH
-from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT
+from titop_plant.interface import COMMANDED, TRUTH
+from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT, LoopPorts
 
 INPUTS, OUTPUTS = (DISTURBANCE, *COMMANDED), (LINE_OF_SIGHT, *COMMANDED)
 """Ports of the response of the loop."""
@@ -47,14 +47,12 @@ def held_response(z: ComplexArray, frame_ticks: int) -> ComplexArray:
     return np.asarray(np.mean(z[:, None] ** -np.arange(frame_ticks), axis=1), dtype=np.complex128)
 
 
-def state_parts(
-    plant: int, k_fsm: int, k_pma: int, commands: int = COMMANDS
-) -> tuple[slice, slice, slice, slice, slice]:
-    """Parts of the state of the sampled loop for orders of plant and controllers and the number of commands.
+def state_parts(plant: int, k_fsm: int, k_pma: int, ports: LoopPorts) -> tuple[slice, slice, slice, slice, slice]:
+    """Parts of the state of the sampled loop for orders of plant and controllers and the rows of the loop.
 
     In this order: plant, command in force, K_FSM, K_PMA, values that are held.
     """
-    ends = np.cumsum([0, plant, commands, k_fsm, k_pma, HELD.size]).tolist()
+    ends = np.cumsum([0, plant, ports.commands, k_fsm, k_pma, ports.held.size]).tolist()
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     return parts[0], parts[1], parts[2], parts[3], parts[4]
 

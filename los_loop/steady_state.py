@@ -90,7 +90,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     if not any(model.loop.at(k)[0][n : n + commands].any() for k in range(model.loop.frame_ticks)):
         by_bias[: n + commands] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
     state = model.phasors().imag.sum(axis=1) + by_bias
-    x, v, f, p, c = (state[part] for part in state_parts(n, *orders, commands))
+    x, v, f, p, c = (state[part] for part in state_parts(n, *orders, model.loop.ports))
     return LoopStart(
         plant=model.plant.form.basis @ x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c
     )

@@ -41,7 +41,7 @@ from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import SpectralLine, background, lines
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
-from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
+from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH
 from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -160,9 +160,8 @@ class ToneModel:
             moved = plant.form.excited(held[: plant.order])
             step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
         sensitivity = family.telescope.fsm.los_sensitivity
-        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, ports.unscaled())
-        ticks = frame_ticks(physical.camera_rate)
-        closed = sampled_loop(plant, laws, frame_ticks=ticks, step=step, delays=delays)
+        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, ports.unscaled(), sensitivity)
+        closed = sampled_loop(plant, laws, step=step, delays=delays)
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)

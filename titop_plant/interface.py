@@ -52,15 +52,6 @@ HOLD_DELAY = 0.5 * DT
 LOOP_DELAY = DT + HOLD_DELAY
 """Delay of the loop: a tick from measurement to command, and the mean delay of the held command [s]."""
 
-CAMERA_RATE = next(entry.rate for entry in MEASURED_SENSORS if entry.port.name == CAMERA_PORT)
-"""Frames per second that the stored controllers are designed for; a run may have another rate."""
-
-FRAME_TICKS = divided_ticks(CAMERA_RATE, "camera_rate")
-"""Ticks from one of these frames to the next."""
-
-CAMERA_PERIOD = FRAME_TICKS * DT
-"""Time from one of these frames to the next [s]."""
-
 STAGES = ("none", "isolator", "fsm", "fsm+pma")
 """Stages of the control: hard-mounted payload, payload on its isolator, and the two actuator loops on top."""
 
@@ -158,34 +149,6 @@ HELD: IntArray = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].st
 
 HELD_PARTS: Mapping[str, slice] = MappingProxyType(port_slices(p for p in MEASURED_PORTS if p.name in FRAMED))
 """Part of each of them in the vector of held values."""
-
-
-def sample_ticks(camera_ticks: int = FRAME_TICKS) -> dict[str, int]:
-    """Ticks from one value to the next of each port of :data:`FRAMED`.
-
-    Parameters
-    ----------
-    camera_ticks : int
-        Those of the camera, whose rate is a setting of a run; others have the rate of their entry.
-
-    Examples
-    --------
-    >>> sample_ticks(40)["camera_los"]
-    40
-    """
-    entries = {entry.port.name: entry.ticks for entry in MEASURED_SENSORS if entry.framed}
-    return {**entries, CAMERA_PORT: camera_ticks}
-
-
-def period_ticks(camera_ticks: int) -> int:
-    """Ticks from one tick at which every sensor has a value to the next.
-
-    Examples
-    --------
-    >>> period_ticks(40) % 40
-    0
-    """
-    return math.lcm(*sample_ticks(camera_ticks).values())
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import math
 from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
-from titop_plant.interface import CAMERA_RATE, NO_SCENARIO, RATE, SCENARIOS, frame_ticks
+from titop_plant.interface import NO_SCENARIO, RATE, SCENARIOS, frame_ticks
 from titop_plant.settings import ANY, STRICT, Settings, grouped, setting, settings_class
 
 TELESCOPE, DISTURBANCES = "Telescope", "Disturbances and sensors"
@@ -46,8 +46,9 @@ class PhysicalSettings(Settings):
     seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
     noise: bool = grouped(DISTURBANCES, setting(True, "sensor noise on"))
     disturbance: bool = grouped(DISTURBANCES, setting(True, "wheel and drive disturbances on"))
-    camera_rate: float = grouped(
-        DISTURBANCES, setting(CAMERA_RATE, f"frame rate, a divisor of {RATE}", "Hz", 1.0, float(RATE))
+    camera_rate: float | None = grouped(
+        DISTURBANCES,
+        setting(None, f"frame rate, a divisor of {RATE}", "Hz", 1.0, float(RATE), absent="that of the parameter file"),
     )
     camera_dropout: float = grouped(DISTURBANCES, setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0))
     theta: float | None = grouped(
@@ -109,7 +110,8 @@ class PhysicalSettings(Settings):
     parameters: str | None = setting(None, "parameter file of the telescope", absent="the reference")
 
     def __post_init__(self) -> None:
-        frame_ticks(self.camera_rate)
+        if self.camera_rate is not None:
+            frame_ticks(self.camera_rate)
         if self.theta is not None and self.tau is not None:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise InputError(f"one of theta or tau = tan(theta/4) must be absent, got both: {both}")
@@ -128,5 +130,7 @@ class PhysicalSettings(Settings):
 
     @property
     def frame_ticks(self) -> int:
-        """Ticks from one camera frame to the next."""
+        """Ticks from one camera frame to the next; InputError: the rate is that of the parameter file."""
+        if self.camera_rate is None:
+            raise InputError("camera_rate must be known for the ticks of a frame, got that of the parameter file")
         return frame_ticks(self.camera_rate)

@@ -48,8 +48,8 @@ class SensorEntry:
         Key of the standard deviation of a sample, in the unit of the port.
     step : str
         Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`; "": none.
-    rate : float
-        Samples per second; it divides the tick rate. Between its samples the last one is held.
+    rate : float or str
+        Samples per second, or the key of them; they divide the tick rate. Between its samples the last one is held.
     bias : str
         Key of what is added to every sample; "": nothing.
     washout : str
@@ -66,8 +66,8 @@ class SensorEntry:
 
     Examples
     --------
-    >>> SensorEntry(Port("tracker", 3, "rad"), "tracker", "bus", "trackers", "tracker_noise", "camera_step", 4.0).ticks
-    250
+    >>> SensorEntry(Port("tracker", 3, "rad"), "tracker", "bus", "trackers", "tracker_noise", "camera_step", 4.0).framed
+    True
     """
 
     port: Port
@@ -76,31 +76,41 @@ class SensorEntry:
     group: str
     noise: str
     step: str = ""
-    rate: float = TICKS_PER_SECOND
+    rate: float | str = TICKS_PER_SECOND
     bias: str = ""
     washout: str = ""
     low_pass: str = ""
     measures: str = ""
 
     def __post_init__(self) -> None:
-        divided_ticks(self.rate, f"rate of {self.port.name}")
+        if not isinstance(self.rate, str):
+            divided_ticks(self.rate, f"rate of {self.port.name}")
         if self.port.size > 3 and self.port.unit != TWIST_UNIT:
             raise InputError(f"size of {self.port.name} must be 1 to 3, or 6 of a twist, got {self.port.size}")
 
     @property
-    def ticks(self) -> int:
-        """Ticks from one sample to the next."""
-        return divided_ticks(self.rate, f"rate of {self.port.name}")
-
-    @property
     def framed(self) -> bool:
-        """Whether it has samples at some ticks only, which are held between them."""
-        return self.ticks > 1
+        """Whether it may have samples at some ticks only, which are held between them."""
+        return self.rate != TICKS_PER_SECOND
 
     @property
     def source(self) -> str:
         """Output of the assembled telescope that it measures."""
         return self.measures or self.port.name
+
+
+def whole_ticks(rate: float) -> int | None:
+    """Ticks from one sample to the next of a rate [Hz]; None where it does not divide the tick rate.
+
+    Examples
+    --------
+    >>> whole_ticks(25.0), whole_ticks(30.0)
+    (40, None)
+    """
+    ticks = TICKS_PER_SECOND / rate if rate > 0.0 else 0.0
+    if math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks:
+        return round(ticks)
+    return None
 
 
 def divided_ticks(rate: float, name: str) -> int:
@@ -123,10 +133,10 @@ def divided_ticks(rate: float, name: str) -> int:
     >>> divided_ticks(50.0, "camera_rate")
     20
     """
-    ticks = TICKS_PER_SECOND / rate if rate > 0.0 else 0.0
-    if not (math.isfinite(ticks) and round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-9 * ticks):
+    ticks = whole_ticks(rate)
+    if ticks is None:
         raise InputError(f"{name} must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate:g} Hz")
-    return round(ticks)
+    return ticks
 
 
 def _accelerometer(point: str, topic: str, frame_id: str) -> SensorEntry:
@@ -153,7 +163,7 @@ SENSORS: tuple[SensorEntry, ...] = (
         "camera",
         noise="camera_noise",
         step="camera_step",
-        rate=50.0,
+        rate="camera_rate",
         low_pass="camera_filter",
         measures="los_controlled",
     ),
@@ -213,7 +223,9 @@ class Sensor:
     noise, bias : ndarray, shape (size,)
         Standard deviation of a sample (of a frame), and what is added to every sample, in the unit of the port.
     framed : bool
-        Whether it has a value at some ticks only, which is held between them.
+        Whether it may lack a sample at a tick; the last one is held then.
+    ticks : int
+        Ticks from one sample to the next.
     washout : float
         Corner of the high-pass before the controllers [rad/s]; 0: none.
     low_pass : tuple of float
@@ -229,6 +241,7 @@ class Sensor:
     noise: FloatArray
     bias: FloatArray
     framed: bool = False
+    ticks: int = 1
     washout: float = 0.0
     low_pass: tuple[float, ...] = ()
     step: float = 0.0
@@ -242,9 +255,10 @@ class Sensor:
 
 
 def port_alone(entry: SensorEntry) -> Sensor:
-    """A sensor of no telescope: its noise and bias are unknown (NaN)."""
-    unknown = np.full(entry.port.size, math.nan)
-    return Sensor(entry.port, unknown, unknown, entry.framed)
+    """A sensor of no telescope: its noise and bias are unknown (NaN), and a rate that has a key (0 ticks)."""
+    unknown, rate = np.full(entry.port.size, math.nan), entry.rate
+    ticks = 0 if isinstance(rate, str) else divided_ticks(rate, f"rate of {entry.port.name}")
+    return Sensor(entry.port, unknown, unknown, entry.framed, ticks)
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
@@ -253,7 +267,7 @@ def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
     Raises
     ------
     ValueError
-        A key of the table of sensors that the parameter file does not have.
+        A key of the table of sensors that the parameter file does not have, a rate that does not divide the tick rate.
 
     Examples
     --------
@@ -273,6 +287,8 @@ def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
         size, washout = np.ones(entry.port.size), float(value(entry, entry.washout))
         noise, bias = (value(entry, key) * size for key in (entry.noise, entry.bias))
         low_pass = tuple(map(float, value(entry, entry.low_pass))) if entry.low_pass else ()
-        return Sensor(entry.port, noise, bias, entry.framed, washout, low_pass)
+        name = entry.rate if isinstance(entry.rate, str) else f"rate of {entry.port.name}"
+        rate = value(entry, entry.rate) if isinstance(entry.rate, str) else entry.rate
+        return Sensor(entry.port, noise, bias, entry.framed, divided_ticks(rate, name), washout, low_pass)
 
     return tuple(sensor(entry) for entry in MEASURED_SENSORS)

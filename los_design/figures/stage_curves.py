@@ -46,7 +46,7 @@ def sampled_curve(
     if stage in NAMES:
         return responses.weighted(getattr(responses, NAMES[stage]), values, ALL, LOWEST, HIGHEST)
     plant, telescope = system.at(values), responses.telescope
-    laws = ControlLaws(*pair, stage, telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(*pair))
+    laws = ControlLaws(*pair, stage, telescope.loop_ports.used_by(*pair), telescope.fsm.los_sensitivity)
     loop = sampled_loop(plant, laws)
     omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
     response = disturbance_response(loop, plant, omega)[:, LOS_ROWS]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from lftkit.errors import InputError
 from los_estimator.problem import ORDER
-from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
+from titop_plant.interface import HOLD_DELAY, LOOP_DELAY
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ class DesignOptions:
         return self.loop_delay > 0.0
 
     @property
-    def hold_delays(self) -> dict[str, float]:
-        """Keyword arguments of the design plants: camera period and mean delay of the zero-order-hold commands [s]."""
+    def hold_delays(self) -> dict[str, Any]:
+        """Keyword arguments of the design plants: sampled sensors, and mean delay of the held commands [s]."""
         if not self.implemented:
             return {}
-        return {"camera_period": CAMERA_PERIOD, "command_hold": min(HOLD_DELAY, self.loop_delay)}
+        return {"sampled": True, "command_hold": min(HOLD_DELAY, self.loop_delay)}
 
     @property
     def delay(self) -> float:

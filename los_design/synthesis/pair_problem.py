@@ -39,13 +39,11 @@ from titop_plant.interface import (
     COLUMNS,
     COMMANDED,
     DT,
-    HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     MEASURED,
     MIRROR,
     MIRROR_STAGES,
-    sample_ticks,
 )
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
@@ -87,7 +85,7 @@ def blocks(telescope: Telescope, tuned: Sequence[int]) -> tuple[ControllerBlock,
 
     estimates, forces = MIRROR.stop - MIRROR.start, rows.forces
     free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + rows.measurements), OBSERVER in tuned)
-    free[OBSERVER_ORDER:, OBSERVER_ORDER + HELD] = False
+    free[OBSERVER_ORDER:, OBSERVER_ORDER + rows.held] = False
     size = ACTUATOR_ORDER + forces.stop - forces.start, ACTUATOR_ORDER + total_size(measured)
     laws = np.full(size, ACTUATORS in tuned)
     return (
@@ -123,7 +121,7 @@ def _bilinear(omega: FloatArray) -> ComplexArray:
 
 def _filters(rows: LoopPorts, ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
     """Washout and hold of the values of some measured ports at N frequencies [rad/s], shape (N, values)."""
-    chosen, ticks = [sensor for sensor in rows.sensors if sensor.port in ports], sample_ticks()
+    chosen = [sensor for sensor in rows.sensors if sensor.port in ports]
 
     def at(omega: FloatArray) -> ComplexArray:
         factors: list[ComplexArray] = []
@@ -131,8 +129,8 @@ def _filters(rows: LoopPorts, ports: Sequence[Port]) -> Callable[[FloatArray], C
             factor: ComplexArray = np.ones(len(omega), complex)
             if sensor.washout:
                 factor = _bilinear(omega) / (_bilinear(omega) + sensor.washout)
-            if sensor.name in ticks:
-                held = np.arange(ticks[sensor.name])
+            if sensor.framed:
+                held = np.arange(sensor.ticks)
                 factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
             factors += [factor] * sensor.port.size
         return np.stack(factors, axis=1)
@@ -187,7 +185,7 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
-    omega, amplitude = nominal.omega, samples.open_loop.ports.noise_of_ticks()
+    omega, amplitude = nominal.omega, samples.open_loop.ports.noise_of_ticks
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
         heard = amplitude.copy()

@@ -119,7 +119,7 @@ class ImplementedTask(Task):
         loop = self.samples.open_loop
         plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
         sensitivity = loop.telescope.fsm.los_sensitivity
-        laws = (ControlLaws(*pair, STAGE_NAMES[stage], sensitivity, loop.ports) for stage in self.stages)
+        laws = (ControlLaws(*pair, STAGE_NAMES[stage], loop.ports, sensitivity) for stage in self.stages)
         return all(sampled_loop(plant, one).spectral_radius() < 1.0 for one in laws)
 
 

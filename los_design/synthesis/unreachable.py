@@ -303,7 +303,7 @@ class StageBounds:
 
     def _sensor_noise(self, row: FigureOfMerit) -> FloatArray:
         """Standard deviation of a sample of each measured value, over the limit of the error by noise."""
-        amplitude = self.open_loop.ports.noise_of_ticks()
+        amplitude = self.open_loop.ports.noise_of_ticks
         for name in set(MEASURED) - set(row.inputs):
             amplitude[COLUMNS[name]] = np.finfo(float).eps * amplitude[COLUMNS[name]]
         return np.asarray(amplitude / row.tuned_for(self.telescope, self.stage))

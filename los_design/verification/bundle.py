@@ -440,7 +440,8 @@ def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] =
             )
         frames = {}
         for stage, loop in loops.items():
-            share = frames_share({f.figure: f.level * f.limit for f in figures if f.stage == stage})
+            levels = {f.figure: f.level * f.limit for f in figures if f.stage == stage}
+            share = frames_share(levels, telescope.frame_ticks)
             steady = share is not None and math.isinf(stable[stage])
             if share is not None and steady and loop.sampled_at({})[1].spectral_radius() < 1.0:
                 frames[stage] = share

@@ -19,27 +19,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from titop_plant.interface import FRAME_TICKS
-
 SEEN, IMAGES = "frames, seen", "frames, images"
 """Names of the two gains: S within half of the frame rate, L above it."""
 LIMITS = {SEEN: 3.0, IMAGES: 1e-3}
 """Of these gains: their product for all images is 0.06, far from 1, so that both are cheap to prove."""
 
 
-def frames_share(levels: Mapping[str, float]) -> float | None:
+def frames_share(levels: Mapping[str, float], ticks: int) -> float | None:
     """Bound of the part of a sample that comes back by its images, over the box; None where a gain is not proven.
 
     Parameters
     ----------
     levels : mapping of str to float
         Bounds of gains by name.
+    ticks : int
+        Ticks from one frame to the next; with a frame at every tick there are no images.
 
     Examples
     --------
-    >>> frames_share({SEEN: 3.0, IMAGES: 1e-3})
+    >>> frames_share({SEEN: 3.0, IMAGES: 1e-3}, 20)
     0.057
     """
+    if ticks == 1:
+        return 0.0
     if not set(LIMITS) <= set(levels):
         return None
-    return (FRAME_TICKS - 1) * levels[SEEN] * levels[IMAGES]
+    return (ticks - 1) * levels[SEEN] * levels[IMAGES]

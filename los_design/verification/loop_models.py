@@ -22,7 +22,7 @@ from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LOS_ROWS
-from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, sample_ticks
+from titop_plant.interface import COMMANDED, COMMANDS, DT
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.telescope import Telescope
 
@@ -67,7 +67,7 @@ def noise_model(loop: ImplementedLoop) -> LoopModel:
     The samples of a sensor with frames count as if each tick had one
     (:meth:`titop_plant.telescope.loop_ports.LoopPorts.noise_of_ticks`): held, they have the same mean spectrum.
     """
-    sigma = loop.ports.noise_of_ticks()
+    sigma = loop.ports.noise_of_ticks
     noisy = np.flatnonzero(sigma)
     inputs = np.column_stack([sigma[noisy], np.ones((len(noisy), 2))])
     limit = loop.telescope.weights.ape_limit
@@ -81,8 +81,8 @@ def frames_model(loop: ImplementedLoop, limit: float, *, opened: bool) -> LoopMo
     With the sum, in the closed loop (S of :mod:`los_design.verification.frames`); or without it and `opened`: what is
     added is all that the controllers see of the camera (L there, with the hold).
     """
-    cameras = [COLUMNS[name] for name, ticks in sample_ticks().items() if ticks > 1]
-    seen = np.concatenate([np.arange(part.start, part.stop) for part in cameras])
+    columns, every = loop.ports.columns, np.arange(loop.ports.measurements)
+    seen = np.concatenate([every[columns[name]] for name, ticks in loop.ports.ticks.items() if ticks > 1])
     rows = tuple(range(len(seen)))
     model = _model(loop, np.ones((len(seen), 3)), seen, window=0.0, rows=rows, scale=limit, commands=False)
     q, y, _, d, _ = model.sizes
@@ -183,7 +183,9 @@ def parts_near_edge(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
 
 def frames_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Gains that show what the camera's frames do to stability (:mod:`los_design.verification.frames`)."""
-    edge, like = NYQUIST / FRAME_TICKS, next(iter(margins_of(telescope, stage).values()))
+    if telescope.frame_ticks == 1:
+        return {}
+    edge, like = NYQUIST / telescope.frame_ticks, next(iter(margins_of(telescope, stage).values()))
     bands = {SEEN: (0.0, edge), IMAGES: (edge, NYQUIST)}
     return {name: replace(like, name=name, limit=FRAME_LIMITS[name], band=band) for name, band in bands.items()}
 

@@ -134,7 +134,6 @@ def test_physical_values_are_in_the_parameter_file_alone() -> None:
 def test_rate_and_tick_are_one() -> None:
     assert interface.DT * interface.RATE == 1.0
     assert interface.TICK_NS * interface.RATE == 1_000_000_000
-    assert pytest.approx(1.0 / interface.CAMERA_RATE, rel=1e-15) == interface.CAMERA_PERIOD
     assert (interface.MEASUREMENTS, interface.COMMANDS, interface.ESTIMATES, interface.TRUTH) == (22, 8, 2, 2)
 
 

@@ -21,7 +21,6 @@ from support.command_line import call_command, refused
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import weighted_gains
-from titop_plant.interface import FRAME_TICKS
 
 DURATION = {"time": 1.04, "model": 10.0}
 
@@ -106,7 +105,7 @@ def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not()
     worst = int(random.argmax())
     plant = evaluator.family.control_loop.at(dict(zip(REFERENCE.ranges, points[worst])))
     pair, telescope = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.telescope
-    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
+    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma", rows()))
     near = rows[worst]["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert random[worst] == pytest.approx(peak, rel=0.02)

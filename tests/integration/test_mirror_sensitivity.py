@@ -24,7 +24,7 @@ from los_loop.sampled_loop_norms import sampled_loop_metrics
 from pointing_analysis.indices.errors import knowledge_error
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.run import Run
-from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
+from titop_plant.interface import FSM_ANGLE
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
@@ -87,9 +87,7 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
     ):
         telescope = load_telescope(path) if path else load_telescope()
         plant = control_loop_plant(telescope).at({})
-        metrics.append(
-            sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", frame_ticks=FRAME_TICKS, noise=False)
-        )
+        metrics.append(sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", noise=False))
     reference, same, other = metrics
     for name in ("ape", "rpe", "radius"):
         assert getattr(same, name) == pytest.approx(getattr(reference, name), rel=0.03)

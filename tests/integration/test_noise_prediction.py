@@ -51,7 +51,7 @@ def test_noise_has_the_predicted_variance() -> None:
     loop = SimulatedLoop(Plant(dynamics, sensors, np.full(8, 1e6), "test"), LosEstimator(models["k_fsm"]), controller)
     los: list[np.ndarray] = []
     loop.run(60000, lambda block, rows: los.append(block.truth[:rows].copy()))
-    metrics = sampled_loop_metrics(data, models["k_fsm"], models["k_pma"], telescope, loop="fsm+pma", frame_ticks=20)
+    metrics = sampled_loop_metrics(data, models["k_fsm"], models["k_pma"], telescope, loop="fsm+pma")
     windows = np.concatenate(los)[5000:].reshape(-1, 20, 2)
     relative = np.sqrt(windows.var(axis=1).sum(axis=1).mean())
     assert relative == pytest.approx(metrics.noise_rpe, rel=0.25)

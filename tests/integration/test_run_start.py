@@ -13,6 +13,7 @@ import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
+from support.loop_rows import FRAME_TICKS
 from support.true_los import true_los
 from support.unstable_laws import with_slow_pole
 
@@ -20,7 +21,7 @@ from lftkit.support.threads import THREADS
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.read.run import Run
-from titop_plant.interface import DT, FRAME_TICKS, STAGES
+from titop_plant.interface import DT, STAGES
 
 WHEELS = (300.0, -200.0, 150.0, -400.0)
 

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg
+from support.loop_rows import FRAME_TICKS, loop_rows
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, System
@@ -31,7 +32,7 @@ from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.runtime import LosEstimator
-from los_loop import control_laws, implemented_loop
+from los_loop import implemented_loop
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
@@ -41,7 +42,7 @@ from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
-from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES, PLATFORM
+from titop_plant.interface import MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -101,7 +102,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     (omega, amplitude), bias = tones(rng, telescope), 1e-5 * rng.standard_normal(22)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     modal = ModalPlant.of(plant)
-    loop = sampled_loop(modal, ControlLaws(*pair, stage), frame_ticks=FRAME_TICKS)
+    loop = sampled_loop(modal, ControlLaws(*pair, stage, loop_rows()))
     model = ToneModel(loop, modal, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))
     predicted = model.record(TICKS)
@@ -146,7 +147,7 @@ def run(plant: Plant, start, stage: str, pair: Pair, limits: np.ndarray) -> np.n
 @pytest.mark.parametrize("seed", POINTS)
 @pytest.mark.parametrize("stage", MIRROR_STAGES)
 def test_matrices_response_proof_and_tuner_have_the_same_gains(
-    stage: str, seed: int, system, telescope, pair: Pair, monkeypatch
+    stage: str, seed: int, system, telescope, pair: Pair
 ) -> None:
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     omega = float(np.exp(rng.uniform(np.log(0.05), np.log(1400.0))))
@@ -162,10 +163,10 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
         if metric.disturbed:
             model = telescope_model(loop, figures_of(telescope, stage)[name])
             assert float(member_gains(model, omega, deviation[None])[0]) == pytest.approx(expected, abs=SAME), name
-    monkeypatch.setattr(control_laws, "FRAME_TICKS", 1)
+    telescope = telescope.changed({"sensors": {"camera_rate": 1000.0}})  # without sidebands of frames
     loop = ImplementedLoop(OpenLoop(centred(system, member), telescope), *pair, stage)
     plant = loop.system.at({})
-    matrices = sampled_loop(plant, loop.control_laws, frame_ticks=1)
+    matrices = sampled_loop(plant, loop.control_laws)
     response, relative = weighted_gains(matrices, plant, telescope, np.array([omega]))
     for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
         if metric.disturbed:

@@ -7,6 +7,7 @@ import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_scenario
 from los_testbed.parts.run_parts import RunParts
+from support.loop_rows import loop_rows
 from support.true_los import true_los
 
 from los_loop.closing import sampled_loop
@@ -52,7 +53,7 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
 def loop_at(config: RunConfig):
     plant = ModalPlant.of(plant_and_tones(RunParts(config).physical)[0])
     chosen = RunParts(config).models
-    return sampled_loop(plant, ControlLaws(chosen["k_fsm"], chosen["k_pma"], config.loop), frame_ticks=20), plant
+    return sampled_loop(plant, ControlLaws(chosen["k_fsm"], chosen["k_pma"], config.loop, loop_rows(20))), plant
 
 
 def test_no_other_tone_of_unit_norm_is_worse() -> None:

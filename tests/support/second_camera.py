@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources
+from support.loop_rows import FRAME_TICKS, loop_rows
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, state_space
@@ -30,8 +31,6 @@ from titop_plant.interface import (
     COLUMNS,
     COMMANDS,
     ESTIMATES,
-    FRAME_TICKS,
-    HELD,
     K_FSM_INPUTS,
     K_FSM_OUTPUTS,
     MEASUREMENTS,
@@ -93,12 +92,14 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     omega, amplitude = tones(rng)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     modal = ModalPlant.of(plant)
-    model = ToneModel(sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE)), modal, omega, 1e-2 * amplitude, limits)
+    model = ToneModel(
+        sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE, loop_rows())), modal, omega, 1e-2 * amplitude, limits
+    )
     bias = np.zeros(MEASUREMENTS)
     start = steady_start(model, bias, (k_fsm.order, K_PMA.order))
     predicted = model.record(TICKS)
     step = plant_step(plant, Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1)))
-    sensors = SensorModel(bias, bias, FRAME_TICKS, 0.0, 0)
+    sensors = SensorModel(bias, bias, FRAME_TICKS, 0.0, 0, ((GUIDE, 100),))
     simulated = Plant(ConstantStep(step, start.plant, omega), sensors, limits)
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
     sensitivity = PARAMETERS.fsm.los_sensitivity
@@ -116,8 +117,8 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     found["simulated"] = float(np.abs(los - predicted).max() / np.abs(predicted).max())
     sampled_loop_norms.SIDEBANDS = 50
     for ticks in (1, 4, FRAME_TICKS):
-        loop = sampled_loop(plant, ControlLaws(k_fsm, K_PMA, STAGE), frame_ticks=ticks)
-        same = sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE), frame_ticks=ticks)
+        loop = sampled_loop(plant, ControlLaws(k_fsm, K_PMA, STAGE, loop_rows(ticks)))
+        same = sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE, loop_rows(ticks)))
         settled = ToneModel(same, modal, omega, amplitude, limits).settled()
         response = sampled_loop_norms.disturbance_response(loop, plant, omega)[:, :2]
         shown = np.stack([response[k] @ amplitude[:, k] for k in range(4)], axis=1)
@@ -189,7 +190,7 @@ def found() -> dict[str, object]:
     with one_thread():
         k_fsm, matrix = observer()
         return {
-            "held": HELD.size,
+            "held": loop_rows().held.size,
             "samples": samples(),
             "prediction": prediction(k_fsm),
             "gains": gains(k_fsm, matrix),

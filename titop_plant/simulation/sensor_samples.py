@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
-from titop_plant.interface import CAMERA, COLUMNS, MEASUREMENTS, sample_ticks
+from titop_plant.interface import CAMERA, MEASUREMENTS
 from titop_plant.simulation.kernel_arrays import SensorArrays
 
 _NOISE_BLOCK = 64
@@ -24,10 +24,12 @@ class SensorModel:
     bias : ndarray, shape (22,)
         Added to every sample.
     frame_ticks : int
-        Ticks between camera frames; other sensors have the rate of their entry.
+        Ticks between camera frames.
     dropout : float
         Probability that a frame is lost (read as NaN).
     seed : int
+    slow : tuple of (slice, int)
+        Columns of the other sensors that are slower than the tick, and ticks from one sample to the next.
     """
 
     sigma: FloatArray
@@ -35,18 +37,7 @@ class SensorModel:
     frame_ticks: int
     dropout: float
     seed: int
-
-
-def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
-    """Columns of the sensors beside the camera that are slower than the tick, and their ticks.
-
-    Parameters
-    ----------
-    frame_ticks : int
-        Ticks between camera frames.
-    """
-    sampled = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
-    return tuple((columns, ticks) for columns, ticks in sampled if columns != CAMERA)
+    slow: tuple[tuple[slice, int], ...] = ()
 
 
 class SensorSamples:
@@ -61,7 +52,6 @@ class SensorSamples:
         self.model = model
         self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
-        self._slow = slow_sensors(model.frame_ticks)
         self.reset()
 
     def reset(self) -> None:
@@ -88,7 +78,7 @@ class SensorSamples:
             self._draw()
         np.add(true, self._block[row] if self.noisy else 0.0, out=out)
         out += self.model.bias
-        for columns, ticks in self._slow:
+        for columns, ticks in self.model.slow:
             if tick % ticks:
                 out[columns] = np.nan
         if tick % self.model.frame_ticks or self._lost():
@@ -105,7 +95,7 @@ class SensorSamples:
             some = min(_NOISE_BLOCK - row, rows - done)
             noise[done : done + some] = self._block[row : row + some]
             done += some
-        for columns, every in self._slow:
+        for columns, every in self.model.slow:
             absent[ticks % every != 0, columns] = True
         framed = ticks % self.model.frame_ticks == 0
         absent[:, CAMERA] = ~framed[:, None]
@@ -127,4 +117,4 @@ class SensorSamples:
         return bool(self._frame[0] < self._dropout)
 
 
-__all__ = ["SensorModel", "SensorSamples", "slow_sensors"]
+__all__ = ["SensorModel", "SensorSamples"]

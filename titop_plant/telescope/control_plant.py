@@ -38,7 +38,6 @@ from titop_plant.interface import (
     MEASURED,
     MEASUREMENTS,
     TRUTH_PORTS,
-    sample_ticks,
 )
 from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
@@ -140,16 +139,16 @@ def held_commands(plant: System, hold: float) -> System:
     return connect(systems, wires, inputs=plant.inputs, outputs=outputs)
 
 
-def control_plant(telescope: Telescope, *, camera_period: float = 0.0, command_hold: float = 0.0) -> System:
+def control_plant(telescope: Telescope, *, sampled: bool = False, command_hold: float = 0.0) -> System:
     """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
 
     Parameters
     ----------
     telescope : Telescope
-    camera_period : float
-        Time between camera frames, whose value is held [s]: adds its mean age, see :func:`sample_hold`, as a
-        Pade form of order 2 for each axis (4 states); other values that are held have that of their own rate. 0:
-        continuous sensors, as in the paper.
+    sampled : bool
+        Whether sensors that are slower than the tick have samples, which are held: adds the mean age of their values,
+        see :func:`sample_hold`, as a Pade form of order 2 for each (4 states for the camera). Otherwise all sensors are
+        continuous, as in the paper.
     command_hold : float
         Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
@@ -173,15 +172,14 @@ def control_plant(telescope: Telescope, *, camera_period: float = 0.0, command_h
         (optical.name, "optical.optical_noise"),
     ]
     outputs: dict[str, str | tuple[str, ...]] = {"los_controlled": "plant.los_controlled"}
-    ticks = sample_ticks(max(1, round(camera_period / DT)))
     for sensor in telescope.sensors:
         name, port = sensor.port.name, ports[sensor.port.name]
         noisy = f"plant.{name}", f"{'noise' if name in ACCELEROMETERS else 'optical'}.{name}"
         behind = f"behind_{name}"
         if sensor.washout:
             systems[behind] = high_pass(port, sensor.washout)
-        elif name in ticks:
-            systems[behind] = sample_hold(port, ticks[name] * DT if camera_period else 0.0)
+        elif sensor.framed:
+            systems[behind] = sample_hold(port, sensor.ticks * DT if sampled else 0.0)
         outputs[name] = noisy
         if behind in systems:
             wires.append((noisy, f"{behind}.{name}"))

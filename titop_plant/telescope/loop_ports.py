@@ -17,7 +17,8 @@ behind the six. Outputs of an assembled plant have the readings behind the line 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -25,18 +26,16 @@ import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
-from lftkit.systems.ports import Port, port_indices, total_size
+from lftkit.systems.ports import Port, port_indices, port_slices, total_size
 from titop_plant.interface import (
     COLUMNS,
     COMMAND_PORTS,
     COMMANDED,
-    FRAME_TICKS,
     MEASURED_PORTS,
     TRUTH,
     TRUTH_PORTS,
-    sample_ticks,
 )
-from titop_plant.sensors import MEASURED_SENSORS, Sensor, port_alone
+from titop_plant.sensors import CAMERA_PORT, MEASURED_SENSORS, Sensor, port_alone
 from titop_plant.telescope.actuators import Actuator, reference_actuators
 
 DISTURBANCE = "disturbance"
@@ -64,7 +63,7 @@ class LoopPorts:
     Parameters
     ----------
     sensors : tuple of Sensor
-        In the order of the measurement. Default: those of the reference, of unknown noise and bias.
+        In the order of the measurement. Default: those of the reference, of unknown noise, bias and rate.
     actuators : tuple of Actuator
         In the order of the command. Default: those of the reference, without limits.
 
@@ -105,16 +104,10 @@ class LoopPorts:
         """Standard deviation of a sample of each measured value, shape (measurements,) [m/s2, rad/s2, rad]."""
         return np.concatenate([row.noise for row in self.sensors])
 
-    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
-        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
-
-        Parameters
-        ----------
-        frame_ticks : int
-            Ticks of a frame of the camera.
-        """
-        ticks = sample_ticks(frame_ticks)
-        return np.concatenate([row.noise * np.sqrt(ticks.get(row.name, 1)) for row in self.sensors])
+    @property
+    def noise_of_ticks(self) -> FloatArray:
+        """The same as if every tick had a sample: of a held value larger by the root of the ticks it is held."""
+        return np.concatenate([row.noise * np.sqrt(row.ticks) for row in self.sensors])
 
     @property
     def bias(self) -> FloatArray:
@@ -125,6 +118,50 @@ class LoopPorts:
     def scale(self) -> FloatArray:
         """Commanded values in their units for a value of 1 in the loop's response, shape (commands,)."""
         return np.concatenate([np.full(row.port.size, row.scale) for row in self.actuators])
+
+    # ---- samples ----------------------------------------------------------------------------------------------------
+
+    @property
+    def framed(self) -> tuple[Sensor, ...]:
+        """Sensors that may lack a sample at a tick; the last one is held then."""
+        return tuple(row for row in self.sensors if row.framed)
+
+    @property
+    def ticks(self) -> dict[str, int]:
+        """Ticks from one sample to the next of each of them, by the name of its port."""
+        return {row.name: row.ticks for row in self.framed}
+
+    @property
+    def period(self) -> int:
+        """Ticks from one tick at which every sensor has a sample to the next."""
+        return math.lcm(*self.ticks.values())
+
+    @property
+    def columns(self) -> Mapping[str, slice]:
+        """Columns of each measured port."""
+        return port_slices(self.measured)
+
+    @property
+    def held_parts(self) -> Mapping[str, slice]:
+        """Part of each sensor that may lack a sample in the vector of held values."""
+        return port_slices(row.port for row in self.framed)
+
+    @property
+    def held(self) -> IntArray:
+        """Columns of the held values in the measurement."""
+        columns, every = self.columns, np.arange(self.measurements)
+        return np.concatenate([every[:0], *(every[columns[row.name]] for row in self.framed)])
+
+    def with_frames(self, ticks: int) -> LoopPorts:
+        """The same rows with another frame rate of the camera, of which only the rate differs.
+
+        Parameters
+        ----------
+        ticks : int
+            Ticks from one frame to the next.
+        """
+        rows = (replace(row, ticks=ticks) if row.name == CAMERA_PORT else row for row in self.sensors)
+        return replace(self, sensors=tuple(rows))
 
     # ---- rows of a file ---------------------------------------------------------------------------------------------
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -26,8 +25,8 @@ from lftkit.uncertainty.elements import RealParameter
 from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement
-from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
-from titop_plant.sensors import Sensor, read_loop_sensors
+from titop_plant.interface import DT, FORCE_STAGES, MIRROR_STAGES, STAGES, DesignBasis
+from titop_plant.sensors import CAMERA_PORT, Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
@@ -38,6 +37,7 @@ from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.plant_file import FILE, PLANT, plant_parameters, plant_system
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
+    FIRST_CAMERA_RATE,
     AttitudeTable,
     BodyTable,
     DesignScenarioTable,
@@ -60,6 +60,11 @@ SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
 FIRST_PROBABILITY = 0.997
 """Fraction of the windows, and of the instants, within the limit, for designs that do not state it."""
+FIRST_VALUES: Mapping[str, Mapping[str, float]] = {
+    "weights": {"band_edge": FIRST_BAND_EDGE},
+    "sensors": {"camera_rate": FIRST_CAMERA_RATE},
+}
+"""Values of designs that do not state them."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 
@@ -73,7 +78,7 @@ class Telescope:
     Parameters
     ----------
     tables : mapping
-        All tables of a parameter file, checked and complete. They are copied.
+        All tables of a parameter file, checked and complete but for :data:`FIRST_VALUES`. They are copied.
 
     Examples
     --------
@@ -86,7 +91,10 @@ class Telescope:
     _tables: dict[str, Any]
 
     def __init__(self, tables: Mapping[str, Any]) -> None:
-        object.__setattr__(self, "_tables", copy.deepcopy(dict(tables)))
+        whole = copy.deepcopy(dict(tables))
+        for name, values in FIRST_VALUES.items():
+            whole[name] = {**values, **whole[name]} if name in whole else dict(values)
+        object.__setattr__(self, "_tables", whole)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a telescope is immutable, use Telescope.changed, got a value for {name}")
@@ -112,8 +120,8 @@ class Telescope:
         return copy.deepcopy(self._tables)
 
     def named_values(self) -> dict[str, Any]:
-        """All values that tell telescopes apart: the edge of the bands only where it is not the first one."""
-        return {**self.to_mapping(), "weights": without_first_edge(self._tables["weights"])}
+        """All values that tell telescopes apart: those of :data:`FIRST_VALUES` only where they are others."""
+        return without_first_values(self.to_mapping())
 
     def changed(self, values: Mapping[str, Any]) -> Telescope:
         """A telescope with other values.
@@ -323,6 +331,16 @@ class Telescope:
         return float(self._tables["sensors"]["camera_noise"])
 
     @property
+    def camera_rate(self) -> float:
+        """Frames per second of the camera."""
+        return float(self._tables["sensors"]["camera_rate"])
+
+    @property
+    def frame_ticks(self) -> int:
+        """Ticks from one frame of the camera to the next."""
+        return self.loop_ports.ticks[CAMERA_PORT]
+
+    @property
     def camera_kind(self) -> str:
         """Type of the camera, see :mod:`titop_plant.telescope.guide_camera`."""
         return str(self._tables["sensors"].get("camera", guide_camera.VECTOR))
@@ -471,34 +489,6 @@ class Telescope:
         """With drives whose gearbox ends at the body, with fixed harmonics."""
         return Telescope(layout.without_steppers(self._tables))
 
-    def for_frames(self, frame_ticks: int) -> Telescope:
-        """For a design, whose frames are those of 50 Hz: with the low-pass and noise of another frame rate.
-
-        A frame that is held longer is older by half of the difference, which the low-pass then has, and its noise per
-        tick is larger by the root of the ticks. Frames that are held for a shorter time keep the low-pass: they are
-        better.
-
-        Parameters
-        ----------
-        frame_ticks : int
-            Ticks of a frame of a camera that is no vector.
-
-        Examples
-        --------
-        >>> from titop_plant.telescope.load import load_telescope
-        >>> given = load_telescope().changed({"camera": {"exposure": 0.04, "readout_delay": 0.002}})
-        >>> held = given.for_frames(80)
-        >>> c0, c1, _ = held.sensors[3].low_pass
-        >>> round(c1 / c0, 9), held.camera_noise
-        (0.052, 2e-08)
-        """
-        if frame_ticks == FRAME_TICKS:
-            return self
-        longer = max(0.0, 0.5 * (frame_ticks - FRAME_TICKS) * DT)
-        low_pass = guide_camera.exposure_low_pass(self.camera.exposure, self.camera.readout_delay + longer)
-        noise = self.camera_noise * math.sqrt(frame_ticks / FRAME_TICKS)
-        return self.changed({"sensors": {"camera_filter": list(low_pass), "camera_noise": noise}})
-
     def check_exposure(self, frame_ticks: int) -> None:
         """Refuse an exposure that is longer than the time between frames.
 
@@ -541,7 +531,7 @@ class Telescope:
         """
         known = layout.without_sources(self.without_images())
         content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
-        content["weights"] = without_first_edge(content["weights"])
+        content = without_first_values(content)
         parts = {"window_probability": self.window_probability, "instant_probability": self.instant_probability}
         content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
         for name in OWN_BODIES:
@@ -554,9 +544,15 @@ class Telescope:
         return digest(content)
 
 
-def without_first_edge(weights: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of the weights without an edge of the bands that is the first one, as it was stored before."""
-    return {key: value for key, value in weights.items() if key != "band_edge" or value != FIRST_BAND_EDGE}
+def without_first_values(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables without values that are those of :data:`FIRST_VALUES`."""
+    first = {(table, key): value for table, values in FIRST_VALUES.items() for key, value in values.items()}
+    return {
+        name: {key: value for key, value in table.items() if first.get((name, key)) != value}
+        if name in FIRST_VALUES
+        else table
+        for name, table in tables.items()
+    }
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.loop_rows import loop_rows
 
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import BOTH, gains, grid
@@ -21,7 +22,6 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.member_metrics import MemberMetrics
 from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import worst_tone
-from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.load import differences, load_telescope
 from titop_plant.telescope.telescope import Telescope
@@ -86,7 +86,7 @@ def test_search_worst_tone_and_members_look_in_its_bands(
     search = Search(ImplementedLoop(OpenLoop(system, own), *pair, STAGE))
     assert EDGE in search.bands and search.metrics["fast"].band[0] == EDGE
     plant = ModalPlant.of(system.at({}))
-    loop = sampled_loop(plant, ControlLaws(*pair, STAGE), frame_ticks=FRAME_TICKS)
+    loop = sampled_loop(plant, ControlLaws(*pair, STAGE, loop_rows()))
     found = {index: worst_tone(loop, plant, own, index=index, stage=STAGE).omega for index in error_names()}
     assert found["slow"] <= EDGE <= found["fast"]
     above = own.changed({"weights": {"band_edge": 150.0}})

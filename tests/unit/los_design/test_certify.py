@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from support.loop_rows import FRAME_TICKS
 from support.slow_cases import slow
 
 from lftkit import SampledSystem
@@ -48,7 +49,7 @@ from los_design.verification.noise_certificate import ABOVE, seen_gain
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from titop_plant.interface import DT, FRAME_TICKS
+from titop_plant.interface import DT
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 205.0)
@@ -295,8 +296,8 @@ def test_found_members_keep_both_limits_and_their_periodic_loop_is_stable(either
         for omega in np.geomspace(max(metric.band[0], 5.0), metric.band[1], 40):
             found[name] = max(found[name], *(float(np.linalg.norm(member(model, omega, one), 2)) for one in drawn))
     assert 1.5 < found[SEEN] < LIMITS[SEEN] and 5e-5 < found[IMAGES] < LIMITS[IMAGES]
-    share = frames_share(LIMITS)
-    assert share is not None and share < 0.1 and frames_share({SEEN: 3.0}) is None
+    share = frames_share(LIMITS, FRAME_TICKS)
+    assert share is not None and share < 0.1 and frames_share({SEEN: 3.0}, FRAME_TICKS) is None
     for values in either.system.sample_values(np.random.default_rng(3), 2):
         assert either.sampled_at(values)[1].spectral_radius() < 1.0
 

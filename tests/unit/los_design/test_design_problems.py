@@ -43,7 +43,7 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import sampled_loop_metrics
-from titop_plant.interface import CAMERA, DT, FRAME_TICKS, LOOP_DELAY, MEASURED, MIRROR
+from titop_plant.interface import CAMERA, DT, LOOP_DELAY, MEASURED, MIRROR
 from titop_plant.telescope.control_plant import control_loop_plant, loop_plant
 from titop_plant.telescope.error_budget import error_budget
 from titop_plant.telescope.load import load_telescope
@@ -109,7 +109,7 @@ def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(tele
     k_fsm, k_pma = load_designs("implemented")
     plant = control_loop_plant(telescope).at({})
     given = plant, k_fsm, k_pma, telescope
-    one, two = (sampled_loop_metrics(*given, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma"))
+    one, two = (sampled_loop_metrics(*given, loop=loop) for loop in ("fsm", "fsm+pma"))
     assert one.radius < 1.0 and two.radius < 1.0
     assert max(one.ape, one.rpe, one.mirror) < 1.0
     assert max(two.ape, two.rpe_fine, two.force) < 1.0
@@ -189,7 +189,7 @@ def test_noise_is_that_of_the_sampled_loop(telescope, open_loop, pair, x) -> Non
     shares = {"fsm": (budget.ape_noise, budget.noise), "fsm+pma": (budget.ape_noise, budget.total_noise)}
     values = np.reshape(problem.noise(x), (2, 2))
     for found, (stage, share) in zip(values, shares.items()):
-        exact = noise_rms(noise_covariances(plant, *pair, telescope, loop=stage, frame_ticks=FRAME_TICKS))
+        exact = noise_rms(noise_covariances(plant, *pair, telescope, loop=stage))
         assert found[1] * share[1] == pytest.approx(exact[1], rel=1e-3)
         assert 0.97 * exact[0] < found[0] * share[0] < exact[0]
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.command_line import call_command
+from support.loop_rows import loop_rows
 
 from lftkit import Port, SampledSystem, real, s
 from lftkit.proofs import worst_case_gain
@@ -168,7 +169,7 @@ def acts(k_fsm: SampledSystem, k_pma: SampledSystem) -> list[list[Any]]:
     """All numbers of the laws of each stage, with another sensitivity of the telescope than that of the file."""
     found = []
     for stage in MIRROR_STAGES:
-        for law in ControlLaws(k_fsm, k_pma, stage, 0.2).laws:
+        for law in ControlLaws(k_fsm, k_pma, stage, loop_rows(), 0.2).laws:
             parts = [getattr(law.system, name).tolist() for name in "ABCD"]
             found.append([*parts, law.system.dt, law.gain, law.measured, law.command])
     return found

@@ -55,7 +55,7 @@ def quiet_pair() -> tuple[SampledSystem, SampledSystem]:
 
 def metrics(values: dict, telescope, stage: str, **options) -> SampledLoopMetrics:
     plant = small_plant(values.get("stiffness", 1.0))
-    return sampled_loop_metrics(plant, *quiet_pair(), telescope, loop=stage, frame_ticks=20, **options)
+    return sampled_loop_metrics(plant, *quiet_pair(), telescope, loop=stage, **options)
 
 
 def checked(points, telescope, **options) -> ImplementedCheck:
@@ -93,7 +93,7 @@ def test_refined_peaks_are_on_top(three, telescope) -> None:
         for name in ("APE", "mirror"):
             p, rows = check.worst[name], slice(0, 2) if name == "APE" else slice(2, 4)
             plant = small_plant(p.parameters["stiffness"])
-            loop = sampled_loop(plant, ControlLaws(*quiet_pair(), check.stage, 0.1), frame_ticks=20)
+            loop = sampled_loop(plant, ControlLaws(*quiet_pair(), check.stage, rows(20), 0.1))
             omega = p.omega * np.exp([-1e-4, 0.0, 1e-4])
             response, _ = weighted_gains(loop, plant, telescope, omega)
             gains = np.linalg.norm(response[:, rows], 2, axis=(1, 2)) / p.limit

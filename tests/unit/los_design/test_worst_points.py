@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.command_line import refused
+from support.loop_rows import loop_rows
 
 from lftkit import SampledSystem
 from lftkit.support.threads import one_thread
@@ -33,7 +34,6 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
@@ -62,7 +62,7 @@ def known_values(stage: str) -> dict[str, float]:
 def test_the_response_is_that_of_the_periodic_solution(stage: str, system, telescope, pair) -> None:
     loop, values = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), known_values("fsm+pma")
     plant = system.at(values)
-    exact = sampled_loop(plant, ControlLaws(*pair, stage, 0.1), frame_ticks=FRAME_TICKS)
+    exact = sampled_loop(plant, ControlLaws(*pair, stage, loop_rows(), 0.1))
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
     expected = tone_response(exact, plant, omega).fundamental * weight_amplitudes(telescope, omega)[:, None, :]
     rows = (slice(0, 2), slice(2, 4), slice(4, 10))[: {"isolator": 1, "fsm": 2, "fsm+pma": 3}[stage]]
@@ -124,7 +124,7 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     assert abs(found.omega / omega - 1.0) < 5e-3
     assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
     plant = system.at(found.parameters)
-    exact = sampled_loop(plant, ControlLaws(*pair, stage, 0.1), frame_ticks=FRAME_TICKS)
+    exact = sampled_loop(plant, ControlLaws(*pair, stage, loop_rows(), 0.1))
     _, relative = weighted_gains(exact, plant, telescope, np.array([found.omega]))
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
@@ -136,7 +136,7 @@ def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> N
     for vector in (found.disturbance, found.direction):
         assert np.linalg.norm(vector) == pytest.approx(1.0)
     plant = system.at(found.parameters)
-    exact = sampled_loop(plant, ControlLaws(*pair, "fsm", 0.1), frame_ticks=FRAME_TICKS)
+    exact = sampled_loop(plant, ControlLaws(*pair, "fsm", loop_rows(), 0.1))
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
     caused = response @ (weight_amplitudes(telescope, np.array([0.8]))[0] * found.disturbance)
     np.testing.assert_allclose(caused, found.gamma * found.limit * found.direction, rtol=1e-4)

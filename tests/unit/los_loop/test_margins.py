@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from small_loop import small_controllers, small_plant
+from support.loop_rows import loop_rows
 
 from lftkit.arrays import FloatArray
 from los_loop.closing import sampled_loop
@@ -28,7 +29,7 @@ TICKS = 400
 
 
 def small_loop() -> SampledLoop:
-    return sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm+pma"), frame_ticks=20)
+    return sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm+pma", loop_rows(20)))
 
 
 def simulated(loop: SampledLoop, gains: np.ndarray, late: int) -> np.ndarray:
@@ -132,7 +133,7 @@ def test_changes_that_make_the_loop_unstable_are_named() -> None:
     A = np.zeros((n + COMMANDS + 2, n + COMMANDS + 2))
     A[0, n], A[n, 0] = 0.8, 1.0
     zeros = np.zeros((A.shape[0], 22))
-    loop = SampledLoop(A, A, zeros, zeros, np.zeros((2, A.shape[0])), 2, n)
+    loop = SampledLoop(A, A, zeros, zeros, np.zeros((2, A.shape[0])), n, loop_rows(2))
     assert loop.spectral_radius() == pytest.approx(math.sqrt(0.8))
     assert unstable_changes(loop, "fsm") == ["gain x2", "gain x2 at mirror 1"]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 from small_loop import DT, small_controllers, small_plant
+from support.loop_rows import FRAME_TICKS, loop_rows
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
@@ -19,7 +20,7 @@ from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import Delays, SampledLoop
 from los_loop.spec import held_response
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import CAMERA, COMMANDS, FRAME_TICKS, FSM_ANGLE, MEASUREMENTS, TRUTH, sample_ticks
+from titop_plant.interface import CAMERA, COMMANDS, FSM_ANGLE, MEASUREMENTS, TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
@@ -54,7 +55,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(
     estimator = LosEstimator(k_fsm)
     of_law = basis.get("los_sensitivity", of_telescope)
     controller = FsmPmaController(k_pma, stage, los_sensitivity=of_law, fsm_authority=1e9, pma_authority=1e9)
-    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, of_telescope), frame_ticks=frame_ticks, delays=delays)
+    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, loop_rows(frame_ticks), of_telescope), delays=delays)
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, los = np.zeros(22), np.zeros(2), np.zeros(2)
@@ -82,7 +83,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(
 
 def test_a_frame_that_is_later_than_the_next_one_is_refused() -> None:
     with pytest.raises(ValueError, match="20 of 20 ticks"):
-        sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm", 0.2), frame_ticks=20, delays=Delays(0, 20))
+        sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm", loop_rows(20), 0.2), delays=Delays(0, 20))
     with pytest.raises(ValueError, match="zero or more"):
         Delays(-1)
 
@@ -94,7 +95,7 @@ def test_spectral_radius_is_the_growth_in_simulation(gain: float, stable: bool, 
     data, (k_fsm, k_pma) = small_plant(), small_controllers()
     D = k_fsm.D.copy()
     D[:, 18:20] *= gain
-    loop = sampled_loop(data, ControlLaws(replace(k_fsm, D=D), k_pma, "fsm+pma"), frame_ticks=frame_ticks)
+    loop = sampled_loop(data, ControlLaws(replace(k_fsm, D=D), k_pma, "fsm+pma", loop_rows(frame_ticks)))
     z, logarithms = np.random.default_rng(1).standard_normal(len(loop.hold)), []
     for _ in range(40000 // frame_ticks):
         for k in range(frame_ticks):
@@ -133,7 +134,7 @@ def law(stage: str, omega: float) -> np.ndarray:
 @pytest.mark.parametrize("stage", CLOSED_STAGES)
 def test_the_matrices_have_the_response_of_all_signals_solved_at_once(stage: str) -> None:
     """From errors of the measurement to commands and line of sight, with a sample of every sensor at each tick."""
-    loop = sampled_loop(small_plant(), ControlLaws(*small_controllers(), stage), frame_ticks=1)
+    loop = sampled_loop(small_plant(), ControlLaws(*small_controllers(), stage, loop_rows(1)))
     n = loop.plant_order
     for omega in OMEGA:
         z, P = np.exp(1j * omega * DT), sampled_plant(omega)
@@ -149,9 +150,9 @@ def test_the_matrices_have_the_response_of_all_signals_solved_at_once(stage: str
 
 @pytest.mark.parametrize("stage", CLOSED_STAGES)
 def test_the_law_has_the_delay_of_a_tick_and_the_hold_of_slow_sensors(stage: str) -> None:
-    laws = ControlLaws(*small_controllers(), stage)
+    laws = ControlLaws(*small_controllers(), stage, loop_rows())
     ticks = laws.held_ticks
-    assert sorted(set(ticks.tolist())) == sorted({1, *sample_ticks(FRAME_TICKS).values()})
+    assert sorted(set(ticks.tolist())) == [1, FRAME_TICKS]
     poles, B, C, D = laws.modes()
     for omega, found in zip(OMEGA, laws.response(OMEGA)):
         z = np.exp(1j * omega * DT)
@@ -204,7 +205,7 @@ def loop() -> SampledLoop:
     frame, hold, some = rng.standard_normal((3, n, n)) / n
     noise = rng.standard_normal((3, n, 22))
     between = dict.fromkeys((2, 4), (some, noise[2]))
-    return SampledLoop(frame, hold, noise[0], noise[1], np.zeros((2, n)), 6, 3, between)
+    return SampledLoop(frame, hold, noise[0], noise[1], np.zeros((2, n)), 3, loop_rows(6), between)
 
 
 def test_each_tick_has_the_matrices_of_the_sensors_that_are_due(loop: SampledLoop) -> None:
@@ -241,7 +242,7 @@ def test_slow_modes_of_a_long_period_are_those_of_its_parts(frame_ticks: int) ->
     """Loops open: modes of telescope and controllers, also where others are alike over a period."""
     plant = control_loop_plant(load_telescope()).at({})
     pair = load_designs("implemented")
-    loop = sampled_loop(plant, ControlLaws(*pair, "isolator", 0.1), frame_ticks=frame_ticks)
+    loop = sampled_loop(plant, ControlLaws(*pair, "isolator", loop_rows(frame_ticks), 0.1))
     poles = np.concatenate([linalg.eigvals(plant.A), *(np.log(linalg.eigvals(K.A)) / DT for K in pair)])
     light = (poles.imag > 0.0) & (poles.imag < HIGHEST) & (-poles.real < DAMPING * np.abs(poles))
     expected = np.sort(poles[light].imag)

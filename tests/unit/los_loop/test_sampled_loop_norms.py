@@ -11,6 +11,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from scipy import signal
 from small_loop import DT, small_controllers, small_plant
+from support.loop_rows import loop_rows
 
 from los_loop import sampled_loop_norms
 from los_loop.closing import sampled_loop
@@ -21,6 +22,7 @@ from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metri
 from los_loop.tone_model import ToneModel
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import weight_amplitudes
 
 OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
@@ -28,8 +30,12 @@ PLANT = ModalPlant.of(small_plant())
 COMPLETE = 9  # 2 * SIDEBANDS + 1: no sideband is omitted and the response is exact
 
 
+def at_rate(telescope: Telescope, frame_ticks: int) -> Telescope:
+    return telescope.changed({"sensors": {"camera_rate": 1000.0 / frame_ticks}})
+
+
 def closed(frame_ticks: int, stage: str = "fsm+pma") -> SampledLoop:
-    return sampled_loop(PLANT, ControlLaws(*small_controllers(), stage), frame_ticks=frame_ticks)
+    return sampled_loop(PLANT, ControlLaws(*small_controllers(), stage, loop_rows(frame_ticks)))
 
 
 def model(loop: SampledLoop, omega: float) -> ToneModel:
@@ -139,7 +145,7 @@ def gains(loop: SampledLoop, omega: np.ndarray, telescope) -> np.ndarray:
 def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, telescope) -> None:
     """Reached at a frequency of the grid, and not exceeded on another one."""
     plant, controllers = small_plant(), small_controllers()
-    found = sampled_loop_metrics(plant, *controllers, telescope, loop="fsm+pma", frame_ticks=frame_ticks, noise=False)
+    found = sampled_loop_metrics(plant, *controllers, at_rate(telescope, frame_ticks), loop="fsm+pma", noise=False)
     loop = closed(frame_ticks)
     omega, response, relative = weighted_response(loop, plant, telescope)
     assert omega[0] == pytest.approx(1e-2) and omega[-1] == pytest.approx(3e3)
@@ -199,11 +205,11 @@ def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, 
     """Sensors with different noise on every kind of channel, so that none is taken for another."""
     each = [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3]
     table = {"accelerometer_noise": each, "camera_noise": 2e-3, "strain_gauge_noise": 5e-2}
-    changed = telescope.changed({"sensors": table})
+    changed = at_rate(telescope, frame_ticks).changed({"sensors": table})
     sigma = np.r_[np.tile(each, 3), [2e-3] * 2, [5e-2] * 2]
     if sensors == "platform":
         sigma[6:] = 0.0
-    given: dict[str, Any] = {"loop": "fsm+pma", "frame_ticks": frame_ticks, "sensors": sensors}
+    given: dict[str, Any] = {"loop": "fsm+pma", "sensors": sensors}
     found = sampled_loop_metrics(small_plant(), *small_controllers(), changed, **given)
     expected = covariance(closed(frame_ticks), sigma)
     assert [found.noise_ape, found.noise_rpe] == pytest.approx(expected, rel=1e-6)
@@ -215,7 +221,7 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, telescope) -> N
     D = k_fsm.D.copy()
     D[:, 18:20] *= 8.0
     pair = replace(k_fsm, D=D), k_pma
-    found = sampled_loop_metrics(small_plant(), *pair, telescope, loop="fsm", frame_ticks=frame_ticks)
+    found = sampled_loop_metrics(small_plant(), *pair, at_rate(telescope, frame_ticks), loop="fsm")
     assert not found.stable and found.radius > 1.0
     values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
     assert values == (np.inf,) * 7
@@ -224,7 +230,7 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, telescope) -> N
 
 def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(telescope, monkeypatch) -> None:
     monkeypatch.setattr(SampledLoop, "spectral_radius", lambda _: 1.0)
-    found = sampled_loop_metrics(small_plant(), *small_controllers(), telescope, loop="fsm", frame_ticks=20)
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), telescope, loop="fsm")
     assert not found.stable and found.ape == np.inf
 
 

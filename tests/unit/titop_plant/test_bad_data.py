@@ -130,7 +130,7 @@ OBJECTS: list[tuple[Callable[[], Any], str]] = [
         "size of a must be 1 to 3, or 6 of a twist, got 4",
     ),
     (lambda: PlantConfig(camera_rate=300.0), "camera_rate must divide 1000 Hz (50, 40, 25, ...), got 300 Hz"),
-    (lambda: PlantConfig(camera_rate=0.0), "camera_rate must be between 1 and 1000 Hz, got 0"),
+    (lambda: PlantConfig(camera_rate=0.5), "camera_rate must be between 1 and 1000 Hz, got 0.5"),
     (lambda: PlantConfig(scenario="quiet"), "scenario must be one of worst_case, unit_norm, design, |got 'quiet'"),
 ]
 

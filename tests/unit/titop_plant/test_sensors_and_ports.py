@@ -182,6 +182,6 @@ def test_each_port_has_its_own_values_in_the_order_of_the_measurement(sensed) ->
 
 def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(sensed) -> None:
     """The mean of the samples of a frame's ticks has the frame's noise."""
-    ratio = sensed.loop_ports.reference.noise_of_ticks(25) / sensed.loop_ports.reference.noise
+    ratio = sensed.loop_ports.reference.with_frames(25).noise_of_ticks / sensed.loop_ports.reference.noise
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2

@@ -11,11 +11,14 @@ from typing import Any
 
 from lftkit.errors import InputError
 from pointing_analysis.files.settings import CheckedTable, Refused, unknown
-from titop_plant.sensors import SENSORS
+from titop_plant.sensors import SENSORS, TICKS_PER_SECOND, whole_ticks
 from titop_plant.telescope.sections import TABLES, Equipment, Material, RequirementTable
 
 NOT_NEGATIVE = {entry.noise for entry in SENSORS}
 """Keys of the table of the sensors whose numbers must not be negative."""
+
+RATES = {entry.rate for entry in SENSORS}
+"""Keys of its rates, which divide the tick rate."""
 
 OPEN: Mapping[str, str] = {"body.ports.": "", "body.sections.": "bracket_"}
 """Tables in which a user may add names of this beginning, with values like those of the first such name there."""
@@ -167,6 +170,8 @@ class ParameterFile:
                 raise self.error(name, f"must be positive, got {value!r}")
             if key in NOT_NEGATIVE and not value >= 0:
                 raise self.error(name, f"must not be negative, got {value!r}")
+            if key in RATES and whole_ticks(value) is None:
+                raise self.error(name, f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {value!r} Hz")
 
 
 def _named(base: Mapping[str, Any]) -> list[str]:

@@ -13,6 +13,7 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from support.loop_rows import loop_rows
 from support.unstable_laws import with_slow_pole
 
 from lftkit import SampledSystem
@@ -22,7 +23,6 @@ from los_loop.control_laws import ControlLaws
 from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.window_noise import WindowNoise, combined_level, ramp
 
 REFERENCE = MemberParameters.of()
@@ -61,7 +61,7 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
     assert found["status"] == "ok"
     plant, telescope = evaluator.family.control_loop.at(point(index)), evaluator.family.telescope
     pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
-    exact = sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    exact = sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma")
     pairs = (
         (exact.ape, "ape_gain"),
         (exact.rpe_fine, "rpe_fine_gain"),
@@ -70,7 +70,7 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
     )
     for value, name in pairs:  # the grid of the periodic solution is the coarser one: its peaks are lower bounds
         assert 0.997 * value < found[name] < 1.06 * value, name
-    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
+    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma", loop_rows()))
     near = found["rpe_peak_rad_s"] * (1.0 + np.linspace(-1e-3, 1e-3, 41))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert found["rpe_fine_gain"] == pytest.approx(peak, rel=5e-3)
@@ -116,7 +116,7 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
         found = row(changed, 0)
         pair = changed.controllers["k_fsm"], changed.controllers["k_pma"]
         plant = changed.family.control_loop.at(point(0))
-        radius = sampled_loop(plant, ControlLaws(*pair, loop), frame_ticks=FRAME_TICKS).spectral_radius()
+        radius = sampled_loop(plant, ControlLaws(*pair, loop, loop_rows())).spectral_radius()
         model = changed._model.model
         T = model.at(model.W(point(0)), np.arange(model.omega.size))
         turns = np.unwrap(-np.angle(determinants(T[:, 2:, 22:])))

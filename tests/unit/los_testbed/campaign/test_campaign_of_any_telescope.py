@@ -20,7 +20,6 @@ from support.command_line import call_command
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import weighted_gains
-from titop_plant.interface import FRAME_TICKS
 
 SMALL = Path(__file__).parents[4] / "examples" / "spacecraft" / "small_telescope.toml"
 WHEEL = """
@@ -103,10 +102,10 @@ def test_the_gain_of_a_member_at_depth_model_is_that_of_its_assembled_loop(name:
         evaluator.controllers["k_fsm"],
         evaluator.controllers["k_pma"],
         base.loop,
-        telescope.fsm.los_sensitivity,
         telescope.loop_ports,
+        telescope.fsm.los_sensitivity,
     )
-    closed = sampled_loop(plant, laws, frame_ticks=FRAME_TICKS)
+    closed = sampled_loop(plant, laws)
     near = row["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert row["rpe_fine_gain"] == pytest.approx(peak, rel=0.02)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import ASKED, CONFIRMED, NOT_ZERO, DeviceError, RigReport, Sample
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.rig.supervisor import EVERY_TICK, Supervisor, SupervisorSettings
 from plain_rig import PlainRig
 
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("still_clock")
 SETTINGS = SupervisorSettings()
 CONFIG = RunConfig(device="my:Rig", start="rest")
 LIMIT = CONFIG.hold_ticks + CONFIG.fade_ticks + SETTINGS.following.patience
-FRAME = CONFIG.frame_ticks
+FRAME = RunParts(CONFIG).ports.ticks["camera_los"]
 
 
 class Reporting(PlainRig):

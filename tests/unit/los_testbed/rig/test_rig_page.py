@@ -55,7 +55,7 @@ def test_the_driver_has_the_one_fault_that_the_page_names(rig):
 
 def test_its_frames_are_on_the_grid_of_the_camera(rig):
     device, clock = rig
-    config = RunConfig(device="my:Rig", start="rest")
+    config = RunConfig(device="my:Rig", start="rest", camera_rate=50.0)
     device.open(config)
     camera = SlowSensor("camera", slice(0, 2), config.frame_ticks * TICK_NS)
     rng = np.random.default_rng(5)

@@ -31,7 +31,6 @@ from los_testbed.config.run_settings import SIMULATED, with_scenario
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements.exposure import exposure_of, finest
 from pointing_analysis.requirements.requirement import Requirement
-from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"
 FORMAT = 2
@@ -209,8 +208,6 @@ def check_depth(base: RunConfig, depth: str) -> None:
             raise InputError(f"{name} must be {setting.default} at depth model, got {value}")
     if base.scenario == "ramp":
         raise InputError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
-    if depth == "model" and base.frame_ticks != FRAME_TICKS:
-        raise InputError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
     if depth == "time" and base.duration < (window := exposure_of(RunParts(base).telescope.requirements)):
         raise InputError(f"duration must be at least the window of {window:g} s, got {base.duration:g} s")
 

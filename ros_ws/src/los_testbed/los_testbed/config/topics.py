@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from los_testbed.config.run_config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
-from titop_plant.interface import COLUMNS, sample_ticks
+from titop_plant.interface import COLUMNS
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensors import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
@@ -79,9 +79,9 @@ class TopicDefinition:
         """Absolute name in a namespace."""
         return f"{namespace.rstrip('/')}/{self.name}"
 
-    def every(self, camera_ticks: int) -> int:
-        """Ticks from one message to the next, where the camera has a frame every `camera_ticks` ticks."""
-        return sample_ticks(camera_ticks).get(self.port, 1)
+    def every(self, ticks: Mapping[str, int]) -> int:
+        """Ticks from one message to the next, by those of the sensors (`LoopPorts.ticks`)."""
+        return ticks.get(self.port, 1)
 
     @property
     def size(self) -> int:

@@ -18,6 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_file
 from lftkit.systems.ports import Port
@@ -26,7 +28,7 @@ from los_testbed.flight.export import FLAGS, compiler, render, template, windows
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash
 from titop_plant.interface import (
-    COLUMNS,
+    CAMERA,
     COMMAND_PORTS,
     COMMANDS,
     DT,
@@ -35,7 +37,6 @@ from titop_plant.interface import (
     MEASUREMENTS,
     TRUTH,
     TRUTH_PORTS,
-    sample_ticks,
 )
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
@@ -148,9 +149,9 @@ def plant_model(plant: object) -> Model:
         "BIAS": plant.sensors.bias,
     }
     rounded = Tables.of(**tables)
-    every = [1] * MEASUREMENTS
-    for name, ticks in sample_ticks(plant.frame_ticks).items():
-        every[COLUMNS[name]] = [ticks] * (COLUMNS[name].stop - COLUMNS[name].start)
+    every = np.ones(MEASUREMENTS, int)
+    for columns, ticks in ((CAMERA, plant.frame_ticks), *plant.sensors.slow):
+        every[columns] = ticks
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
     text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
@@ -162,7 +163,7 @@ def plant_model(plant: object) -> Model:
         driven=len(step.driven),
         measurements=MEASUREMENTS,
         truth=TRUTH,
-        every=every,
+        every=every.tolist(),
         tables="\n".join(map(rounded.declaration, rounded.values)),
     )
     about = f"Telescope {plant.parameters_hash} with its disturbance, without sensor noise"

@@ -42,11 +42,11 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        law = EstimatorLaw(context, build)
+        law, rates = EstimatorLaw(context, build), RunParts(context.config).ports.ticks
         # those of every tick before the one that wakes this node
         further = (shifted(topic, MEASUREMENTS) for topic in law.further)
         topics: tuple[TopicDefinition, ...] = (*SENSORS[:-1], *further, SENSORS[-1])
-        ticks = [topic.every(context.config.frame_ticks) for topic in topics]
+        ticks = [topic.every(rates) for topic in topics]
         parts = [
             TickPart(codec_for(t), t.columns, every, range(t.size) if t.framed else ())
             for t, every in zip(topics, ticks, strict=True)
@@ -127,15 +127,15 @@ class EstimatorLaw:
 
 def slow_sensor(config: RunConfig, topic: TopicDefinition) -> SlowSensor:
     """A sensor that no tick waits for in real time; the mirror moves what the camera sees."""
-    camera = topic.name == CAMERA_LOS.name
+    camera, run = topic.name == CAMERA_LOS.name, RunParts(config)
     return SlowSensor(
         topic.name,
         topic.columns,
-        topic.every(config.frame_ticks) * TICK_NS,
+        topic.every(run.ports.ticks) * TICK_NS,
         round(config.camera_latency * TICK_NS) if camera else 0,
         config.old_frames,
         FSM_ANGLE.columns if camera else None,
-        (RunParts(config).basis.los_sensitivity or 0.0) if camera else 0.0,
+        (run.basis.los_sensitivity or 0.0) if camera else 0.0,
     )
 
 

@@ -51,9 +51,9 @@ def _of(topics: Sequence[TopicDefinition], columns: Mapping[str, IntArray]) -> I
 
 def _synchronizer(context: NodeContext, bundle: TickBundle) -> StampSynchronizer:
     """Of the one message; the frames of slow sensors in it are used when they come, in real time."""
-    config = context.config
+    config, rates = context.config, RunParts(context.config).ports.ticks
     slow = [topic for topic in bundle.topics if topic.name in bundle.ages]
-    some = [t for t in bundle.topics if t.framed or t.every(config.frame_ticks) > 1]
+    some = [t for t in bundle.topics if t.framed or t.every(rates) > 1]
     absent = [column for t in some for column in range(t.columns.start, t.columns.stop)] + list(bundle.ages.values())
     frames = [(1 + i, bundle.ages[topic.name]) for i, topic in enumerate(slow)]
     named = {topic.name: topic.columns for topic in bundle.topics}

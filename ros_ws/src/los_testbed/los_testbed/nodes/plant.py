@@ -216,11 +216,12 @@ class PlantLoop:
     def _run_once(self) -> None:
         """The ticks of a run and the last report."""
         context, config = self.context, self.context.config
+        period = RunParts(config).ports.period
         watched(self.plant.reset, "reset")()
         if config.mode == "lockstep":
-            start = aligned_start(SIMULATED_START_NS, config.frame_ticks)
+            start = aligned_start(SIMULATED_START_NS, period)
         else:
-            start = aligned_start(time.time_ns() + 20_000_000, config.frame_ticks)
+            start = aligned_start(time.time_ns() + 20_000_000, period)
             self.clock.begin(time.monotonic_ns() + start - time.time_ns())
         self.io.begin(start, self._first_command)
         context.event("running", start_ns=start)

@@ -38,11 +38,12 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     DesignBasis,
     design_warnings,
+    frame_ticks,
 )
 from titop_plant.simulation.plant_config import PlantConfig, motion
 from titop_plant.telescope.guide_camera import star_camera
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.placed.readings import SensorReadings
 
 if TYPE_CHECKING:
@@ -89,13 +90,15 @@ class RunParts:
         if self.config.scenario is None:
             known = None if self.known_family is None else self.known_family.telescope
             object.__setattr__(self, "config", with_scenario(self.config, known))
+        if self.config.camera_rate is None:
+            object.__setattr__(self, "config", replace(self.config, camera_rate=self.telescope.camera_rate))
 
     @cached_property
     def telescope(self) -> Telescope:
         """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
         known = self.known_family
         loaded = load_telescope(self.config.parameters) if known is None else known.telescope
-        loaded.check_exposure(self.config.frame_ticks)
+        loaded.check_exposure(frame_ticks(self.config.camera_rate or loaded.camera_rate))
         return loaded
 
     @cached_property
@@ -372,10 +375,10 @@ class RunParts:
 
     @cached_property
     def ports(self) -> LoopPorts:
-        """Sensors and actuators of the telescope as rows of the loop; of another plant those of the reference."""
-        if self.config.other_plant or not self.config.parameters:
-            return REFERENCE_PORTS
-        return self.telescope.loop_ports
+        """Sensors and actuators as rows of the loop, at the run's frame rate; of another plant the reference's."""
+        rows = self.telescope.loop_ports
+        frames = frame_ticks(self.config.camera_rate or self.telescope.camera_rate)
+        return (rows.reference if self.config.other_plant else rows).with_frames(frames)
 
     def _used(self, name: str) -> LoopPorts:
         """Rows that a controller uses."""
@@ -536,7 +539,7 @@ class RunParts:
         from titop_plant.telescope.control_plant import loop_plant
 
         laws, telescope = self.models, self.telescope
-        ports = telescope.loop_ports.used_by(*laws.values())
+        ports = self.ports.used_by(*laws.values())
         with one_thread():
             plant = (
                 loop_plant(telescope, ports, isolated=self.family.isolated)

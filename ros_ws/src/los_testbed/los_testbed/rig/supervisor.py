@@ -155,14 +155,14 @@ class Supervisor:
 
     def __init__(self, device: Device, config: RunConfig, settings: SupervisorSettings = SupervisorSettings()) -> None:
         self.device, self.settings = device, settings
-        self.frame_ticks = config.frame_ticks
         self.state = UNCONFIGURED
         self.fault, self.fault_ns = "", 0
         self.zero = ""
         """Which of the three sentences on mirror and forces is true, at the end."""
-        self._config = config
-        self._weights = fade_weights(config.fade_ticks)
         parts = RunParts(config)
+        self._config = parts.config
+        self._weights = fade_weights(config.fade_ticks)
+        self.frame_ticks = parts.ports.ticks[CAMERA_PORT]
         angle, force = parts.basis.authority
         noise = float(parts.telescope.loop_ports.reference.noise[FSM_ANGLE].max())
         fade = config.hold_ticks + config.fade_ticks

@@ -151,7 +151,7 @@ def _sensors(parts: RunParts, known: bool) -> tuple[RecordedSensor, ...]:
     noises += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
     return tuple(
         RecordedSensor(
-            t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()) if known else ()
+            t.name, t.unit, RATE / t.every(parts.ports.ticks), t.framed, tuple(sigma.tolist()) if known else ()
         )
         for t, sigma in noises
     )

@@ -43,6 +43,7 @@ JUDGED = frozenset(
     {
         *MOTION,
         "start",
+        "camera_rate",
         *("fsm_authority", "pma_authority"),
         *("disturbance_source", "disturbance_files"),
         *("k_fsm", "k_pma", "ports_in_order"),  # the controllers as they are read
@@ -101,11 +102,16 @@ def reasons_against(parts: RunParts) -> list[str]:
         for name, ports in parts.used.items()
         if ports.further and parts.acts(name)
     ]
-    design_basis = parts.telescope.design_basis
-    reasons += [
-        f"{name} is {limit:g}, proofs have the telescope's {proven:g}"
+    telescope = parts.telescope
+    of_run = {"camera_rate": (config.camera_rate, telescope.camera_rate)}
+    of_run |= {
+        name: (getattr(parts.basis, name), getattr(telescope.design_basis, name))
         for name in ("fsm_authority", "pma_authority")
-        if (limit := getattr(parts.basis, name)) != (proven := getattr(design_basis, name))
+    }
+    reasons += [
+        f"{name} is {value:g}, proofs have the telescope's {proven:g}"
+        for name, (value, proven) in of_run.items()
+        if value != proven
     ]
     if config.start != STEADY:
         reasons.append("the run starts at rest, proofs are of the steady state")

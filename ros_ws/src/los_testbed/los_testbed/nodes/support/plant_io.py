@@ -139,7 +139,7 @@ class PlantIo:
 
         def output(topic: TopicDefinition) -> Output:
             publisher = RawPublisher(node, topic.name, topic.type_name)
-            return topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS
+            return topic, publisher, codec_for(topic), topic.every(parts.ports.ticks) * TICK_NS
 
         self._bundle = measurement_bundle(parts)
         self._whole = RawPublisher(node, self._bundle.name, self._bundle.type_name), self._bundle.codec()

@@ -14,6 +14,7 @@ from los_testbed.config.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS,
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.members import OPEN, OWN, PENDING
 from los_testbed.run.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
@@ -231,12 +232,12 @@ def topic_tracks(
     context: NodeContext, depth: int, reliable: bool = True, topics: Sequence[TopicDefinition] = TOPICS
 ) -> list[Track]:
     """A track of each of the topics, in their order; `depth` messages may wait on each."""
-    config = context.config
+    config, rates = context.config, RunParts(context.config).ports.ticks
     return [
         Track(
             topic.path_in(config.namespace),
             RawSubscription(context.node, topic.name, topic.type_name, depth, reliable, topic.publisher),
-            topic.every(config.frame_ticks) * TICK_NS,
+            topic.every(rates) * TICK_NS,
             codec_for(topic),
         )
         for topic in topics

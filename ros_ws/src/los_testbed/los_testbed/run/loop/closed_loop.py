@@ -21,7 +21,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import BlockFailedError
 from los_testbed.run.loop.contract import RunFailedError, first_not_finite
-from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
+from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
@@ -44,22 +44,22 @@ class LoopDivergedError(RuntimeError):
     """A signal is not finite: the controllers do not stabilise this plant."""
 
 
-def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
+def aligned_start(not_before_ns: int, period: int) -> int:
     """First tick of a run [ns]: a whole number of periods of the sensors, so that stamps tell the frames.
 
     Parameters
     ----------
     not_before_ns : int
-    frame_ticks : int
-        Ticks of a frame of the camera.
+    period : int
+        Ticks from one tick at which every sensor has a sample to the next.
 
     Examples
     --------
     >>> aligned_start(1_000_000_001, 20)
     1020000000
     """
-    period = period_ticks(frame_ticks) * TICK_NS
-    return -(-not_before_ns // period) * period
+    period_ns = period * TICK_NS
+    return -(-not_before_ns // period_ns) * period_ns
 
 
 class SampleBlock:
@@ -140,7 +140,7 @@ class SimulatedLoop:
         block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
         if self.first_command is not None:
             command[: len(self.first_command)] = self.first_command
-        start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
+        start = aligned_start(SIMULATED_START_NS, self.ports.with_frames(plant.frame_ticks).period)
         compiled = CompiledLoop.of(plant, self.estimator, self.controller, ticks)
         for first in range(0, ticks, BLOCK):
             rows = min(BLOCK, ticks - first)

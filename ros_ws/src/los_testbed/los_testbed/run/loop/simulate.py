@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from lftkit.support.threads import one_thread
@@ -26,9 +26,9 @@ from titop_plant.interface import TICK_NS
 class BagSink:
     """Writes blocks into a bag; log and publishing times are the stamps."""
 
-    def __init__(self, bag: BagWriter, frame_ticks: int, topics: Sequence[TopicDefinition] = TOPICS) -> None:
+    def __init__(self, bag: BagWriter, ticks: Mapping[str, int], topics: Sequence[TopicDefinition] = TOPICS) -> None:
         self._bag = bag
-        self._codecs = [(topic, codec_for(topic), topic.every(frame_ticks) * TICK_NS) for topic in topics]
+        self._codecs = [(topic, codec_for(topic), topic.every(ticks) * TICK_NS) for topic in topics]
 
     def __call__(self, block: SampleBlock, rows: int) -> None:
         """Write the first `rows` ticks of the block as one chunk."""
@@ -101,7 +101,7 @@ def record(
         attachments(parts, start),
         topics=topics,
     )
-    sink, done = BagSink(bag, plant.frame_ticks, topics), 0
+    sink, done = BagSink(bag, parts.ports.with_frames(plant.frame_ticks).ticks, topics), 0
 
     def write(block: SampleBlock, rows: int) -> None:
         nonlocal done

@@ -9,7 +9,7 @@ from lftkit.support.threads import one_thread
 from los_loop.nyquist import broken_loops
 from los_testbed.run.summary.ran_loop import RanLoop
 from pointing_analysis.report.loop_figures import LoopCurves
-from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES
+from titop_plant.interface import MIRROR_STAGES
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 
@@ -25,11 +25,6 @@ def loop_curves(loop: RanLoop | None) -> tuple[tuple[LoopCurves, ...], str]:
         parts = loop.known
         if parts.physical.ramps:
             return (), "arrays or wheels move during the run"
-        if parts.config.frame_ticks != FRAME_TICKS:
-            return (
-                (),
-                f"the camera has a frame each {parts.config.frame_ticks} ticks, the loop of the model {FRAME_TICKS}",
-            )
         model = parts.implemented_loop(parameter_values(parts.settings, parts.telescope))
         with one_thread():
             broken = broken_loops(model, model.point({}))

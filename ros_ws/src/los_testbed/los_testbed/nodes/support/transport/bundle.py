@@ -76,7 +76,7 @@ def measurement_bundle(parts: RunParts) -> TickBundle:
         if topic.publisher == "plant" and topic.port in read:
             topics.append(shifted(topic, end - topic.columns.start))
             end += topic.size
-    slow = [topic.name for topic in topics if topic.framed and topic.every(parts.config.frame_ticks) > 1]
+    slow = [topic.name for topic in topics if topic.framed and topic.every(parts.ports.ticks) > 1]
     return TickBundle(BUNDLES["plant"], "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
 
 
