@@ -12,6 +12,7 @@ from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from titop_plant.held_samples import HeldSamples
 from titop_plant.interface import (
     COMMANDS,
     DT,
@@ -23,6 +24,7 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     STAGES,
 )
+from titop_plant.sensors import MEASURED_SENSORS, PLATFORM_PORT, Sensor, port_alone
 
 
 class ForceLaw(Protocol):
@@ -82,8 +84,8 @@ class FsmPmaController:
         (:meth:`titop_plant.interface.DesignBasis.mirror_sensitivity`).
     fsm_authority, pma_authority : float
         Limits per channel [rad], [N].
-    sensors : sequence of Port
-        Further inputs of K_PMA.
+    sensors : sequence of Sensor
+        Further inputs of K_PMA, which between samples of a slow one takes the last.
     actuators : sequence of ForceActuator
         Further outputs of K_PMA, with their limits.
     fade_ticks : int
@@ -115,7 +117,7 @@ class FsmPmaController:
         los_sensitivity: float,
         fsm_authority: float,
         pma_authority: float,
-        sensors: Sequence[Port] = (),
+        sensors: Sequence[Sensor] = (),
         actuators: Sequence[ForceActuator] = (),
         fade_ticks: int = FADE_TICKS,
     ) -> None:
@@ -130,7 +132,9 @@ class FsmPmaController:
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} must be positive and finite, got {value}")
-        k_pma.require((*K_PMA_INPUTS, *sensors), (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT)
+        k_pma.require(
+            (*K_PMA_INPUTS, *(sensor.port for sensor in sensors)), (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT
+        )
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
@@ -142,6 +146,8 @@ class FsmPmaController:
         self.switch(loop)
         self._force = np.zeros(self._limit.size - FORCES.start)
         self._start: FloatArray = np.zeros(k_pma.order)
+        platform = [port_alone(entry) for entry in MEASURED_SENSORS if entry.port.name == PLATFORM_PORT]
+        self._held = HeldSamples((*platform, *sensors))
 
     def start_at(self, state: FloatArray) -> None:
         """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.
@@ -208,6 +214,9 @@ class FsmPmaController:
         else:
             out[MIRROR] = 0.0
         if force:
+            if self._held.columns.size:
+                accel_Ip = accel_Ip.copy()
+                self._held.fill(accel_Ip)
             self.k_pma.step(accel_Ip, self._force)
             out[FORCES.start :] = self._force
         else:
@@ -231,7 +240,11 @@ class FsmPmaController:
         if self._mirror_fade.whole:
             np.multiply(los_estimates[rest], self._mirror_gain, out=out[rest, MIRROR])
         if self._force_fade.whole and isinstance(self.k_pma, SampledSystem):
-            out[rest, FORCES.start :] = self.k_pma.steps(accel_Ip[rest])
+            measured = accel_Ip[rest]
+            if self._held.columns.size:
+                measured = measured.copy()
+                self._held.fill_rows(measured)
+            out[rest, FORCES.start :] = self.k_pma.steps(measured)
         self._begun = True
         np.minimum(out[rest], self._limit, out=out[rest])
         np.maximum(out[rest], self._negative_limit, out=out[rest])
@@ -247,6 +260,7 @@ class FsmPmaController:
     def reset(self) -> None:
         """Back to the start: the zero state, or that of :meth:`start_at`; a fade is over."""
         self.k_pma.reset(self._start)
+        self._held.values[:] = 0.0
         self._begun = False
         self._mirror_fade.settle()
         self._force_fade.settle()

@@ -9,27 +9,11 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from lftkit.systems.ports import Port, total_size
+from lftkit.systems.ports import total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS
-
-_PARTS = tuple(
-    tuple(zip(range(COLUMNS[name].start, COLUMNS[name].stop), range(part.start, part.stop)))
-    for name, part in HELD_PARTS.items()
-)
-"""For each port that is held: columns of the measurement, and where their values are kept."""
-
-
-def hold_values(measurement: FloatArray, held: FloatArray) -> None:
-    """Replace the values `held` (h,) of each port that is held by those of a measurement (22,) if all are finite."""
-    for part in _PARTS:
-        for column, _ in part:
-            x = measurement[column]
-            if x - x != 0.0:  # 0 for a finite number only: cheaper than np.isfinite on two elements
-                break
-        else:
-            for column, kept in part:
-                held[kept] = measurement[column]
+from titop_plant.held_samples import HeldSamples
+from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS
+from titop_plant.sensors import MEASURED_SENSORS, Sensor, port_alone
 
 
 class LosEstimator:
@@ -51,7 +35,7 @@ class LosEstimator:
     ----------
     k_fsm : SampledSystem
         Ports as in the table, period 1 ms.
-    sensors : sequence of Port
+    sensors : sequence of Sensor
         Further inputs, of sensors of a telescope's file: their values follow the measurements.
 
     Raises
@@ -75,13 +59,13 @@ class LosEstimator:
     [1e-06, -2e-06]
     """
 
-    def __init__(self, k_fsm: SampledSystem, sensors: Sequence[Port] = ()) -> None:
-        inputs = (*K_FSM_INPUTS, *sensors)
+    def __init__(self, k_fsm: SampledSystem, sensors: Sequence[Sensor] = ()) -> None:
+        inputs = (*K_FSM_INPUTS, *(sensor.port for sensor in sensors))
         k_fsm = k_fsm.with_inputs(inputs)
         k_fsm.require(inputs, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
         self._u = np.zeros(total_size(inputs))
-        self._held = np.zeros(HELD.size)
+        self._held = HeldSamples((*map(port_alone, MEASURED_SENSORS), *sensors))
         self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(HELD.size))
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
@@ -91,7 +75,8 @@ class LosEstimator:
         ----------
         state : ndarray, shape (order of K_FSM,)
         camera : ndarray, shape (h,)
-            Values that are held, of a camera [rad], in the order of the measurement.
+            Values that are held, of the reference's sensors [rad], in the order of the measurement; others are zero, as
+            every sensor has a sample at the first tick.
 
         Raises
         ------
@@ -111,7 +96,7 @@ class LosEstimator:
     @property
     def held(self) -> FloatArray:
         """The values that are held (h,), for compiled loops, which write them."""
-        return self._held
+        return self._held.values
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone.
@@ -120,22 +105,17 @@ class LosEstimator:
         """
         u = self._u
         u[:] = measurement
-        hold_values(measurement, self._held)
-        u[HELD] = self._held
+        self._held.fill(u)
         self.k_fsm.step(u, out)
 
     def steps(self, measurements: FloatArray) -> FloatArray:
         """Estimates (k, 2) [rad] of the ticks with these measurements (k, 22): bit for bit those of :meth:`step`."""
         u = measurements.copy()
-        for name, kept in HELD_PARTS.items():
-            seen = np.vstack([self._held[kept], measurements[:, COLUMNS[name]]])
-            fresh = np.isfinite(seen).all(axis=1)
-            newest = np.maximum.accumulate(np.where(fresh, np.arange(len(seen)), 0))
-            u[:, COLUMNS[name]] = seen[newest[1:]]
-            self._held[kept] = seen[newest[-1]]
+        self._held.fill_rows(u)
         return self.k_fsm.steps(u)
 
     def reset(self) -> None:
         """Back to the start: the zero state and a held values of zero, or those of :meth:`start_at`."""
         self.k_fsm.reset(self._start[0])
-        self._held[:] = self._start[1]
+        self._held.values[:] = 0.0
+        self._held.values[: HELD.size] = self._start[1]

@@ -20,6 +20,7 @@ from lftkit.errors import InputError
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
+from titop_plant.interface import HELD
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,11 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     state = model.phasors().imag.sum(axis=1) + by_bias
     x, v, f, p, c = (state[part] for part in state_parts(n, *orders, model.loop.ports))
     return LoopStart(
-        plant=model.plant.form.basis @ x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c
+        plant=model.plant.form.basis @ x,
+        command=np.clip(v, -model.limits, model.limits),
+        k_fsm=f,
+        k_pma=p,
+        camera=c[: HELD.size],  # others have a sample at the first tick
     )
 
 

@@ -184,32 +184,40 @@ MEASURED_SENSORS = tuple(sorted(SENSORS, key=lambda entry: entry.group != ACCELE
 
 @dataclass(frozen=True)
 class SensorMount:
-    """Place and axes of a further sensor.
+    """What a further sensor measures, where and along which axes.
 
     Parameters
     ----------
     place : str
         Point of the structure.
-    axes : ndarray, shape (k, 3)
-        Unit vectors along which it measures, one to three, in the axes of the body.
+    axes : ndarray, shape (k, 3) or (2, 2)
+        Unit vectors along which it measures, one to three, in the axes of the body; of the line of sight the identity.
     position : ndarray, shape (3,)
         From the point [m].
     angular : bool
         Whether it measures the angular acceleration.
+    source : str
+        Output of the assembled telescope that it measures; empty: the acceleration of its point.
+    scale : float
+        Relative error of its scale.
     """
 
     place: str
     axes: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
     angular: bool = False
+    source: str = ""
+    scale: float = 0.0
 
     @property
     def rows(self) -> FloatArray:
-        """Its values from the twist of its point, shape (k, 6)."""
-        none = np.zeros_like(self.axes)
+        """Its values from its source, or from the acceleration of its point as a twist (6): shape (k, size)."""
+        axes = self.axes * (1.0 + self.scale)
+        if self.source:
+            return axes
         if self.angular:
-            return np.hstack([none, self.axes])
-        return np.hstack([self.axes, np.cross(self.position, self.axes)])
+            return np.hstack([np.zeros_like(axes), axes])
+        return np.hstack([axes, np.cross(self.position, axes)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +241,8 @@ class Sensor:
     step, range : float
         Quantisation (0: none) and largest value (inf: none) of a further sensor, in the unit of the port. Those of the
         reference are limits of the devices (:mod:`titop_plant.simulation.device_limits`).
+    random_walk : float
+        Of the bias of a further sensor, in the unit of the port and the root of a second.
     mount : SensorMount, optional
         Of a further sensor; one of the reference measures an output of the assembled telescope.
     """
@@ -246,6 +256,7 @@ class Sensor:
     low_pass: tuple[float, ...] = ()
     step: float = 0.0
     range: float = math.inf
+    random_walk: float = 0.0
     mount: SensorMount | None = None
 
     @property

@@ -238,7 +238,7 @@ def _driven_at_G(
     there = {
         SADM_ANGLE: telescope.driven_arrays,
         PMA_STROKE: telescope.pma.azimuths_deg,
-        PLACED_SENSORS: telescope.sensor_ports,
+        PLACED_SENSORS: sensor_blocks(telescope),
     }
     absent = [name for name, bodies in there.items() if not bodies]
     outputs: dict[str, str | tuple[str, ...]] = {

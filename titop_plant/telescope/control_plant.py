@@ -44,6 +44,7 @@ from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
 from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.placed.mounting import with_placed_sensors
 from titop_plant.telescope.tables.uncertain import GAIN
 from titop_plant.telescope.telescope import Telescope
 
@@ -92,7 +93,7 @@ def with_sensors(system: System, telescope: Telescope) -> System:
             systems[block] = uncertain_gain(port, factor)
             wires.append((outputs[port.name], f"{block}.{port.name}"))
             outputs[port.name] = f"{block}.{port.name}"
-    seen = connect(systems, wires, inputs=system.inputs, outputs=outputs)
+    seen = with_placed_sensors(connect(systems, wires, inputs=system.inputs, outputs=outputs), telescope)
     return seen.sorted_channels(list(telescope.uncertain)) if known else seen
 
 

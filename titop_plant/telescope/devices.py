@@ -9,31 +9,51 @@ A sensor at ``r`` from its point P measures along a unit vector n::
 
     accelerometer            n . (a_P + alpha_P x r)      [m/s2]
     angular_accelerometer    n . alpha_P                  [rad/s2]
+    rate_gyro                n . omega                    [rad/s], of the bus
+    star_tracker             n . theta                    [rad], of the bus
+    line_of_sight            both axes of the controlled line of sight [rad]
 
-**n and r are in the axes of the body; an acceleration is positive along n.** Neglected: the mass of a sensor, the
-centripetal acceleration, which is of second order.
+**n and r are in the axes of the body; a value is positive along n.** With its scale error s, bias b, random walk w of
+the bias and noise v, a sample is ``round(clip((1 + s) value + b + w + v))``; between its samples there is none.
+Neglected: the mass of a sensor, the centripetal acceleration, which is of second order. The random walk is in runs, in
+no prediction.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
-from titop_plant.sensors import Sensor, SensorMount
+from titop_plant.sensors import TICKS_PER_SECOND, Sensor, SensorMount, divided_ticks
 from titop_plant.telescope.actuators import Actuator, ActuatorMount
+from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import OscillatorTable
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
 
-ACCELEROMETER, ANGULAR = "accelerometer", "angular_accelerometer"
-SENSOR_UNITS: Mapping[str, str] = {ACCELEROMETER: "m/s2", ANGULAR: "rad/s2"}
-"""Kinds of sensors, each with its unit."""
+
+class SensorKind(NamedTuple):
+    """Unit of a kind of sensor, and the output of the assembled telescope that it measures; empty: an acceleration."""
+
+    unit: str
+    source: str = ""
+
+
+ACCELEROMETER, ANGULAR, LINE_OF_SIGHT = "accelerometer", "angular_accelerometer", "line_of_sight"
+SENSOR_KINDS: Mapping[str, SensorKind] = {
+    ACCELEROMETER: SensorKind("m/s2"),
+    ANGULAR: SensorKind("rad/s2"),
+    "rate_gyro": SensorKind("rad/s", "attitude_rate"),
+    "star_tracker": SensorKind("rad", "attitude"),
+    LINE_OF_SIGHT: SensorKind("rad", "los_controlled"),
+}
+"""Kinds of sensors."""
 
 PLACED_SENSORS, ACTUATOR_FORCE = "placed_sensors", "actuator_force"
 """Output of the telescope with the values of all further sensors; input with the forces of all further actuators."""
@@ -44,7 +64,7 @@ MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "a
 
 
 def read_sensors(tables: Mapping[str, Any]) -> tuple[Sensor, ...]:
-    """Further sensors of the tables of a parameter file, in its order, behind the washout of the reference's."""
+    """Further sensors of the tables of a parameter file, in its order; accelerometers have the reference's washout."""
     return tuple(_sensor(table, tables) for table in tables.get(SENSOR, ()))
 
 
@@ -66,18 +86,30 @@ def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
 
 
 def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:
-    kind = str(table.get("kind", ACCELEROMETER))
-    usual = tables["sensors"]["accelerometer_noise"][3 if kind == ANGULAR else 0]
-    axes = np.array([_unit(axis) for axis in table.get("axes", np.eye(3))])
-    each = np.ones(len(axes))
+    name = str(table.get("kind", ACCELEROMETER))
+    kind, angular = SENSOR_KINDS[name], name == ANGULAR
+    usual = 0.0 if kind.source else tables["sensors"]["accelerometer_noise"][3 if angular else 0]
+    axes = np.eye(2) if name == LINE_OF_SIGHT else np.array([_unit(axis) for axis in table.get("axes", np.eye(3))])
+    each, ticks = np.ones(len(axes)), divided_ticks(float(table.get("rate", TICKS_PER_SECOND)), "rate")
+    mount = SensorMount(
+        str(table.get("place", REFERENCE_POINT)),
+        axes,
+        _position(table),
+        angular,
+        kind.source,
+        float(table.get("scale", 0.0)),
+    )
     return Sensor(
-        Port(str(table["name"]), len(axes), SENSOR_UNITS[kind]),
+        Port(str(table["name"]), len(axes), kind.unit),
         noise=float(table.get("noise", usual)) * each,
         bias=float(table.get("bias", 0.0)) * each,
-        washout=float(tables["sensors"]["washout"]),
+        framed=ticks > 1,
+        ticks=ticks,
+        washout=0.0 if kind.source else float(tables["sensors"]["washout"]),
         step=float(table.get("step", 0.0)),
         range=float(table.get("range", math.inf)),
-        mount=SensorMount(str(table["place"]), axes, _position(table), angular=kind == ANGULAR),
+        random_walk=float(table.get("random_walk", 0.0)),
+        mount=mount,
     )
 
 

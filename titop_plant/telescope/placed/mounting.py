@@ -6,14 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from lftkit import Connection, Port, System, static_gain
+from lftkit import Connection, Port, System, connect, static_gain
+from lftkit.systems.ports import total_size
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
 from titop_plant.blocks.reaction_wheel import spin_frame
-from titop_plant.sensors import SensorMount
+from titop_plant.sensors import Sensor, SensorMount
 from titop_plant.telescope.actuators import ActuatorMount
-from titop_plant.telescope.devices import ACTUATOR_FORCE
+from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS
 from titop_plant.telescope.places import body_of
 from titop_plant.telescope.telescope import Telescope
 
@@ -61,18 +62,71 @@ def actuator_wires(telescope: Telescope, systems: Mapping[str, System]) -> list[
 
 
 def sensor_blocks(telescope: Telescope) -> dict[str, System]:
-    """Map from the twists of their nodes to the values of the further sensors; empty without any."""
+    """Map from the accelerations of their nodes to the values of the sensors that measure them; empty without any."""
     mounts = _mounts(telescope)
     if not mounts:
         return {}
     at = list(dict.fromkeys(node for node, _ in mounts))
-    gain = np.zeros((sum(len(mount.axes) for _, mount in mounts), 6 * len(at)))
+    (port,) = acceleration_ports(telescope)
+    gain = np.zeros((port.size, 6 * len(at)))
     row = 0
     for node, mount in mounts:
         first = 6 * at.index(node)
         gain[row : row + len(mount.axes), first : first + 6] = mount.rows
         row += len(mount.axes)
-    return {"sensors": static_gain(gain, [ports.accel(node) for node in at], telescope.sensor_ports)}
+    return {"sensors": static_gain(gain, [ports.accel(node) for node in at], [port])}
+
+
+def acceleration_ports(telescope: Telescope) -> tuple[Port, ...]:
+    """Output with the values of the further sensors that measure accelerations; none where there are none."""
+    units = [s.port.unit for s in telescope.placed_sensors if _accelerates(s) for _ in range(s.port.size)]
+    return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
+
+
+def with_placed_sensors(system: System, telescope: Telescope) -> System:
+    """The telescope with the values of all further sensors, in the order of the file, at `PLACED_SENSORS`.
+
+    Raises
+    ------
+    ValueError
+        A plant of a file without an output that one of them measures.
+    """
+    sensors = telescope.placed_sensors
+    if all(_accelerates(one) for one in sensors):
+        return system
+    sources = [_source(one) or PLACED_SENSORS for one in sensors]
+    names = list(dict.fromkeys(sources))
+    inputs = [system.output_port(name) for name in names]
+    first = dict(zip(names, np.cumsum([0, *(port.size for port in inputs)]).tolist()))
+    gain, row, seen = np.zeros((total_size(telescope.sensor_ports), total_size(inputs))), 0, 0
+    for one, source in zip(sensors, sources):
+        size, begin = one.port.size, first[source]
+        rows = np.eye(size)
+        if source == PLACED_SENSORS:
+            begin, seen = begin + seen, seen + size
+        elif one.mount is not None:
+            rows = one.mount.rows
+        gain[row : row + size, begin : begin + rows.shape[1]] = rows
+        row += size
+    block = static_gain(gain, inputs, telescope.sensor_ports)
+    outputs: dict[str, str | tuple[str, ...]] = {port.name: f"telescope.{port.name}" for port in system.outputs}
+    return connect(
+        {"telescope": system, "sensors": block},
+        [
+            *((p.name, f"telescope.{p.name}") for p in system.inputs),
+            *((f"telescope.{n}", f"sensors.{n}") for n in names),
+        ],
+        inputs=system.inputs,
+        outputs={**outputs, PLACED_SENSORS: f"sensors.{PLACED_SENSORS}"},
+    )
+
+
+def _source(sensor: Sensor) -> str:
+    return sensor.mount.source if sensor.mount is not None else ""
+
+
+def _accelerates(sensor: Sensor) -> bool:
+    return not _source(sensor)
 
 
 def sensor_wires(telescope: Telescope) -> list[Connection]:
@@ -89,7 +143,8 @@ def _actuators(telescope: Telescope) -> list[tuple[str, str, ActuatorMount]]:
 
 def _mounts(telescope: Telescope) -> list[tuple[str, SensorMount]]:
     """Node and mount of each further sensor."""
-    mounts = [sensor.mount for sensor in telescope.placed_sensors if sensor.mount is not None]
+    of_accelerations = filter(_accelerates, telescope.placed_sensors)
+    mounts = [sensor.mount for sensor in of_accelerations if sensor.mount is not None]
     return [(telescope.node_at(mount.place), mount) for mount in mounts]
 
 

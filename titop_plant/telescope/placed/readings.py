@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from titop_plant.interface import DT
 from titop_plant.sensors import Sensor
 
 SEED_KEY = 19
@@ -14,9 +15,9 @@ SEED_KEY = 19
 
 
 class SensorReadings:
-    """Further sensors that are read at every tick, a part of :class:`titop_plant.simulation.plant.Plant`.
+    """Samples of further sensors, a part of :class:`titop_plant.simulation.plant.Plant`.
 
-    A reading is ``clip(value + bias + noise, -range, range)``, rounded to the step.
+    A reading is ``clip(value + bias + noise, -range, range)``, rounded to the step, and NaN where there is no sample.
 
     Parameters
     ----------
@@ -40,6 +41,9 @@ class SensorReadings:
         self._bias = np.concatenate([one.bias for one in sensors])
         self._step = np.repeat([one.step for one in sensors], sizes)
         self._range = np.repeat([one.range for one in sensors], sizes)
+        self._walk = np.repeat([one.random_walk * np.sqrt(DT) for one in sensors], sizes)
+        self._ticks = np.repeat([one.ticks for one in sensors], sizes)
+        self._slow = bool(np.any(self._ticks > 1))
         self._coarse = self._step > 0.0
         self.values = np.zeros(sum(sizes))
         self.reset()
@@ -47,6 +51,8 @@ class SensorReadings:
     def reset(self) -> None:
         """Return to tick 0: same seed, bit-identical noise."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
+        self._walks = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY, 1)))
+        self._drift, self._tick = np.zeros(self.values.size), 0
         self._noisy = self._with_noise
         self.values[:] = 0.0
 
@@ -61,7 +67,13 @@ class SensorReadings:
         out[:] = sensed
         if self._with_noise:
             out += self._bias
+            if self._walk.any():
+                out += self._drift
+                self._drift += self._walk * self._walks.standard_normal(out.size)
         if self._noisy:
             out += self._noise * drawn
         np.clip(out, -self._range, self._range, out=out)
         out[self._coarse] = np.round(out[self._coarse] / self._step[self._coarse]) * self._step[self._coarse]
+        if self._slow:
+            out[self._tick % self._ticks != 0] = np.nan
+            self._tick += 1

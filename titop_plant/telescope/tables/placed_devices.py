@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from titop_plant.interface import COLUMNS
-from titop_plant.telescope.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
+from titop_plant.sensors import TICKS_PER_SECOND, whole_ticks
+from titop_plant.telescope.devices import ACCELEROMETER, ACTUATOR, LINE_OF_SIGHT, MECHANICS, SENSOR, SENSOR_KINDS
 from titop_plant.telescope.layout import device_nodes, read_nodes
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import OscillatorTable
@@ -21,7 +22,7 @@ DEVICE_KEYS: Mapping[str, Mapping[str, Any]] = {
         **_PLACE,
         "kind": "",
         "axes": [[0.0] * 3],
-        **dict.fromkeys(("noise", "bias", "step", "range"), 0.0),
+        **dict.fromkeys(("rate", "noise", "bias", "random_walk", "scale", "step", "range"), 0.0),
     },
     ACTUATOR: {**_PLACE, "axis": [0.0] * 3, **dict.fromkeys(MECHANICS, 0.0), "inertia": [0.0] * 3},
 }
@@ -62,10 +63,12 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
             name = f"{kind}[{i}]"
             if table.get("name") in COLUMNS:  # controllers know devices by the names of their ports
                 raise file.error(f"{name}.name", f"must not be one of {', '.join(COLUMNS)}, got {table['name']!r}")
-            if not table.get("place"):
+            measured = SENSOR_KINDS[_kind(name, table, file)].source if kind == SENSOR else ""
+            if not (table.get("place") or measured):
                 raise file.error(name, "has no 'place'")
             places = (*([REFERENCE_POINT] if kind == SENSOR else []), *device_nodes(read_nodes(whole)))
-            if table["place"] not in places:
+            places = places[:1] if measured else places
+            if table.get("place", REFERENCE_POINT) not in places:
                 raise file.error(f"{name}.place", f"must be one of {', '.join(places)}, got {table['place']!r}")
             if kind == ACTUATOR and "axis" not in table:
                 raise file.error(name, "has no 'axis'")
@@ -83,11 +86,24 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
                 raise file.error(f"{name}.inertia", f"must be positive, got {table['inertia']}")
 
 
+def _kind(name: str, table: Mapping[str, Any], file: ParameterFile) -> str:
+    kind = str(table.get("kind", ACCELEROMETER))
+    if kind not in SENSOR_KINDS:
+        raise file.error(f"{name}.kind", f"must be one of {', '.join(SENSOR_KINDS)}, got {kind!r}")
+    return kind
+
+
 def _check_sensor(name: str, table: Mapping[str, Any], file: ParameterFile) -> None:
-    kind = table.get("kind", ACCELEROMETER)
-    if kind not in SENSOR_UNITS:
-        raise file.error(f"{name}.kind", f"must be one of {', '.join(SENSOR_UNITS)}, got {kind!r}")
-    for key in ("noise", "step"):
+    kind = _kind(name, table, file)
+    if SENSOR_KINDS[kind].source and "position" in table:
+        raise file.error(f"{name}.position", f"must be absent for a {kind}, got {table['position']}")
+    if kind == LINE_OF_SIGHT and "axes" in table:
+        raise file.error(f"{name}.axes", f"must be absent for a {kind}, got {table['axes']}")
+    if whole_ticks(rate := table.get("rate", TICKS_PER_SECOND)) is None:
+        raise file.error(f"{name}.rate", f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate!r} Hz")
+    if not table.get("scale", 0.0) > -1.0:
+        raise file.error(f"{name}.scale", f"must be above -1, got {table['scale']}")
+    for key in ("noise", "step", "random_walk"):
         if not table.get(key, 0.0) >= 0.0:
             raise file.error(f"{name}.{key}", f"must not be negative, got {table[key]}")
     if not table.get("range", 1.0) > 0.0:

@@ -145,9 +145,9 @@ PLACED = "sensor"
 """Further sensors have their topics below this name."""
 
 
-def sensor_topic(name: str, columns: slice, unit: str = "") -> TopicDefinition:
+def sensor_topic(name: str, columns: slice, unit: str = "", framed: bool = False) -> TopicDefinition:
     """Topic of a further sensor, with its columns among the values of all of them."""
-    return TopicDefinition(f"{PLACED}/{name}", VECTOR3, name, "plant", READINGS, columns, name, unit)
+    return TopicDefinition(f"{PLACED}/{name}", VECTOR3, name, "plant", READINGS, columns, name, unit, framed)
 
 
 def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
@@ -160,7 +160,7 @@ def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
     topics, first = [], 0
     for one in sensors:
         columns = slice(first, first + one.port.size)
-        topics.append(sensor_topic(one.name, columns, one.port.unit))
+        topics.append(sensor_topic(one.name, columns, one.port.unit, one.framed))
         first = columns.stop
     return tuple(topics)
 

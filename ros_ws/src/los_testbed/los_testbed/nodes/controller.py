@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.config.plugins import made_by
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
+from los_testbed.nodes.estimator import synchronizer_of
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.bundle import TickBundle
@@ -25,7 +27,6 @@ from los_testbed.parts.run_parts import RunParts, build_controller
 from los_testbed.parts.user_blocks import watched
 from los_testbed.run.identity import announced
 from los_testbed.run.loop.changes import appliers_of
-from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS
@@ -45,14 +46,9 @@ def main(
 
     def body(context: NodeContext) -> int:
         law = ControllerLaw(context, build)
-        further = tuple(shifted(topic, ACCEL.stop) for topic in law.further)
-        parts = [
-            TickPart(codec_for(ISOLATOR_ACCEL), ACCEL),
-            *(TickPart(codec_for(topic), topic.columns) for topic in further),
-            TickPart(codec_for(LOS_ESTIMATE), ESTIMATE),
-        ]
-        synchronizer = StampSynchronizer(parts, law.size, {} if context.config.mode == "realtime" else None)
-        return Follower((ISOLATOR_ACCEL, *further, LOS_ESTIMATE), synchronizer, [law]).run()
+        platform, estimate = replace(ISOLATOR_ACCEL, columns=ACCEL), replace(LOS_ESTIMATE, columns=ESTIMATE)
+        topics = (platform, *(shifted(topic, ACCEL.stop) for topic in law.further), estimate)
+        return Follower(topics, synchronizer_of(context, topics, law.size), [law]).run()
 
     return run_node("controller", arguments, body)
 
@@ -98,9 +94,15 @@ class ControllerLaw:
         self._sample = np.zeros(self.size)
         self._estimate: FloatArray = np.zeros(0)
         self._columns: IntArray | None = None
-        fill = context.config.lost_samples
+        behind = (
+            np.concatenate([np.full(t.size, t.framed) for t in self.further]) if self.further else np.zeros(0, bool)
+        )
+        slow = ACCEL.stop + np.flatnonzero(behind)
         self._step = GapStepper(
-            lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), self.size, fill=fill
+            lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out),
+            self.size,
+            slow,
+            context.config.lost_samples,
         )
         self._fade = Fade(context.config.fade_ticks)
         self.changes = context.allow_changes(appliers_of(controller, self._fade), _limits(run.basis))

@@ -42,23 +42,11 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        law, rates = EstimatorLaw(context, build), RunParts(context.config).ports.ticks
+        law = EstimatorLaw(context, build)
         # those of every tick before the one that wakes this node
         further = (shifted(topic, MEASUREMENTS) for topic in law.further)
         topics: tuple[TopicDefinition, ...] = (*SENSORS[:-1], *further, SENSORS[-1])
-        ticks = [topic.every(rates) for topic in topics]
-        parts = [
-            TickPart(codec_for(t), t.columns, every, range(t.size) if t.framed else ())
-            for t, every in zip(topics, ticks, strict=True)
-        ]
-        slow = None
-        if context.config.mode == "realtime":
-            slow = {
-                i: slow_sensor(context.config, t)
-                for i, (t, every) in enumerate(zip(topics, ticks, strict=True))
-                if t.framed and every > 1
-            }
-        return Follower(topics, StampSynchronizer(parts, law.size, slow), [law]).run()
+        return Follower(topics, synchronizer_of(context, topics, law.size), [law]).run()
 
     return run_node("estimator", arguments, body)
 
@@ -102,7 +90,8 @@ class EstimatorLaw:
         self._publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         self._fade = Fade(context.config.fade_ticks)
         self.changes = context.allow_changes(appliers_of(estimator, self._fade))
-        self._step = GapStepper(watched(estimator.step, "step"), self.size, HELD, context.config.lost_samples)
+        slow = HELD if by_user else parts.used["k_fsm"].held
+        self._step = GapStepper(watched(estimator.step, "step"), self.size, slow, context.config.lost_samples)
 
     def reset(self) -> None:
         """Back to the start of the run."""
@@ -123,6 +112,20 @@ class EstimatorLaw:
     def settle(self) -> None:
         """Wait until the subscribers have received the last messages."""
         settle([self._publisher])
+
+
+def synchronizer_of(context: NodeContext, topics: Sequence[TopicDefinition], size: int) -> StampSynchronizer:
+    """Joins topics at their columns; in real time no tick waits for a slow sensor."""
+    config, rates = context.config, RunParts(context.config).ports.ticks
+    ticks = [topic.every(rates) for topic in topics]
+    parts = [
+        TickPart(codec_for(t), t.columns, every, range(t.size) if t.framed else ())
+        for t, every in zip(topics, ticks, strict=True)
+    ]
+    if config.mode != "realtime":
+        return StampSynchronizer(parts, size)
+    late = (i for i, (t, every) in enumerate(zip(topics, ticks, strict=True)) if t.framed and every > 1)
+    return StampSynchronizer(parts, size, {i: slow_sensor(config, topics[i]) for i in late})
 
 
 def slow_sensor(config: RunConfig, topic: TopicDefinition) -> SlowSensor:

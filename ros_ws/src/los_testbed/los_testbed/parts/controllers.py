@@ -66,7 +66,7 @@ def assemble_controller(
         los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
         fsm_authority=mirror,
         pma_authority=force,
-        sensors=ports.further_measured,
+        sensors=ports.further_sensors,
         actuators=ports.further_actuators,
         fade_ticks=fade_ticks,
     )

@@ -13,6 +13,7 @@ from lftkit.systems.ports import Port, port_slices, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS
+from titop_plant.sensors import Sensor
 
 TICKS, FRAME = 45, 20
 """Ticks for which a class is compared with its model, and those of a frame of the camera within them."""
@@ -74,7 +75,8 @@ def difference(reset: Callable[..., None], step: Callable[..., None], model: Sam
     state, held = (SIZE * rng.standard_normal(n) for n in (model.order, HELD.size))
     values = SIZE * rng.standard_normal((TICKS, total_size(model.inputs)))
     if observes(model.inputs):
-        observer = LosEstimator(model, model.inputs[len(K_FSM_INPUTS) :])
+        further = model.inputs[len(K_FSM_INPUTS) :]
+        observer = LosEstimator(model, [Sensor(port, *np.zeros((2, port.size))) for port in further])
         observer.start_at(state, held)
         observer.reset()
         reset(state, held)

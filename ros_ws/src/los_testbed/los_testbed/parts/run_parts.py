@@ -273,7 +273,7 @@ class RunParts:
             made for another sensitivity of the mirror; user code that violates its contract.
         """
         if isinstance(self.k_fsm, SampledSystem):
-            LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
+            LosEstimator(self.k_fsm, self._used("k_fsm").further_sensors)
         self.control_law()
         self._check_commanded()
         return (*self.compare(), *([self.idle_devices] if self.idle_devices else []))
@@ -320,7 +320,7 @@ class RunParts:
     def estimator(self) -> LosEstimator | UserBlock:
         """Observer; its reset leads to the start of the run. ValueError as :meth:`check`, for K_FSM."""
         design_warnings([self.k_fsm], self.basis, closed=self.config.loop in MIRROR_STAGES)
-        law, sensors = self.k_fsm, self._used("k_fsm").further_measured
+        law, sensors = self.k_fsm, self._used("k_fsm").further_sensors
         estimator = law if isinstance(law, UserBlock) else LosEstimator(law, sensors)
         if self.states is not None:
             estimator.start_at(self.states.k_fsm, self.states.camera)

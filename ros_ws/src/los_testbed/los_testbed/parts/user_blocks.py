@@ -40,7 +40,7 @@ from los_testbed.config.plugins import RAISED, in_one_line, load, make
 from los_testbed.config.run_config import RunConfig, is_library
 from los_testbed.parts.law_models import difference, element, told_model
 from los_testbed.parts.port_order import with_named_ports
-from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 UNTOUCHED = -1.2345678901234567e-300
@@ -193,9 +193,9 @@ class UserBlock:
             repeat itself after `reset`.
         """
         try:
-            trial = UserBlock(self.name, "", copy.deepcopy(self.block), self.inputs, self.outputs)
+            trial = UserBlock(self.name, "", copy.deepcopy(self.block), self.inputs, self.outputs, self.ports)
         except Exception:
-            trial = UserBlock(self.name, "", self.block, self.inputs, self.outputs)
+            trial = UserBlock(self.name, "", self.block, self.inputs, self.outputs, self.ports)
         trial.name = self.name
         first, second = (np.array(list(trial._trial())) for _ in range(2))
         trial.reset()
@@ -230,7 +230,7 @@ class UserBlock:
         for tick in range(TRIAL_TICKS):
             inputs = np.zeros(size)
             if tick and self.inputs[: len(K_FSM_INPUTS)] == K_FSM_INPUTS:
-                inputs[HELD] = np.nan
+                inputs[self.ports.held] = np.nan
             kept, out = inputs.copy(), np.full(width, UNTOUCHED)
             try:
                 self.block.step(*((inputs, out) if size else (out,)))
@@ -362,7 +362,7 @@ def _checked(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> L
     inputs, outputs = LAWS[setting]
     try:
         if setting == "k_fsm":
-            return LosEstimator(law, ports.further_measured)
+            return LosEstimator(law, ports.further_sensors)
         measured = *inputs, *ports.further_measured
         law = law.with_inputs(measured)
         law.require(measured, (*outputs, *ports.further_commanded), DT)

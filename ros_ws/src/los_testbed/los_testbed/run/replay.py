@@ -191,7 +191,7 @@ def controllers(
         run.attachments.get(_file_name(name, law)) == data if data else _is_code_of(run, name, asked[name])
         for name, (law, data) in read.items()
     )
-    estimator = LosEstimator(fsm, rows["k_fsm"].further_measured) if isinstance(fsm, SampledSystem) else fsm
+    estimator = LosEstimator(fsm, rows["k_fsm"].further_sensors) if isinstance(fsm, SampledSystem) else fsm
     start, resting = _started(run, laws, closed=stage == recorded)
     if start is not None:
         estimator.start_at(start.k_fsm, start.camera)

@@ -8,12 +8,12 @@ import numpy as np
 
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, SENSORS, actuator_topics, sensor_topics, shifted
+from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, PLACED, SENSORS, actuator_topics, sensor_topics, shifted
 from los_testbed.run.metadata import FURTHER_AUTHORITY
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout
-from titop_plant.interface import COMMANDED, K_FSM_OUTPUTS, MEASURED_PORTS
+from titop_plant.interface import COMMANDED, DT, K_FSM_OUTPUTS, MEASURED_PORTS
 from titop_plant.sensors import Sensor
 from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
@@ -35,10 +35,19 @@ def rows_of(run: Run, law: SampledSystem) -> LoopPorts:
     """
     of_loop = {port.name for port in K_FSM_OUTPUTS} | set(COMMANDED)
     unknown = [port for port in law.inputs if port.name not in {known.name for known in MEASURED_PORTS}]
-    sensors = [Sensor(port, *np.full((2, port.size), np.nan)) for port in unknown]
+    sensors = [_sensor(run, port) for port in unknown]
     actuators = [_actuator(run, port) for port in law.outputs if port.name not in of_loop]
     first = REFERENCE_PORTS
     return LoopPorts((*first.sensors, *sensors), (*first.actuators, *actuators))
+
+
+def _sensor(run: Run, port: Port) -> Sensor:
+    """Row of a sensor, at the rate of its topic in the bag."""
+    topic, ticks = f"{PLACED}/{port.name}", 1
+    if topic in run and len(run[topic]) > 1:
+        ticks = max(1, round(run[topic].period / DT))
+    noise, bias = np.full((2, port.size), np.nan)
+    return Sensor(port, noise, bias, ticks > 1, ticks)
 
 
 def _actuator(run: Run, port: Port) -> Actuator:
@@ -66,7 +75,7 @@ def layout_of(k_fsm: LoopPorts = REFERENCE_PORTS, k_pma: LoopPorts = REFERENCE_P
     commands = *COMMANDS, *actuator_topics(k_pma.further_actuators)
     return LoopLayout(
         {topic.name: topic.columns for topic in (*standard, *further)},
-        tuple(topic.name for topic in SENSORS if topic.framed),
+        tuple(topic.name for topic in (*standard, *further) if topic.framed),
         (*(topic.name for topic in standard), *_names(k_fsm.further_sensors)),
         (ISOLATOR_ACCEL.name, *_names(k_pma.further_sensors)),
         {topic.name: topic.columns for topic in commands},
