@@ -24,6 +24,7 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
     "damper.toml",
+    "guide.toml",
     "lead.py",
     "my_damper.py",
     "start.json",
