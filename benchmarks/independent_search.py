@@ -219,7 +219,7 @@ def measured(loop: ImplementedLoop, metric: LoopMetric, omega: float, point: Flo
         loop=loop.stage,
         duration=float(np.ceil(max(10.0, 2.5 * 2.0 * np.pi / omega))),
         noise=False,
-        **member_settings(loop.values(point)),
+        **member_settings(loop.values(point), loop.telescope),
     )
     with tempfile.TemporaryDirectory() as folder:
         run_in_process(config, Path(folder) / "bag")

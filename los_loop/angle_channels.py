@@ -18,7 +18,7 @@ import numpy as np
 
 from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.physical_settings import ANGLE
 
 FACTORS = 4
 """Channels of a rotation in a plane; the first half of them is kept."""

@@ -22,7 +22,7 @@ from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import weight_amplitudes

@@ -12,6 +12,8 @@ from titop_plant.settings import ANY, STRICT, Settings, grouped, setting, settin
 
 TELESCOPE, DISTURBANCES = "Telescope", "Disturbances and sensors"
 """Groups of settings."""
+ANGLE = "solar_array.tau"
+"""Parameter tan(theta / 4) of all arrays that turn: they follow the Sun together."""
 PROFILES = ("linear", "trapezoidal")
 """Shapes of a ramp; any other profile is a file."""
 
@@ -96,6 +98,14 @@ class PhysicalSettings(Settings):
             length=ANY,
         ),
     )
+    parameter_values: dict[str, float] | None = grouped(
+        TELESCOPE,
+        setting(
+            None,
+            "values of uncertain parameters by the names of los-testbed plant, on the command line --set NAME=VALUE",
+            absent="those of the settings above, or nominal",
+        ),
+    )
     theta_rate: float = grouped(TELESCOPE, setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0))
     wheel_acceleration: tuple[float, ...] | None = grouped(
         TELESCOPE,
@@ -121,7 +131,8 @@ class PhysicalSettings(Settings):
     @property
     def array_angle(self) -> float:
         """Angle theta of the solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
-        return 4.0 * math.atan(self.tau) if self.tau is not None else self.theta or 0.0
+        tau = (self.parameter_values or {}).get(ANGLE, self.tau)
+        return 4.0 * math.atan(tau) if tau is not None else self.theta or 0.0
 
     @property
     def motion_from_file(self) -> bool:

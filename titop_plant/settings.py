@@ -1,7 +1,7 @@
 """Settings of a run: what a ROS parameter and the metadata of a bag can hold.
 
 ROS parameters and the metadata of bags have no word for what is absent: :meth:`Settings.to_plain` writes ``""``, ``0``,
-``-1`` or an empty list in its place, and these are read as absent. Fields, checks and messages are those of
+``-1`` or an empty list or mapping in its place, and these are read as absent. Fields, checks and messages are those of
 :mod:`pointing_analysis.files.settings`.
 """
 
@@ -15,6 +15,7 @@ from pydantic import ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
+from lftkit.support.structured_text import load_json
 from pointing_analysis.files.settings import (
     ANY,
     PLAIN_ABSENT,
@@ -40,6 +41,8 @@ class Settings(CheckedTable):
     @classmethod
     def _read(cls, value: Any, info: ValidationInfo) -> Any:
         of_field = cls.SETTINGS[str(info.field_name)]
+        if of_field.kind is dict and isinstance(value, str):  # as a ROS parameter
+            value = load_json(value, of_field.name)
         value = of_field.read(value)
         absent = of_field.optional and not isinstance(value, bool) and value == PLAIN_ABSENT[of_field.kind]
         return None if absent else value

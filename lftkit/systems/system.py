@@ -276,6 +276,32 @@ class System(Arithmetic):
             matrices = lft.at_system(self.lft, delta_system(self.channels, self.elements, chosen), requirement)
         return System(*matrices, self.inputs, self.outputs, self.name, self.dt)
 
+    @checked
+    def substituted(self, values: Mapping[str, float]) -> System:
+        """The uncertain system with some real elements at values; the others stay uncertain (`usubs` in MATLAB).
+
+        Raises
+        ------
+        ValueError
+            As :meth:`at`; an element that is not real.
+
+        Examples
+        --------
+        >>> from lftkit import as_system, real
+        >>> spring = as_system(real("k", 1.0, 0.5, 2.0) * real("s", 3.0, 2.0, 4.0))
+        >>> soft = spring.substituted({"k": 0.5})
+        >>> [p.name for p in soft.parameters], soft.at(s=4.0).D.tolist()
+        (['s'], [[2.0]])
+        """
+        chosen = chosen_values(self.elements, _mapping(values, "values"), beyond_range=False)
+        names = [e.name for e in self.elements]
+        system = self.sorted_channels(sorted(names, key=lambda name: name not in values))
+        closed = [c for c in system.channels if c in values]
+        delta = np.array([chosen[c] - self.parameter(c).nominal for c in closed])
+        matrices = lft.at_deviations(system.lft, delta, f"the LFT must be well posed at {values}")
+        elements = tuple(e for e in system.elements if e.name not in values)
+        return system.with_lft(matrices, channels=system.channels[len(closed) :], elements=elements)
+
     def nominal(self) -> System:
         """The system at the nominal values of its elements."""
         return self.at({})

@@ -31,7 +31,8 @@ from titop_plant.disturbances.responses import (
     DisturbanceResponses,
     disturbance_responses,
 )
-from titop_plant.telescope.layout import ANGLE, speed_names
+from titop_plant.physical_settings import ANGLE
+from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight

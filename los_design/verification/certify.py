@@ -33,7 +33,7 @@ from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from titop_plant.interface import DT
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.physical_settings import ANGLE
 
 LOWEST = 1e-2
 """Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""

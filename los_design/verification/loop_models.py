@@ -23,7 +23,7 @@ from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LOS_ROWS
 from titop_plant.interface import COMMANDED, COMMANDS, DT
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.telescope import Telescope
 
 Box = tuple[Interval, ...]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-PLAIN_ABSENT: Mapping[type, Any] = MappingProxyType({str: "", float: 0.0, int: -1, tuple: ()})
+PLAIN_ABSENT: Mapping[type, Any] = MappingProxyType({str: "", float: 0.0, int: -1, tuple: (), dict: {}})
 """Representation of an absent value without ``None``, by the type of the setting."""
 
 KINDS = MappingProxyType({bool: "true or false", int: "a whole number", float: "a number", str: "a text"})
@@ -44,6 +44,13 @@ class Excluded(float):
 
 
 POSITIVE = Excluded(0.0)
+
+
+class Named(dict[str, Any]):
+    """Values by name in an object of a class of settings: a mapping with a hash, which nothing changes."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
 
 
 class Refused(InputError):
@@ -166,7 +173,7 @@ class Setting:
     def plain(self, value: Any) -> Any:
         """The value without ``None`` and tuples."""
         value = PLAIN_ABSENT[self.kind] if value is None else value
-        return list(value) if isinstance(value, tuple) else value
+        return list(value) if isinstance(value, tuple) else dict(value) if isinstance(value, dict) else value
 
     def read(self, value: Any) -> Any:
         """The value in the type of the setting where that is the same value."""
@@ -245,6 +252,8 @@ class Setting:
         depth = len([i for i in place if isinstance(i, int)])
         if depth < self.depth:
             needed = f"a list of {self._list(depth)}"
+        elif self.kind is dict and not place:
+            needed = "names with numbers"
         else:
             needed = self._needed(KINDS[self.item])
         return Refused(name, f"must be {self.range if self.choices else needed}, got {written(value)}")
@@ -349,7 +358,7 @@ class CheckedTable:
     def _check(cls, value: Any, info: ValidationInfo) -> Any:
         if own := cls.SETTINGS.get(str(info.field_name)):
             own.check(value)
-        return value
+        return Named(value) if isinstance(value, dict) else value
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any], **parts: Any) -> Self:

@@ -121,8 +121,13 @@ class PlantFamily:
         key = tuple(values.items())
         if key not in self._last:
             self._last.clear()
-            self._last[key] = self.control_loop.at(values)
+            self._last[key] = self.control_loop.at(self.known(values))
         return self._last[key]
+
+    def known(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Those of some parameter values that the plant has: on a hard mounting none of the isolator."""
+        names = {parameter.name for parameter in self.control_loop.parameters}
+        return {name: value for name, value in values.items() if name in names}
 
     def tones(self, config: PlantConfig) -> Tones:
         """The disturbance of a configuration at the start of a run."""
@@ -154,8 +159,9 @@ class PlantFamily:
         settings["theta"] = config.array_angle
         settings["camera_rate"] = config.camera_rate or self.telescope.camera_rate
         settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.telescope)
-        if config.frequencies is None:  # nor did these exist
-            del settings["frequencies"]
+        for name in ("frequencies", "parameter_values"):  # nor did these exist
+            if settings[name] is None:
+                del settings[name]
         if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
             del settings["profile"]
         content: list[Any] = [self.telescope.parameters_hash, settings]
@@ -182,7 +188,7 @@ class PlantFamily:
         interval = node_interval(profile, dt, finer)
 
         def matrices(time: float) -> FloatArray:
-            data = self.control_loop.at(values_along(config, profile, time, self.telescope))
+            data = self.control_loop.at(self.known(values_along(config, profile, time, self.telescope)))
             return step_matrix(data, tones.at(profile.speeds(time)), dt)
 
         return node_matrices(profile, interval, dt, matrices), interval, tones

@@ -178,5 +178,5 @@ def _held(whole: System, inputs: Sequence[str], family: PlantFamily, config: Pla
     """Next state, measurement, truth and further sensors by held commands and `inputs`."""
     outputs = [p.name for p in family.control_loop.outputs]
     driven = with_sensors(whole, family.telescope).select(inputs=(*COMMANDED, *inputs), outputs=outputs)
-    held = sampled(driven.at(parameter_values(config, family.telescope)), dt, method="hold")
+    held = sampled(driven.at(family.known(parameter_values(config, family.telescope))), dt, method="hold")
     return np.vstack([held.B, held.D])

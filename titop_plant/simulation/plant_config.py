@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,9 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
-from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.physical_settings import ANGLE, PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
-from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.motion_profiles import (
     MotionProfile,
     linear_profile,
@@ -68,30 +69,73 @@ def parameter_values(config: PlantConfig, telescope: Telescope, time: float = 0.
 
 def values_along(config: PlantConfig, profile: MotionProfile, time: float, telescope: Telescope) -> dict[str, float]:
     """:func:`parameter_values` with the profile at hand."""
-    values = {f"wheel_{i}.speed": float(s) for i, s in enumerate(profile.speeds(time), start=1)}
-    values |= frequencies(config, telescope)
+    values = dict(zip(speed_names(len(telescope.wheels)), map(float, profile.speeds(time))))
+    values = {**stated_values(config, telescope), **values}
     if telescope.arrays_turn:
         values[ANGLE] = math.tan(float(profile.angle(time)) / 4.0)
     return {name: value for name, value in values.items() if name in telescope.uncertain}
 
 
-def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, float]:
-    """Values of the uncertain frequencies that the settings give: of the first array, or of all bodies in order."""
-    if config.frequencies is not None:
-        names = further_parameters(telescope.uncertain)
-        if len(names) != len(config.frequencies):
-            count = len(config.frequencies)
-            raise InputError(
-                f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {count}"
-            )
-        return dict(zip(names, config.frequencies))
-    arrays, by_name = telescope.solar_arrays, {}
-    for i, omega in ((1, config.omega_1), (2, config.omega_2)):
-        if omega is not None:
-            if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in telescope.uncertain:
-                raise InputError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
-            by_name[name] = omega
-    return by_name
+def stated_values(config: PhysicalSettings, telescope: Telescope) -> dict[str, float]:
+    """Values of the telescope's parameters that the settings give, at the start of a run.
+
+    ``wheel_speed`` has those of the wheels, ``omega_1`` and ``omega_2`` of the first array, ``frequencies`` of all
+    bodies in order, ``theta`` or ``tau`` the angle, and ``parameter_values`` any of them.
+
+    Raises
+    ------
+    ValueError
+        A parameter that the telescope does not have, one that is given twice, a list of another length.
+    """
+    check_wheels(config, telescope)
+    angle = [] if config.theta is None and config.tau is None else [math.tan(config.array_angle / 4.0)]
+    ways: dict[str, Mapping[str, float]] = {
+        "theta" if config.tau is None else "tau": dict(zip((ANGLE,), angle)),
+        "wheel_speed": dict(zip(speed_names(len(telescope.wheels)), config.wheel_speed or ())),
+        "omega_1": _of_first_array(1, config.omega_1, telescope),
+        "omega_2": _of_first_array(2, config.omega_2, telescope),
+        "frequencies": _in_order(config.frequencies, telescope),
+        "parameter_values": config.parameter_values or {},
+    }
+    values: dict[str, float] = {}
+    for way, stated in ways.items():
+        for name, value in stated.items():
+            if name in values:
+                both = f"{values[name]:g} and {value:g}"
+                raise InputError(f"{name} must be given once, got {both}, of which {way} has the second")
+            values[name] = value
+    known = telescope.uncertain
+    for name in config.parameter_values or ():
+        if name not in known:
+            raise InputError(f"a parameter must be one of {', '.join(known) or '(none)'}, got {name}")
+    return values
+
+
+def _of_first_array(number: int, omega: float | None, telescope: Telescope) -> dict[str, float]:
+    """The value of an uncertain frequency of the first array."""
+    if omega is None:
+        return {}
+    arrays = telescope.solar_arrays
+    if not arrays or (name := f"{arrays[0].parameters}.omega_{number}") not in telescope.uncertain:
+        raise InputError(f"omega_{number} must be absent where no array has such a parameter, got {omega:g} rad/s")
+    return {name: omega}
+
+
+def _in_order(frequencies: tuple[float, ...] | None, telescope: Telescope) -> dict[str, float]:
+    """The values of the uncertain frequencies of all bodies."""
+    if frequencies is None:
+        return {}
+    names, count = further_parameters(telescope.uncertain), len(frequencies)
+    if len(names) != count:
+        raise InputError(f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {count}")
+    return dict(zip(names, frequencies))
+
+
+def start_speeds(config: PhysicalSettings, telescope: Telescope) -> tuple[float, ...]:
+    """Speeds of the wheels at the start [rad/s]: those of the settings, else of the parameter file."""
+    stated = stated_values(config, telescope)
+    names = speed_names(len(telescope.wheels))
+    return tuple(stated.get(name, speed) for name, speed in zip(names, telescope.default_speeds))
 
 
 def check_wheels(config: PhysicalSettings, telescope: Telescope) -> None:
@@ -116,8 +160,7 @@ def motion(config: PlantConfig, telescope: Telescope) -> MotionProfile:
     ValueError
         As :func:`titop_plant.telescope.motion_profiles.read_profile`; another number of wheels than there are.
     """
-    check_wheels(config, telescope)
-    speed = config.wheel_speed or telescope.default_speeds
+    speed = start_speeds(config, telescope)
     if config.motion_from_file:
         return read_profile(Path(config.profile), len(telescope.wheels))
     if not config.ramps:

@@ -45,7 +45,7 @@ def source_matrix(
     chosen = whole.select(
         inputs=[p.name for p in source_ports(family.telescope)], outputs=[p.name for p in family.control_loop.outputs]
     )
-    data = chosen.at(parameter_values(config, family.telescope))
+    data = chosen.at(family.known(parameter_values(config, family.telescope)))
     B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
     pushes = _integrals(data.A, B, dt)
     n, m = B.shape

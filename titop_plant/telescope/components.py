@@ -18,6 +18,7 @@ from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
 from titop_plant.blocks.revolute_joint import DriveRotor
 from titop_plant.blocks.solar_array import SolarArray, solar_array
+from titop_plant.physical_settings import ANGLE
 from titop_plant.ports import AXES
 from titop_plant.structures.modal_data import ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data
@@ -27,7 +28,7 @@ from titop_plant.structures.residual_mass import (
     check_residual_mass,
     repair_residual_mass,
 )
-from titop_plant.telescope.layout import ANGLE, MountedBody
+from titop_plant.telescope.layout import MountedBody
 from titop_plant.telescope.telescope import Telescope
 
 _ROUNDING = 1e-3

@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 ARRAYS, WHEELS, APPENDAGES = "solar_array", "reaction_wheel", "appendage"
 """Tables of a parameter file."""
 
-ANGLE = f"{ARRAYS}.tau"
-"""Parameter tan(theta / 4) of all arrays that turn: they follow the Sun together."""
-
 BEARING, BROADBAND, STEPPER = "bearing", "broadband", "stepper"
 """Optional tables: in that of a wheel the first two, in that of a drive or an array the third."""
 

@@ -16,9 +16,8 @@ further ones            ``external_wrench``, ``wheel_torque`` and ``load_NODE`` 
 ======================  ====================================================================================
 
 Outputs: ``accel_Ip``, ``accel_M1``, ``accel_M2`` (6 each), ``fsm_angle`` (2) and ``los_controlled`` (2), or ``los``
-(2), the line of sight without the mirror. Blocks ``wheel_1.speed``, ``solar_array.tau`` and ``NAME.omega_1`` are values
-of a run (``--wheel-speed``, ``--theta``, ``--frequencies``); others vary in designs, searches and proofs, and are
-nominal in a run.
+(2), the line of sight without the mirror. Blocks ``wheel_1.speed`` and ``solar_array.tau`` follow the motion of a run
+(``--wheel-speed``, ``--theta``); any block has a value in a run by ``--set NAME=VALUE``.
 """
 
 from __future__ import annotations

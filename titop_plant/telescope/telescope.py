@@ -26,6 +26,7 @@ from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, MIRROR_STAGES, STAGES, DesignBasis
+from titop_plant.physical_settings import ANGLE
 from titop_plant.sensors import CAMERA_PORT, Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
@@ -265,7 +266,7 @@ class Telescope:
     @property
     def arrays_turn(self) -> bool:
         """Whether the telescope has the parameter of the arrays' angle."""
-        return layout.ANGLE in self.uncertain if self.plant else any(array.turns for array in self.solar_arrays)
+        return ANGLE in self.uncertain if self.plant else any(array.turns for array in self.solar_arrays)
 
     @property
     def on_bearings(self) -> bool:

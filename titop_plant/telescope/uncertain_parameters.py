@@ -9,7 +9,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from lftkit.uncertainty.elements import RealParameter
-from titop_plant.telescope.layout import ANGLE, MountedBody, WheelOnBoard
+from titop_plant.physical_settings import ANGLE
+from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.tables.uncertain import is_factor
 
 SPEED = re.compile(r"wheel_[1-9]\d*\.speed")
@@ -76,6 +77,11 @@ def _words(owners: Sequence[MountedBody], bodies: Sequence[MountedBody]) -> str:
     return ", ".join(body.name for body in owners)
 
 
+def moves(name: str) -> bool:
+    """Whether a parameter is a speed of a wheel or the arrays' angle, which follow a profile during a run."""
+    return SPEED.fullmatch(name) is not None or name == ANGLE
+
+
 def further_parameters(names: Iterable[str]) -> list[str]:
     """Parameters that a run sets by ``frequencies``: neither speeds of wheels, nor the arrays' angle, nor factors.
 
@@ -84,7 +90,7 @@ def further_parameters(names: Iterable[str]) -> list[str]:
     >>> further_parameters(["wheel_1.speed", "solar_array.omega_1", "solar_array.tau", "isolator.stiffness"])
     ['solar_array.omega_1']
     """
-    return [name for name in names if not (SPEED.fullmatch(name) or name == ANGLE or is_factor(name))]
+    return [name for name in names if not (moves(name) or is_factor(name))]
 
 
 def box_corners(box: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

@@ -33,8 +33,8 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     PLATFORM,
 )
+from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
-from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 

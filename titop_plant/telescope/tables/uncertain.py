@@ -21,7 +21,7 @@ entry                     what it multiplies
 ========================  ============================================================================================
 
 They are channels of the telescope's Delta behind those that are always there, for everything that uses them: searches,
-designs, verification and proofs. A run has the nominal factors.
+designs, verification, proofs, and members of the family in runs.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def spread_of(text: str) -> tuple[str, float]:
 
 
 def is_factor(name: str) -> bool:
-    """Whether an uncertain parameter is a factor of this table, nominal in a run."""
+    """Whether an uncertain parameter is a factor of this table."""
     return name in ENTRIES or MODAL.fullmatch(name) is not None
 
 

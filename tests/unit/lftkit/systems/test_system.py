@@ -115,6 +115,20 @@ def test_draws_are_inside_their_sets(dt: float) -> None:
         G.response(OMEGA, draw)
 
 
+@pytest.mark.parametrize("elements", [(K, RealParameter("d", 1.0, 0.9, 1.2)), (C, K, F)], ids=["real", "mixed"])
+def test_a_substituted_element_has_its_value_and_the_others_stay(elements: tuple) -> None:
+    G = random_system(4, elements=elements)
+    some = G.substituted({"k": 1.1})
+    assert [e.name for e in some.elements] == [e.name for e in elements if e is not K] and "k" not in some.channels
+    values = {"k": 1.1, "d": 1.15, **VALUES}
+    others = {e.name: values[e.name] for e in some.elements}
+    np.testing.assert_allclose(some.response(OMEGA, others), G.response(OMEGA, {"k": 1.1, **others}), rtol=1e-12)
+    assert G.substituted({}).elements == G.elements
+    for wrong, message in (({"k": 3.0}, "must be in"), ({"other": 1.0}, "must be one of")):
+        with pytest.raises(InputError, match=message):
+            G.substituted(wrong)
+
+
 @pytest.mark.parametrize("elements", [(K,), (K, C)])
 def test_normalised_members_are_the_members(elements: tuple) -> None:
     G = random_system(6, elements=elements)

@@ -38,6 +38,7 @@ OTHER = {
     "omega_1": 0.75,
     "omega_2": 2.5,
     "frequencies": [0.75, 2.5],
+    "parameter_values": {"solar_array.omega_1": 0.75},
     "theta_rate": 0.01,
     "wheel_acceleration": [1.0, 0.0, 0.0, -1.0],
     "ramp_duration": 1.5,
@@ -80,11 +81,14 @@ NEEDS = {"plant": {"start": "rest"}, "device": {"start": "rest"}}
 """Settings that a value of another one asks for."""
 
 
-OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance"}
+OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance", "parameter_values": "--set"}
 """Options that do not have the name of their setting."""
 
 CHOSEN = ("mode_choice",)
 """What the program notes, and nobody asks for."""
+
+SHARED = ("disturbance", "disturbance_source", "disturbance_files", "parameter_values")
+"""Settings whose options are for others, too."""
 
 
 def changed(name: str) -> RunConfig:
@@ -109,12 +113,13 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
     own, expected = RunConfig.SETTINGS[name], changed(name)
     value = getattr(expected, name)
     assert value != own.default
-    if name not in (*CHOSEN, "disturbance", "disturbance_source", "disturbance_files"):
+    if name not in (*CHOSEN, *SHARED):
         assert (own.description[1:] in option_of(name).help) and (own.absent in option_of(name).help)
     (tmp_path / "run.yaml").write_text(yaml.safe_dump({**NEEDS.get(name, {}), name: OTHER[name]}))
     assert RunConfig.from_file(tmp_path / "run.yaml") == expected
     ros = yaml.safe_load(parameter_text(expected))["/**"]["ros__parameters"]
-    assert ros[name] == OTHER[name] and type(ros[name]) is type(OTHER[name])
+    stated = json.dumps(OTHER[name]) if own.kind is dict else OTHER[name]
+    assert ros[name] == stated and type(ros[name]) is type(stated)
     text = expected.to_strings()[name]
     assert (text if own.kind is str else json.loads(text)) == OTHER[name]
     assert RunConfig.from_mapping(expected.to_mapping()) == expected == RunConfig.from_mapping(expected.to_plain())

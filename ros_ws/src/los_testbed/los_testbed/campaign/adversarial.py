@@ -31,7 +31,7 @@ def _searched(
 ) -> tuple[tuple[float, dict[str, float]], ...]:
     from los_design.search.worst_case_search import Search, SearchOptions
 
-    loop = RunParts(replace(base, scenario="design")).implemented_loop()
+    loop = RunParts(replace(base, scenario="design")).implemented_loop(base.parameter_values)
     with one_thread():
         worst = Search(loop, SearchOptions(ascents=ascents, seed=seed)).run(METRICS, workers=workers)
     points = [point for band in worst.values() for point in band]
@@ -65,9 +65,9 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
     ValueError
         No member is asked for.
     """
-    uniform = members("uniform", samples, seed, base.parameters)
+    uniform = members("uniform", samples, seed, base.parameters, base.parameter_values)
     ascents = min(MOST_ASCENTS, 10 * samples)
-    parameters = MemberParameters.of(base.parameters)
+    parameters = MemberParameters.of(base.parameters, base.parameter_values)
     width = np.ptp(parameters.limits, axis=1)
     chosen: list[FloatArray] = []
     # Value and parameters of the worst point of each band of each metric, worst first; those of the last call

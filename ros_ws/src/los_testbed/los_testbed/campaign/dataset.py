@@ -26,6 +26,7 @@ from los_testbed.campaign.campaign_verdict import judged
 from los_testbed.campaign.meanings import TOTAL, WITHOUT_LIMIT, RequirementColumns
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
+from los_testbed.config.members import check_ranges
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import SIMULATED, with_scenario
 from los_testbed.parts.run_parts import RunParts
@@ -36,7 +37,7 @@ MANIFEST, ROWS = "campaign.json", "rows"
 FORMAT = 2
 CHUNK = {"time": 10, "model": 100}
 """Members of a chunk: one task and one file."""
-MODELLED = ("duration", "loop", "scenario", "k_fsm", "k_pma", "parameters", "camera_rate")
+MODELLED = ("duration", "loop", "scenario", "k_fsm", "k_pma", "parameters", "parameter_values", "camera_rate")
 """Settings that members may have at depth model, whose figures are those of the loop's matrices."""
 PLACE = ("mode", "output", "domain", "namespace")
 """Settings that rows do not depend on."""
@@ -100,7 +101,7 @@ class Campaign:
         if sampling == "adversarial":
             points = adversarial_members(base, samples, seed, workers)
         else:
-            points = members(sampling, samples, seed, base.parameters)
+            points = members(sampling, samples, seed, base.parameters, base.parameter_values)
         seeds = member_seeds(len(points), seed)
         digest = hashlib.sha256(points.tobytes() + seeds.tobytes()).hexdigest()[:16]
         return cls(base, sampling, len(points), seed, depth, digest, dict(identity), points)
@@ -123,7 +124,7 @@ class Campaign:
     @property
     def parameters(self) -> MemberParameters:
         """Parameters that vary among the members."""
-        return MemberParameters.of(self.base.parameters)
+        return MemberParameters.of(self.base.parameters, self.base.parameter_values)
 
     @property
     def requirements(self) -> tuple[Requirement, ...]:
@@ -193,8 +194,8 @@ def check_depth(base: RunConfig, depth: str) -> None:
     Raises
     ------
     ValueError
-        An unknown depth; a setting that members do not have; a scenario in which they would move;
-        a camera rate that the depth model does not have; runs shorter than a window.
+        An unknown depth; a setting that members do not have; a parameter out of its range; a scenario in which they
+        would move; a camera rate that the depth model does not have; runs shorter than a window.
     """
     if depth not in DEPTHS:
         raise InputError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
@@ -206,6 +207,7 @@ def check_depth(base: RunConfig, depth: str) -> None:
             raise InputError(f"{name} must be absent in a campaign, got {value}")
         if depth == "model" and name not in MODELLED:
             raise InputError(f"{name} must be {setting.default} at depth model, got {value}")
+    check_ranges(base, RunParts(base).telescope)
     if base.scenario == "ramp":
         raise InputError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "time" and base.duration < (window := exposure_of(RunParts(base).telescope.requirements)):

@@ -265,7 +265,7 @@ class MemberEvaluator:
 
     @cached_property
     def _parameters(self) -> MemberParameters:
-        return MemberParameters.of(self.base.parameters)
+        return MemberParameters.of(self.base.parameters, self.base.parameter_values)
 
     def _modelled(self, row: Mapping[str, Any]) -> tuple[dict[str, float], bool]:
         """Metrics of the sampled loop, from its matrices, and whether it is unstable."""

@@ -17,7 +17,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import SIMULATED, command_options
 from pointing_analysis.formatting.number_text import digits, with_unit
 
-FILES = ("k_fsm", "k_pma", "parameters")
+SHARED = ("k_fsm", "k_pma", "parameters", "parameter_values")
 MODEL_DIGITS = 6
 """Digits of a figure at depth model: it has no scatter."""
 
@@ -39,16 +39,17 @@ def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
     >>> member_command(row, RunConfig(mode="inprocess", loop="fsm"), "model")
     'los-testbed campaign --depth model --loop fsm --member=0.5,0.5,0.5,0.5,0.5,0.5,0.5'
     """
-    parameters = MemberParameters.of(base.parameters)
+    parameters = MemberParameters.of(base.parameters, base.parameter_values)
     if depth == "model":
         values = ",".join(repr(float(row[name])) for name in parameters.columns)
-        return f"los-testbed campaign --depth model --loop {base.loop}{command_options(base, FILES)} --member={values}"
+        return f"los-testbed campaign --depth model --loop {base.loop}{command_options(base, SHARED)} --member={values}"
     length = f"{base.duration!r}".removesuffix(".0")
-    further = command_options(base, [name for name in SIMULATED if name not in ("duration", "loop", "scenario")])
+    stated = ("duration", "loop", "scenario", "parameter_values")
+    further = command_options(base, [name for name in SIMULATED if name not in stated])
     return parameters.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{further}")
 
 
-def member_of(text: str, parameters: str | None) -> dict[str, float]:
+def member_of(text: str, base: RunConfig) -> dict[str, float]:
     """Parameters of a member from the value of ``--member``.
 
     Raises
@@ -56,7 +57,7 @@ def member_of(text: str, parameters: str | None) -> dict[str, float]:
     ValueError
         Another number of values than there are parameters, or one outside its range.
     """
-    member = MemberParameters.of(parameters)
+    member = MemberParameters.of(base.parameters, base.parameter_values)
     try:
         values = dict(zip(member.columns, map(float, text.split(",")), strict=True))
     except ValueError:

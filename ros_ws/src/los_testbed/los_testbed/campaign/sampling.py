@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from los_testbed.config.members import family, member_settings
-from titop_plant.telescope.layout import ANGLE
+from los_testbed.config.members import REFERENCE_FREQUENCIES, member_settings
+from titop_plant.physical_settings import ANGLE
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.motion_profiles import read_csv
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.uncertain_parameters import SPEED, further_parameters
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
 """Samplings whose members are random draws: only these have a probability."""
-
-REFERENCE_FREQUENCIES = ("solar_array.omega_1", "solar_array.omega_2")
-"""Columns of these are ``omega_1`` and ``omega_2``, as the options of a run."""
 
 MOST_CORNERS = 1_000_000
 
@@ -43,13 +42,18 @@ class MemberParameters:
     ----------
     ranges : mapping of str to (float, float)
         Range of each parameter by its name in the telescope.
+    telescope : Telescope
+    fixed : mapping of str to float
+        Values of parameters that all members have.
     """
 
     ranges: Mapping[str, tuple[float, float]]
+    telescope: Telescope
+    fixed: Mapping[str, float]
 
     @classmethod
-    def of(cls, parameters: str | None = None) -> MemberParameters:
-        """Those of a parameter file, or of the reference telescope.
+    def of(cls, parameters: str | None = None, fixed: Mapping[str, float] | None = None) -> MemberParameters:
+        """Those of a parameter file, or of the reference telescope, without those that all members have alike.
 
         Raises
         ------
@@ -61,23 +65,26 @@ class MemberParameters:
         >>> MemberParameters.of().columns[:2], MemberParameters.of().columns[-2:]
         (('tau', 'wheel_speed_1'), ('omega_1', 'omega_2'))
         """
-        table = family(parameters)
+        telescope, fixed = load_telescope(parameters), fixed or {}
+        table = {name: one for name, one in telescope.uncertain.items() if name not in fixed}
 
         def place(name: str) -> int:
             return 0 if name == ANGLE else 1 if SPEED.fullmatch(name) else 2
 
-        return cls({name: (table[name].lower, table[name].upper) for name in sorted(table, key=place)})
+        ranges = {name: (table[name].lower, table[name].upper) for name in sorted(table, key=place)}
+        return cls(ranges, telescope, fixed)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Columns of the data set, in the order of `ranges`."""
         frequencies = tuple(further_parameters(self.ranges))
+        short = {ANGLE, *(frequencies if frequencies == REFERENCE_FREQUENCIES else ())}
 
         def column(name: str) -> str:
             stem, _, quantity = name.rpartition(".")
             if SPEED.fullmatch(name):
                 return f"wheel_speed_{stem.removeprefix('wheel_')}"
-            return quantity if name == ANGLE or frequencies == REFERENCE_FREQUENCIES else name
+            return quantity if name in short else name
 
         return tuple(column(name) for name in self.ranges)
 
@@ -87,7 +94,7 @@ class MemberParameters:
         return np.array(list(self.ranges.values())).reshape(len(self.ranges), 2)
 
     def checked(self, row: Mapping[str, float]) -> dict[str, float]:
-        """Values by the names of the parameters, of a member given by columns.
+        """Values by the names of the parameters, of a member given by columns, with those that all members have.
 
         Raises
         ------
@@ -100,23 +107,32 @@ class MemberParameters:
             if not low - slack <= value <= high + slack:
                 raise InputError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
             checked[name] = value
-        return checked
+        return {**checked, **self.fixed}
 
     def settings(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """Settings of a run from a member; a row of a campaign's data set will do."""
         values = {name: float(row[column]) for column, name in zip(self.columns, self.ranges)}
-        return {"seed": int(row["seed"]), **member_settings(values)}
+        member = member_settings({**values, **self.fixed}, self.telescope)
+        return {"seed": int(row["seed"]), "parameter_values": None, **member}
 
     def command(self, row: Mapping[str, Any], options: str = "") -> str:
         """Command line that runs a member again and records it."""
         words = ["los-testbed run --mode inprocess"]
-        for name, value in self.settings(row).items():
+        settings = self.settings(row)
+        by_name = settings.pop("parameter_values") or {}
+        for name, value in settings.items():
             numbers = value if isinstance(value, list) else [value]
             words += [f"--{name.replace('_', '-')}", *(repr(v) for v in numbers)]
-        return " ".join(words) + options
+        return " ".join([*words, *(f"--set {name}={value!r}" for name, value in by_name.items())]) + options
 
 
-def members(sampling: str, samples: int, seed: int, parameters: str | None = None) -> FloatArray:
+def members(
+    sampling: str,
+    samples: int,
+    seed: int,
+    parameters: str | None = None,
+    fixed: Mapping[str, float] | None = None,
+) -> FloatArray:
     """Parameters of the members of a campaign.
 
     Parameters
@@ -130,6 +146,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     seed : int
     parameters : str, optional
         Parameter file; default: the reference telescope.
+    fixed : mapping, optional
+        Values of parameters that all members have: these are no columns.
 
     Returns
     -------
@@ -147,7 +165,7 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     >>> bool((more[:2] == first).all()), members("corners", 0, 0).shape
     (True, (128, 7))
     """
-    member = MemberParameters.of(parameters)
+    member = MemberParameters.of(parameters, fixed)
     ranges, count = member.limits, len(member.columns)
     if sampling == "adversarial":
         raise InputError("sampling must be one that needs no controllers here, got 'adversarial'")
@@ -169,7 +187,7 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
                         f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}"
                     )
             try:
-                points[number - 2] = list(member.checked(values).values())
+                points[number - 2] = [member.checked(values)[name] for name in member.ranges]
             except ValueError as error:
                 raise InputError(f"{path}, line {number}: {error}") from None
         return _first(points, samples, "lines")

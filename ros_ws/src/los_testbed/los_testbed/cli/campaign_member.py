@@ -57,7 +57,7 @@ def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) 
     from los_testbed.parts.run_parts import RunParts
 
     check_depth(base, depth)
-    values = member_of(text, base.parameters)
+    values = member_of(text, base)
     warn(RunParts(base).check())
     with Progress("member"):
         row = MemberEvaluator.of(base).row(0, {**values, "seed": seed}, depth)

@@ -21,7 +21,7 @@ from los_testbed.cli.finished_run import check_trace, sign, write_ticks
 from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options.options import FILES, Case, Cases, Designs, with_settings
-from los_testbed.config.run_config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.config.run_config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_value, read_yaml, settings_of
 from los_testbed.config.run_settings import chosen_member, completed, layered, of_designs
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.bag_names import new_bag
@@ -66,7 +66,11 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
 
 @with_settings(
-    [name for name in RunConfig.SETTINGS if not name.startswith("disturbance") and name != "mode_choice"],
+    [
+        name
+        for name in RunConfig.SETTINGS
+        if not name.startswith("disturbance") and name not in ("mode_choice", "parameter_values")
+    ],
     metavars={
         "domain": "INTEGER|free",
         "mode": "MODE",
@@ -103,7 +107,12 @@ def run(
     config: Annotated[Path | None, typer.Option(help="YAML file of settings.", rich_help_panel=FILES)] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Any setting; repeatable.", rich_help_panel=FILES),
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Setting, or parameter of the telescope; repeatable.",
+            rich_help_panel=FILES,
+        ),
     ] = None,
     only: Annotated[
         str | None,
@@ -258,15 +267,12 @@ def configure(
         Unknown names, values that do not fit.
     """
     first: dict[str, Any] = {**of_designs(designs or ""), **(read_yaml(file) if file is not None else {})}
-    stated: dict[str, Any] = {}
-    for setting in settings:
-        name, sign, text = setting.partition("=")
-        if not sign:
-            raise InputError(f"--set must be NAME=VALUE, got {setting!r}")
-        stated[name] = parse_value(name, text)
+    stated = settings_of(settings)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
-    named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
-    settings_given = layered(first, named, drawn, stated, options)
+    by_name = {name: stated.pop(name) for name in ("parameter_values",) if name in stated}
+    explicit = layered(stated, options) | by_name  # one layer: a parameter by its name and by an option is given twice
+    named, drawn = chosen_member(case, cases, sample, first, explicit)
+    settings_given = layered(first, named, drawn, explicit)
     if settings_given.get("mode", AUTO if free_mode and "max_missed" not in settings_given else "") == AUTO:
         free_mode = not settings_given.get("device")
         settings_given.pop("mode", None)

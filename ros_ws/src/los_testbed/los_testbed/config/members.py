@@ -1,8 +1,9 @@
 """Members of the telescope's uncertain family: ranges, named cases, random ones, the worst one of a stage.
 
 What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the wheels
-(``wheel_speed`` [rad/s]) and uncertain frequencies (``omega_1``, ``omega_2`` [rad/s] of the first array and those like
-it, or ``frequencies`` of all arrays and appendages). The ranges are those of the parameter file.
+(``wheel_speed`` [rad/s]), uncertain frequencies (``omega_1``, ``omega_2`` [rad/s] of the first array and those like
+it, or ``frequencies`` of all arrays and appendages), and any parameter by its name (``parameter_values``). The ranges
+are those of the parameter file.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from lftkit.support.structured_text import load_json
 from los_design.files import WORST_POINTS
 from los_testbed.config.run_config import RunConfig, read_yaml
 from pointing_analysis.files.settings import proposal
-from titop_plant.simulation.plant_config import check_wheels, frequencies
-from titop_plant.telescope.layout import ANGLE, speed_names
+from titop_plant.physical_settings import ANGLE
+from titop_plant.simulation.plant_config import start_speeds, stated_values
+from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.motion_profiles import read_profile
-from titop_plant.telescope.uncertain_parameters import SPEED, further_parameters
+from titop_plant.telescope.uncertain_parameters import moves
 
 if TYPE_CHECKING:
     from lftkit import RealParameter
@@ -33,19 +35,11 @@ if TYPE_CHECKING:
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
 
-MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies")
+MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies", "parameter_values")
 """Settings that choose a member of the family."""
 
-
-def family(parameters: str | None = None) -> dict[str, RealParameter]:
-    """Uncertain parameters of a parameter file, or of the reference telescope, in the order of Delta.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read or is no parameter file.
-    """
-    return dict(load_telescope(parameters).uncertain)
+REFERENCE_FREQUENCIES = ("solar_array.omega_1", "solar_array.omega_2")
+"""Parameters that are ``omega_1`` and ``omega_2`` in settings and data sets, as the options of a run."""
 
 
 def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:
@@ -113,34 +107,34 @@ def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
     if seed < 0:
         raise InputError(f"sample must be a seed that is not negative, got {seed}")
     rng = np.random.default_rng(seed)
-    drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
-    return member_settings(drawn)
+    telescope = load_telescope(parameters)
+    drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in telescope.uncertain.items()}
+    return member_settings(drawn, telescope)
 
 
-def member_settings(values: Mapping[str, float]) -> dict[str, Any]:
+def member_settings(values: Mapping[str, float], telescope: Telescope) -> dict[str, Any]:
     """Values of the uncertain parameters as settings of a run.
 
     Returns
     -------
     dict
-        ``wheel_speed`` [rad/s]; ``tau`` where an array turns; of the reference's parameters ``omega_1``, ``omega_2``,
-        else ``frequencies`` [rad/s] in the order of Delta.
+        ``tau`` where an array turns; ``wheel_speed`` [rad/s]; the reference's frequencies as ``omega_1``, ``omega_2``;
+        the others as ``parameter_values``.
 
     Examples
     --------
-    >>> member_settings({"wheel_1.speed": 2.0, "boom.omega_1": 3.0})
-    {'wheel_speed': [2.0], 'frequencies': [3.0]}
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> member_settings({"solar_array.tau": 1.0, "solar_array.omega_1": 0.74}, load_telescope())
+    {'tau': 1.0, 'parameter_values': {'solar_array.omega_1': 0.74}}
     """
-    angles = [value for name, value in values.items() if name == ANGLE]
-    settings: dict[str, Any] = {"tau": angles[0]} if angles else {}
-    if speeds := [value for name, value in values.items() if SPEED.fullmatch(name)]:
-        settings["wheel_speed"] = speeds
-    omegas = {name: values[name] for name in further_parameters(values)}
-    if tuple(omegas) == ("solar_array.omega_1", "solar_array.omega_2"):
-        settings |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
-    elif omegas:
-        settings["frequencies"] = list(omegas.values())
-    return settings
+    others = dict(values)
+    settings: dict[str, Any] = {"tau": others.pop(ANGLE)} if ANGLE in others else {}
+    speeds = dict(zip(speed_names(len(telescope.wheels)), telescope.default_speeds))
+    if speeds.keys() & others.keys():
+        settings["wheel_speed"] = [others.pop(name, speed) for name, speed in speeds.items()]
+    if tuple(others) == REFERENCE_FREQUENCIES:
+        return settings | {name.rpartition(".")[2]: value for name, value in others.items()}
+    return settings | ({"parameter_values": others} if others else {})
 
 
 def worst_member(loop: str, worst_of: str, parameters: str | None = None, designs: str = "") -> dict[str, Any]:
@@ -173,13 +167,13 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
     path = folder / WORST_POINTS
     if not path.exists():
         return {}
-    used = load_telescope(parameters).parameters_hash
+    telescope = load_telescope(parameters)
     try:
         content = load_json(read_text(path), path)
-        if content["parameters_hash"] != used:
+        if content["parameters_hash"] != telescope.parameters_hash:
             return {}
         stages = content["stages"]
-        return member_settings(stages[loop][worst_of]["parameters"]) if loop in stages or not stages else {}
+        return member_settings(stages[loop][worst_of]["parameters"], telescope) if loop in stages or not stages else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
 
@@ -210,10 +204,13 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     if config.loop not in (stages := telescope.stages):
         why = "without proof-mass actuators" if telescope.plant is None else "with a plant from a file"
         raise InputError(f"loop must be one of {', '.join(stages)} {why}, got {config.loop}")
-    for name, omega in frequencies(config, telescope).items():
-        _within(_setting_of(name, config), table[name], omega)
-    check_wheels(config, telescope)
+    by_name = config.parameter_values or {}
+    for name, value in stated_values(config, telescope).items():
+        if name in by_name or not moves(name):
+            _within(name if name in by_name else _setting_of(name, config), table[name], value)
     if config.motion_from_file:
+        if moving := [name for name in by_name if moves(name)]:
+            raise InputError(f"{moving[0]} must be absent with a profile from a file, got {by_name[moving[0]]:g}")
         _check_profile(config, telescope, table)
         return
     turn = config.theta_rate * config.ramp_duration
@@ -227,7 +224,7 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
-        speeds = config.wheel_speed or telescope.default_speeds
+        speeds = start_speeds(config, telescope)
         for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
             end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)

@@ -7,6 +7,7 @@ and the metadata of the bag.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -295,3 +296,31 @@ def parse_value(name: str, text: str) -> Any:
     if RunConfig.SETTINGS[name].kind is tuple and "[" not in text:
         text = f"[{', '.join(text.split())}]"
     return load_yaml(text, name)
+
+
+def settings_of(words: Iterable[str]) -> dict[str, Any]:
+    """Settings of some ``NAME=VALUE``; a name with a dot is that of a parameter, for ``parameter_values``.
+
+    Raises
+    ------
+    ValueError
+        Another form, an unknown setting, a parameter that is given twice.
+
+    Examples
+    --------
+    >>> settings_of(["seed=3", "isolator.stiffness=1.03"])
+    {'seed': 3, 'parameter_values': {'isolator.stiffness': 1.03}}
+    """
+    settings: dict[str, Any] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        if not sign:
+            raise InputError(f"--set must be NAME=VALUE, got {word!r}")
+        if "." not in name:
+            settings[name] = parse_value(name, text)
+            continue
+        values = settings.setdefault("parameter_values", {})
+        if name in values:
+            raise InputError(f"{name} must be given once, got {values[name]!r} and {text}")
+        values[name] = load_yaml(text, name)
+    return settings

@@ -16,7 +16,10 @@ from los_design.files import CONTROLLERS, TELESCOPE
 from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import NO_SCENARIO, SCENARIOS
+from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.simulation.plant_config import stated_values
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.uncertain_parameters import SPEED
 
 if TYPE_CHECKING:
     from titop_plant.telescope.telescope import Telescope
@@ -25,17 +28,28 @@ SIMULATED = (
     *("duration", "loop", "scenario", "worst_of", "k_fsm", "k_pma", "ports_in_order", "parameters"),
     *("start", "fsm_authority", "pma_authority", "hold_ticks", "fade_ticks", "nonlinear"),
     *("noise", "disturbance", "camera_rate", "camera_dropout", "camera_latency", "old_frames", "lost_samples"),
+    "parameter_values",
 )
-"""Settings of runs in one process that campaigns, comparisons and trades share, beside members and seeds."""
+"""Settings of runs in one process that campaigns, comparisons and trades share, beside members and seeds; parameters
+that have values do not vary among the members."""
 
 
 def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of all layers; a later one wins, also its ``tau`` over an earlier ``theta`` and the other way round.
 
+    Where one of them names parameters, those of all layers become ``parameter_values``.
+
+    Raises
+    ------
+    ValueError
+        A layer gives a parameter twice, or one that the telescope does not have; a parameter file that cannot be read.
+
     Examples
     --------
     >>> layered({"theta": 0.5, "seed": 1}, {"tau": 0.3})
     {'seed': 1, 'tau': 0.3}
+    >>> layered({"tau": 0.5, "omega_1": 0.73}, {"parameter_values": {"solar_array.tau": 0.2}})
+    {'parameter_values': {'solar_array.tau': 0.2, 'solar_array.omega_1': 0.73}}
     """
     values: dict[str, Any] = {}
     for layer in layers:
@@ -43,7 +57,16 @@ def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
             if name in layer and other not in layer:
                 values.pop(other, None)
         values.update(layer)
-    return values
+    if not any(layer.get("parameter_values") for layer in layers):
+        return values
+    telescope, by_name = load_telescope(values.get("parameters")), dict[str, float]()
+    for layer in layers:
+        of_layer = PhysicalSettings.from_mapping({name: layer[name] for name in MEMBER if name in layer})
+        by_name |= stated_values(of_layer, telescope)
+    by_name = {name: value for name, value in by_name.items() if name in telescope.uncertain}
+    kept = () if any(map(SPEED.fullmatch, by_name)) else ("wheel_speed",)  # of wheels whose speeds are no parameters
+    others = {name: value for name, value in values.items() if name in kept or name not in MEMBER}
+    return {**others, "parameter_values": by_name}
 
 
 def of_designs(designs: str) -> dict[str, Any]:
@@ -78,7 +101,9 @@ def command_options(config: RunConfig, names: Iterable[str]) -> str:
         value, option = getattr(config, name), name.replace("_", "-")
         if value is None or value == RunConfig.SETTINGS[name].default:
             continue
-        if isinstance(value, bool):
+        if isinstance(value, Mapping):
+            words += "".join(f" --set {parameter}={number!r}" for parameter, number in value.items())
+        elif isinstance(value, bool):
             words += f" --{'' if value else 'no-'}{option}"
         else:
             text = repr(value).removesuffix(".0") if isinstance(value, float) else shlex.quote(str(value))
@@ -147,7 +172,8 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     implied: dict[str, Any] = {} if stated.scenario else {"scenario": config.scenario}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
         implied |= worst_member(config.loop, config.worst_of, config.parameters, designs)
-    if config.scenario == "imbalance" and "wheel_speed" not in settings:
+    named = any(SPEED.fullmatch(name) for name in config.parameter_values or ())
+    if config.scenario == "imbalance" and "wheel_speed" not in settings and not named:
         from titop_plant.simulation.build import resonant_speeds
 
         implied["wheel_speed"] = list(resonant_speeds(config.parameters))

@@ -527,7 +527,7 @@ class RunParts:
         return sources_of(self.config, self.telescope)
 
     def implemented_loop(self, values: Mapping[str, float] | None = None) -> ImplementedLoop:
-        """Model of the loop of the stage, with the devices that the controllers use; uncertain, or at values.
+        """Model of the loop of the stage, with the devices that the controllers use, some parameters at values.
 
         Raises
         ------
@@ -546,8 +546,8 @@ class RunParts:
                 if ports.further
                 else self.family.control_loop
             )
-            # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
-            open_loop = OpenLoop(plant if values is None else plant.at(values), telescope, ports=ports)
+            # parameters with values have no channels of Delta, which would be closed at each frequency
+            open_loop = OpenLoop(plant.substituted(self.family.known(values or {})), telescope, ports=ports)
             return ImplementedLoop(open_loop, laws["k_fsm"], laws["k_pma"], self.config.loop)
 
     def tone_model(self, delays: Delays | None = None) -> ToneModel:

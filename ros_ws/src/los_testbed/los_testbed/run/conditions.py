@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pointing_analysis.requirements.conditions import ACTING, LINES, MEMBER, WHEEL_SPEEDS
+from titop_plant.telescope.uncertain_parameters import moves
 
 if TYPE_CHECKING:
     from los_testbed.parts.run_parts import RunParts
@@ -16,15 +17,14 @@ if TYPE_CHECKING:
 
 def conditions(parts: RunParts, start: RunStart) -> dict[str, str]:
     """Entries of the metadata; none of a run with another plant, of which it is not known."""
+    from titop_plant.simulation.plant_config import start_speeds
+
     if parts.config.other_plant:
         return {}
-    speeds = {} if parts.config.motion_from_file else {WHEEL_SPEEDS: json.dumps(wheel_speeds(parts))}
-    return {ACTING: json.dumps(acting(parts, start)), MEMBER: member(parts), **speeds}
-
-
-def wheel_speeds(parts: RunParts) -> tuple[float, ...]:
-    """Speeds of the wheels at the start [rad/s]: of the configuration, else of the parameter file."""
-    return parts.config.wheel_speed or parts.telescope.default_speeds
+    entries = {ACTING: json.dumps(acting(parts, start)), MEMBER: member(parts)}
+    if parts.config.motion_from_file:
+        return entries
+    return {**entries, WHEEL_SPEEDS: json.dumps(start_speeds(parts.config, parts.telescope))}
 
 
 MOST_LINES = 100
@@ -52,15 +52,14 @@ def acting(parts: RunParts, start: RunStart) -> list[dict[str, Any]]:
 
 
 def member(parts: RunParts) -> str:
-    """Angle of the arrays, speeds of the wheels and uncertain frequencies, at the start of the run."""
-    from titop_plant.simulation.plant_config import frequencies
+    """Angle of the arrays, speeds of the wheels and other parameters that are given, at the start of the run."""
+    from titop_plant.simulation.plant_config import start_speeds, stated_values
 
-    config = parts.config
+    config, known = parts.config, parts.telescope.uncertain
+    stated = {name: value for name, value in stated_values(config, parts.telescope).items() if not moves(name)}
+    texts = [f"{name} {value:.6g}{known[name].in_unit}" for name, value in stated.items()] or ["frequencies nominal"]
     if config.motion_from_file:
-        return f"arrays and wheels as in {Path(config.profile).name}"
-    speeds = ", ".join(f"{speed:.6g}" for speed in wheel_speeds(parts))
-    texts = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []
-    texts += [f"wheels at {speeds} rad/s"] if speeds else []
-    natural = frequencies(config, parts.telescope)
-    texts += [f"{name} {value:.6g} rad/s" for name, value in natural.items()] or ["frequencies nominal"]
-    return ", ".join(texts)
+        return ", ".join([f"arrays and wheels as in {Path(config.profile).name}", *(texts if stated else ())])
+    speeds = ", ".join(f"{speed:.6g}" for speed in start_speeds(config, parts.telescope))
+    first = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []
+    return ", ".join([*first, *([f"wheels at {speeds} rad/s"] if speeds else []), *texts])

@@ -102,7 +102,9 @@ def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
     """All that the plant of a run is built from; code counts by its name."""
     config, plain = parts.config, parts.config.to_plain()
     names = {*PhysicalSettings.SETTINGS, "nonlinear", *(("disturbance_source",) if config.disturbance else ())}
-    settings = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
+    left_out = {"parameters", "tau", "theta", "profile"}
+    left_out |= set() if config.parameter_values else {"parameter_values"}  # which did not always exist
+    settings = {name: plain[name] for name in sorted(names - left_out)}
     settings |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
     settings |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
     settings["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile

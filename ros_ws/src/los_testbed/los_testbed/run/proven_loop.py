@@ -13,6 +13,7 @@ from typing import Any
 from los_design.verification.error_sum import WITH_NOISE
 from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import Subject
+from los_testbed.config.members import MEMBER
 from los_testbed.config.run_config import STEADY, RunConfig
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements.guarantee import ErrorBounds, ProvenBound
@@ -23,7 +24,7 @@ ADMITTED = frozenset(
         # tones, or none; noise of the sensors, or none
         *("scenario", "worst_of", "seed", "noise", "disturbance"),
         # members of the family: others are refused
-        *("parameters", "theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies"),
+        *("parameters", *MEMBER),
         # what acts only on samples and commands that come late or not at all
         *("hold_ticks", "fade_ticks", "old_frames", "lost_samples", "camera_latency"),
         # where and how long the same loop runs

@@ -94,8 +94,14 @@ class Plan:
         configs = {"nominal": self.base}
         for seed in range(1, self.samples):
             member = random_member(seed, self.base.parameters)
-            configs[f"sample-{seed}"] = RunConfig.from_mapping(layered(self.base.to_mapping(), member))
+            settings = layered(self.base.to_mapping(), member, self._fixed)
+            configs[f"sample-{seed}"] = RunConfig.from_mapping(settings)
         return configs
+
+    @property
+    def _fixed(self) -> dict[str, Any]:
+        """Parameters whose values all members have, as settings."""
+        return {"parameter_values": self.base.parameter_values or {}}
 
     @cached_property
     def stages(self) -> tuple[str, ...]:
@@ -127,7 +133,7 @@ class Plan:
             for index in WORST_INDICES:
                 member = worst_member(loop, index, self.base.parameters, self.designs)
                 settings = {name: value for name, value in self.base.to_mapping().items() if name not in MEMBER}
-                config = RunConfig.from_mapping({**settings, "worst_of": index, **member})
+                config = RunConfig.from_mapping(layered({**settings, "worst_of": index}, member, self._fixed))
                 runs += [self._run(WORST, index, loop, part, config) for part in ("all", "disturbance")]
         return runs
 
@@ -348,9 +354,6 @@ def provenance(plan: Plan) -> dict[str, Any]:
         "duration_s": plan.base.duration,
         "seed": plan.base.seed,
         "camera_rate": plan.base.camera_rate,
-        "telescopes": {
-            name: {key: c.to_mapping()[key] for key in ("theta", "tau", "wheel_speed", "omega_1", "omega_2")}
-            for name, c in plan.members().items()
-        },
+        "telescopes": {name: {key: c.to_mapping()[key] for key in MEMBER} for name, c in plan.members().items()},
         "controllers_sha256": {name: digests[name] for name in parts.model_files},
     }

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from los_testbed.config.run_config import RunConfig, parse_value
+from lftkit.errors import InputError
+from los_testbed.config.run_config import RunConfig, parse_value, settings_of
 from los_testbed.config.run_settings import of_designs
 from titop_plant.physical_settings import TELESCOPE
 from titop_plant.settings import Setting
@@ -78,6 +79,13 @@ def _in_short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
+PARAMETER = typer.Option(
+    "--set",
+    metavar="PARAMETER=VALUE",
+    help="Value of a parameter of the telescope, e.g. wheel_2.speed=120; repeatable.",
+    rich_help_panel=TELESCOPE,
+)
+
 METAVARS_OF = {"loop": "STAGE", "scenario": "SCENARIO", "parameters": "FILE", "k_fsm": "FILE", "k_pma": "FILE"}
 """Metavariable of a setting in the help of all commands."""
 HELPS_OF = {
@@ -93,7 +101,8 @@ def with_settings(
 
     It gets their values as ``given``, ``None`` where an option is not given.
 
-    The values are texts, except for switches; a list is its numbers separated by spaces: :func:`chosen` parses them.
+    The values are texts, except for switches; a list is its numbers separated by spaces, a mapping the texts of
+    ``--set``: :func:`chosen` parses them.
     `metavars` and `helps` replace those of the setting.
     """
     metavars, helps = {**METAVARS_OF, **(metavars or {})}, {**HELPS_OF, **(helps or {})}
@@ -139,6 +148,8 @@ def with_options(
 def _option(name: str, metavars: Mapping[str, str], helps: Mapping[str, str]) -> Any:
     """Annotated type of the option for a setting; None where it is not given."""
     setting = RunConfig.SETTINGS[name]
+    if setting.kind is dict:
+        return Annotated[list[str] | None, PARAMETER]
     kind: Any = bool if setting.kind is bool else str
     more = {"metavar": metavars[name]} if name in metavars else {}
     more |= {"help": helps[name]} if name in helps else {}
@@ -154,4 +165,9 @@ def chosen(words: Mapping[str, Any], designs: str | None = None) -> dict[str, An
         A value that cannot be read; the folder lacks a controller.
     """
     stated = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in words.items() if v is not None}
+    for name in [name for name, value in stated.items() if RunConfig.SETTINGS[name].kind is dict]:
+        by_name = settings_of(stated.pop(name))
+        if others := [other for other in by_name if other != name]:
+            raise InputError(f"--set must name a parameter of the telescope here, got {others[0]}")
+        stated |= by_name
     return {**of_designs(designs or ""), **stated}

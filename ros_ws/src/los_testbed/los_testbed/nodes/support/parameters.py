@@ -41,6 +41,7 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
     values: dict[str, Any] = {}
     for name, setting in RunConfig.SETTINGS.items():
         default = node.get_namespace() if name == "namespace" else setting.plain(setting.default)
+        default = json.dumps(default) if isinstance(default, dict) else default
         try:
             if setting.kind is tuple:
                 values[name] = _declare_array(node, setting)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import os
 import platform
 import sys
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -89,8 +91,9 @@ def programs(processes: str = COMPOSED, usual: bool = True) -> dict[str, tuple[s
 
 
 def parameter_text(config: RunConfig) -> str:
-    """ROS parameter file of a run."""
-    values = {name: value for name, value in config.to_plain().items() if value != []}
+    """ROS parameter file of a run; a mapping is its JSON."""
+    plain = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in config.to_plain().items()}
+    values: dict[str, Any] = {name: value for name, value in plain.items() if value != []}
     values["use_sim_time"] = config.mode == "lockstep"
     return str(yaml.safe_dump({"/**": {"ros__parameters": values}}))
 

@@ -25,7 +25,8 @@ def loop_curves(loop: RanLoop | None) -> tuple[tuple[LoopCurves, ...], str]:
         parts = loop.known
         if parts.physical.ramps:
             return (), "arrays or wheels move during the run"
-        model = parts.implemented_loop(parameter_values(parts.settings, parts.telescope))
+        nominal = {name: parameter.nominal for name, parameter in parts.telescope.uncertain.items()}
+        model = parts.implemented_loop({**nominal, **parameter_values(parts.settings, parts.telescope)})
         with one_thread():
             broken = broken_loops(model, model.point({}))
     except (ValueError, OverflowError) as error:
