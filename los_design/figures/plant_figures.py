@@ -78,6 +78,7 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     known = {**FIGURES, **OF_MECHANISMS}
     possible = {
         "arrays_turn": both.telescope.arrays_turn,
+        "wheels_speed_up": any(wheel.varies for wheel in both.telescope.wheels),
         "bearings": both.telescope.on_bearings,
         "steppers": bool(both.telescope.motors),
     }
@@ -102,7 +103,7 @@ def _saved(
 def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     axis = figure.subplots()
     edges = _columns(1e-3, 1e4, 400)
-    wheels, drives = len(both.telescope.wheels), len(both.telescope.driven_arrays)
+    wheels, drives = len(both.telescope.turning_wheels), len(both.telescope.driven_arrays)
     for inputs, colour, name, count in ((WHEELS, BLUE, "wheel", wheels), (DRIVES, ORANGE, "array drive", drives)):
         if count:
             # A number of things in words: "four wheels"
@@ -133,13 +134,14 @@ def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
 def _bearings(figure: Figure, both: DisturbanceResponses) -> None:
     axis = figure.subplots()
     edges = _columns(10.0, 1e4, 400)
-    wheels = both.telescope.wheels
-    speeds = {name: wheel.default_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
-    fast = {name: wheel.maximum_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
+    ranges = _speed_ranges(both)
+    speeds = {name: default for name, (_, _, default) in ranges.items()}
+    slow = {name: min(max(low, 0.0), high) for name, (low, high, _) in ranges.items()}
+    fast = {name: max(low, high, key=abs) for name, (low, high, _) in ranges.items()}
     rigid, grey = both.with_rigid_wheels(), "#777777"
     for system, values, colour, name in (
         (rigid, speeds, grey, "rigid wheels"),
-        (both.isolated, {}, BLUE, "on bearings, at rest"),
+        (both.isolated, slow, BLUE, f"on bearings, {'lowest speeds' if any(slow.values()) else 'at rest'}"),
         (both.isolated, speeds, ORANGE, "on bearings, default speeds"),
         (both.isolated, fast, LIMIT, "on bearings, highest speeds"),
     ):
@@ -182,9 +184,10 @@ def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
 
 
 def _wheels_speed_up(figure: Figure, both: DisturbanceResponses) -> None:
-    top = min(wheel.maximum_speed for wheel in both.telescope.wheels)
+    ranges = _speed_ranges(both)
+    top = min(max(abs(low), abs(high)) for low, high, _ in ranges.values())
     speeds = np.asarray(np.linspace(0.0, top, STEPS + 1), np.float64)
-    values = [dict.fromkeys(speed_names(len(both.telescope.wheels)), float(speed)) for speed in speeds]
+    values = [{name: min(max(low, s), high) for name, (low, high, _) in ranges.items()} for s in map(float, speeds)]
     left, right, edges, sizes = _sweep(figure, both, speeds, values, (3e-3, 1.0), (0, 1, 2, 4, 6), "{:.0f} rad/s")
     change = 20.0 * np.log10(sizes / sizes[0])
     reach = math.ceil(float(np.abs(change).max()) / 3.0) * 3.0
@@ -193,6 +196,16 @@ def _wheels_speed_up(figure: Figure, both: DisturbanceResponses) -> None:
     left.set_title("a few speeds, all wheels alike")
     right.set(ylabel="speed of all wheels [rad/s]", title="every speed")
     _legend(figure, "speed of all wheels", 5)
+
+
+def _speed_ranges(both: DisturbanceResponses) -> dict[str, tuple[float, float, float]]:
+    """Smallest, largest and default speed of each wheel whose speed varies, by the name of the parameter."""
+    wheels = both.telescope.wheels
+    return {
+        name: (*wheel.speed_range, wheel.default_speed)
+        for name, wheel in zip(speed_names(len(wheels)), wheels)
+        if wheel.varies
+    }
 
 
 def _sweep(

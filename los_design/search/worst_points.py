@@ -18,6 +18,7 @@ from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_design.files import WORST_POINTS
 from titop_plant.interface import COMMANDS
+from titop_plant.telescope.telescope import Telescope
 
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
 
@@ -51,14 +52,16 @@ class WorstPoint:
     disturbance: ComplexArray
     direction: ComplexArray
 
-    @property
-    def channel(self) -> str:
-        """Name of the input with the largest part of the disturbance."""
+    def channel(self, telescope: Telescope) -> str:
+        """Name of the input of a telescope with the largest part of the disturbance."""
         k = int(np.abs(self.disturbance).argmax())
         if len(self.disturbance) <= COMMANDS or self.requirement.startswith("sensitivity"):
             return f"command {k + 1}"
-        edge = len(WHEEL_CHANNELS) * sum(name.endswith(".speed") for name in self.parameters)
-        return f"solar array drive {k - edge + 1}" if k >= edge else f"wheel {k // 5 + 1}, {WHEEL_CHANNELS[k % 5]}"
+        wheel, of_wheel = divmod(k, len(WHEEL_CHANNELS))
+        wheels = telescope.turning_wheels
+        if wheel >= len(wheels):
+            return f"solar array drive {k - len(WHEEL_CHANNELS) * len(wheels) + 1}"
+        return f"wheel {wheels[wheel] + 1}, {WHEEL_CHANNELS[of_wheel]}"
 
     def to_mapping(self) -> dict[str, Any]:
         """For JSON."""

@@ -50,7 +50,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
         weights = telescope.weights
         wheels = [
             [a, weights.wheel_imbalance_zero, weights.wheel_imbalance_pole]
-            for a in np.tile(weights.wheel_imbalance, len(telescope.wheels))
+            for a in np.tile(weights.wheel_imbalance, len(telescope.turning_wheels))
         ]
         drives = [[bound, 1.0, 1.0] for bound in telescope.torque_bounds]
         inputs = np.array([*wheels, *drives], dtype=float)

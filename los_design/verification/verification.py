@@ -243,7 +243,7 @@ class ImplementedCheck:
                 f"{short} {name}": {
                     "gamma": rounded(p.gamma),
                     "rad_s": rounded(p.omega),
-                    "channel": p.channel,
+                    "channel": p.channel(self.telescope),
                     "parameters": dict(p.parameters),
                 }
                 for short, stage in names.items()

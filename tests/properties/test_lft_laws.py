@@ -207,6 +207,7 @@ OPERATIONS: dict[str, Operation] = {
     "__getitem__": lambda s: s[("y", "z"), ("u", "w")],
     "renamed": lambda s: s.renamed({"u": "v"}, {"k": "c"}).renamed({"v": "u"}, {"c": "k"}),
     "sorted_channels": lambda s: s.sorted_channels(["m", "k"]),
+    "substituted": lambda s: s.substituted({}),
     "normalised": lambda s: s.normalised(),
     "minimal_realisation": lambda s: minimal.minimal_realisation(s).system,
     "named": lambda s: s.named("other"),

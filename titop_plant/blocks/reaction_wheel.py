@@ -54,13 +54,18 @@ class MountedWheel:
     position : ndarray, shape (3,)
         Wheel centre from the assembly's point [m].
     speed : RealParameter
-        Omega [rad/s].
+        Omega [rad/s]; where both ends of its range are equal it is no element of the assembly.
     """
 
     wheel: ReactionWheel
     axis: FloatArray
     position: FloatArray
     speed: RealParameter
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is not always at rest."""
+        return bool(self.speed.lower or self.speed.upper)
 
 
 def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") -> System:
@@ -116,18 +121,21 @@ def spin_frame(axis: ArrayLike) -> FloatArray:
 def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> System:
     """Several wheels on one interface.
 
+    A wheel whose range of speeds is zero has no uncertain element, and one that stays at rest is a mass.
+
     Returns
     -------
     System
-        Ports ``accel_<point>``, ``rate_<point>``, ``wheel_torque`` (one signal a wheel),
-        ``imbalance`` (5 a wheel, each in its wheel's frame) -> ``wrench_<point>``, ``wheel_accel``.
+        Ports ``accel_<point>``, ``rate_<point>``, ``wheel_torque`` (one signal a wheel that turns), ``imbalance`` (5 of
+        each of them, in its wheel's frame) -> ``wrench_<point>``, ``wheel_accel``.
     """
-    n = len(wheels)
+    turning = [i for i, one in enumerate(wheels) if one.turns]
+    n = len(turning)
     torque, imbalance = Port("wheel_torque", n, "Nm"), Port("imbalance", 5 * n, ",".join([ports.IMBALANCE_UNIT] * n))
     spin = Port("wheel_accel", n, "rad/s2")
-    torques = [Port(f"torque_{i}", 1, "Nm") for i in range(n)]
-    imbalances = [Port(f"imbalance_{i}", 5, ports.IMBALANCE_UNIT) for i in range(n)]
-    spins = [Port(f"spin_{i}", 1, "rad/s2") for i in range(n)]
+    torques = [Port(f"torque_{i}", 1, "Nm") for i in turning]
+    imbalances = [Port(f"imbalance_{i}", 5, ports.IMBALANCE_UNIT) for i in turning]
+    spins = [Port(f"spin_{i}", 1, "rad/s2") for i in turning]
     accel, rate, wrench = (port(point).name for port in (ports.accel, ports.rate, ports.wrench))
     systems = {
         "torques": static_gain(np.eye(n), [torque], torques),
@@ -140,19 +148,40 @@ def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> System:
     ]
     for i, one in enumerate(wheels):
         block = reaction_wheel(one.wheel, one.speed)
+        if one.speed.lower == one.speed.upper:
+            block = block.nominal()
+        if not one.turns:
+            block = _at_rest(block, one.wheel.axial_inertia)
         systems[f"wheel{i}"] = mounted(block, "G", point, position=one.position, dcm=spin_frame(one.axis))
-        wires += [
-            (accel, f"wheel{i}.{accel}"),
-            (rate, f"wheel{i}.{rate}"),
-            (f"torques.torque_{i}", f"wheel{i}.wheel_torque"),
-            (f"imbalances.imbalance_{i}", f"wheel{i}.imbalance"),
-            (f"wheel{i}.wheel_accel", f"spins.spin_{i}"),
-        ]
+        wires += [(accel, f"wheel{i}.{accel}"), (rate, f"wheel{i}.{rate}")]
+        if one.turns:
+            wires += [
+                (f"torques.torque_{i}", f"wheel{i}.wheel_torque"),
+                (f"imbalances.imbalance_{i}", f"wheel{i}.imbalance"),
+                (f"wheel{i}.wheel_accel", f"spins.spin_{i}"),
+            ]
     return connect(
         systems,
         wires,
         inputs=[ports.accel(point), ports.rate(point), torque, imbalance],
-        outputs={wrench: tuple(f"wheel{i}.{wrench}" for i in range(n)), spin.name: "spins.wheel_accel"},
+        outputs={wrench: tuple(f"wheel{i}.{wrench}" for i in range(len(wheels))), spin.name: "spins.wheel_accel"},
+    )
+
+
+def _at_rest(wheel: System, axial_inertia: float) -> System:
+    """A wheel whose rotor does not turn against its housing: **friction gives it the torque -J_w omega_dot_z**."""
+    accel, rate, torque = (wheel.input_port(name) for name in ("accel_G", "rate_G", "wheel_torque"))
+    friction = static_gain([[0.0] * 5 + [-axial_inertia]], [accel], [torque])
+    return connect(
+        {"wheel": wheel["wrench_G", (accel.name, rate.name, torque.name)], "friction": friction},
+        [
+            (accel.name, f"wheel.{accel.name}"),
+            (accel.name, f"friction.{accel.name}"),
+            (rate.name, f"wheel.{rate.name}"),
+            (f"friction.{torque.name}", f"wheel.{torque.name}"),
+        ],
+        inputs=[accel, rate],
+        outputs={"wrench_G": "wheel.wrench_G"},
     )
 
 

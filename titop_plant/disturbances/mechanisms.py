@@ -97,7 +97,7 @@ def mechanism_sources(
     dt : float
         Tick [s].
     """
-    noisy = [(i, wheel) for i, wheel in enumerate(telescope.wheels) if wheel.broadband is not None]
+    noisy = [(i, wheel) for i, wheel in enumerate(telescope.wheels) if wheel.broadband is not None and wheel.turns]
     sources = []
     if noisy:
         parts = [_broadband(wheel, duration, dt, _rng(seed, 1, i)) for i, wheel in noisy]

@@ -38,9 +38,9 @@ from titop_plant.telescope.telescope import Telescope
 
 
 def wheel_places(telescope: Telescope) -> dict[str, int]:
-    """Number of the wheel at each place of a wheel, from 0."""
-    wheels = telescope.wheels
-    return {f"wheel_{i + 1}": i for i in range(len(wheels))} | {one.name: i for i, one in enumerate(wheels)}
+    """Number, from 0 and among those that turn, of the wheel at each place of such a wheel."""
+    turning, wheels = telescope.turning_wheels, telescope.wheels
+    return {f"wheel_{i + 1}": k for k, i in enumerate(turning)} | {wheels[i].name: k for k, i in enumerate(turning)}
 
 
 def drive_places(telescope: Telescope) -> tuple[str, ...]:
@@ -62,7 +62,7 @@ def all_places(telescope: Telescope) -> tuple[str, ...]:
 def source_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Inputs of the structure that sources drive."""
     imbalance, *torques = telescope.disturbance_ports
-    wheels = Port(WHEEL_TORQUE, len(telescope.wheels), "Nm")
+    wheels = Port(WHEEL_TORQUE, len(telescope.turning_wheels), "Nm")
     loads = map(load_port, telescope.loaded_nodes)
     ports = (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(telescope))
     return tuple(port for port in ports if telescope.has_input(port.name))
@@ -113,7 +113,7 @@ def place_matrix(
     if place in wheels:
         i = wheels[place]
         if frame is not None:
-            wrench = np.kron(np.eye(2), spin_frame(telescope.wheel_axes[:, i])) @ wrench
+            wrench = np.kron(np.eye(2), spin_frame(telescope.wheel_axes[:, telescope.turning_wheels[i]])) @ wrench
         _require_input(WHEEL_TORQUE, place, columns)
         first = columns[WHEEL_IMBALANCE].start + 5 * i
         whole[first : first + 5] = wrench[:5]

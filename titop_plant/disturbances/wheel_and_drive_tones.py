@@ -111,7 +111,8 @@ def imbalance_tones(telescope: Telescope, speeds: FloatArray, rng: np.random.Gen
     """
     table, inputs = telescope.imbalance, telescope.channels
     rows: list[tuple[float, ComplexArray, float, int]] = []
-    for i, speed in enumerate(np.asarray(speeds, dtype=float)):
+    for k, i in enumerate(telescope.turning_wheels):
+        speed = float(speeds[i])
         square, sense = speed**2, float(np.sign(speed)) or 1.0
         kinds = (
             (table.force_harmonics, table.force_ratios, table.radial_force, table.axial_force, 0.0),
@@ -122,7 +123,7 @@ def imbalance_tones(telescope: Telescope, speeds: FloatArray, rng: np.random.Gen
                 size = ratio * square
                 five = _wheel_vector(force * size, axial * size, torque * size, sense, rng)
                 amplitude = np.zeros(inputs, complex)
-                amplitude[5 * i : 5 * i + 5] = five
+                amplitude[5 * k : 5 * k + 5] = five
                 rows.append((harmonic * abs(speed), amplitude, harmonic, i))
     return _tones(rows, inputs)
 
@@ -166,7 +167,7 @@ def design_tones(telescope: Telescope, plant: FrequencyResponse, rng: np.random.
     size = weight_amplitudes(telescope, omega)
     response = plant.at(omega) * size[:, None, :]
     seen = rpe_weight(omega, telescope.weights.rpe_window)
-    inputs, edge = telescope.channels, 5 * len(telescope.wheels)
+    inputs, edge = telescope.channels, 5 * len(telescope.turning_wheels)
     wheels, drives = slice(0, edge), slice(edge, inputs)
     values = seen * largest_gains(response[:, :, wheels])
     inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
@@ -210,7 +211,8 @@ def given_tones(table: Sequence[Sequence[float]], inputs: int = REFERENCE_CHANNE
 def loudest_speeds(telescope: Telescope, plant: System, senses: FloatArray) -> FloatArray:
     """Speed of each wheel [rad/s] at which the relative error by its fundamental is largest; the senses are given.
 
-    No two wheels have the same mode: each takes what the wheels before it leave.
+    No two wheels have the same mode: each takes what the wheels before it leave. A wheel without a choice keeps its
+    default speed.
 
     Parameters
     ----------
@@ -221,17 +223,21 @@ def loudest_speeds(telescope: Telescope, plant: System, senses: FloatArray) -> F
     senses : ndarray, shape (wheels,)
         +1 or -1.
     """
-    table, tops = telescope.imbalance, [wheel.maximum_speed for wheel in telescope.wheels]
-    top = max(tops)
+    table, wheels = telescope.imbalance, telescope.wheels
+    top = max(abs(end) for wheel in wheels for end in wheel.speed_range)
     omega = frequency_grid(linalg.eigvals(plant.A), 0.05 * top, top)
     response = frequency_response(plant, omega)
     seen = rpe_weight(omega, telescope.weights.rpe_window) * omega**2
     sizes = np.diag([table.radial_force, table.axial_force, table.radial_torque])
-    loudest, free = np.empty(len(senses)), np.ones(omega.size, dtype=bool)
-    for i, sense in enumerate(senses):
+    loudest, free = np.abs(telescope.default_speeds), np.ones(omega.size, dtype=bool)
+    for k, i in enumerate(telescope.turning_wheels):
+        sense, (low, high) = senses[i], wheels[i].speed_range
+        within = free & (low <= sense * omega) & (sense * omega <= high)
+        if not (wheels[i].varies and within.any()):
+            continue
         five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]
-        parts = response[:, :, 5 * i : 5 * i + 5] @ np.stack(five, axis=1)
+        parts = response[:, :, 5 * k : 5 * k + 5] @ np.stack(five, axis=1)
         power = np.sum(np.abs(parts) ** 2, axis=(1, 2))
-        loudest[i] = omega[np.argmax(np.where(free & (omega <= tops[i]), seen * np.sqrt(power), -1.0))]
+        loudest[i] = omega[np.argmax(np.where(within, seen * np.sqrt(power), -1.0))]
         free &= np.abs(omega - loudest[i]) > MODE_WIDTH * loudest[i]
     return loudest

@@ -35,10 +35,10 @@ output                 size  meaning
 
 Rotation and rate are passed through the ports, the line of sight is a function of states, and nothing is
 integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
-reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port; the forces
-of proof-mass actuators stay an input without effect, since every command holds six forces. Further sensors and
-actuators of a user's file (:mod:`titop_plant.telescope.devices`) are the output ``placed_sensors``, and bodies
-with the input ``actuator_force``.
+reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port, nor
+has a wheel that stays at rest; the forces of proof-mass actuators stay an input without effect, since every command
+holds six forces. Further sensors and actuators of a user's file (:mod:`titop_plant.telescope.devices`) are the output
+``placed_sensors``, and bodies with the input ``actuator_force``.
 """
 
 from __future__ import annotations
@@ -262,7 +262,7 @@ def _driven_at_G(
         _with_wrenches(wires, acting),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
-            Port(WHEEL_TORQUE, len(telescope.wheels), "Nm"),
+            Port(WHEEL_TORQUE, len(telescope.turning_wheels), "Nm"),
             *telescope.disturbance_ports,
             FSM_COMMAND,
             PMA_FORCE,
@@ -427,7 +427,7 @@ def _free_flying(
     table = telescope.attitude_control
     law = attitude_control(
         np.diag(inertia),
-        telescope.wheel_axes,
+        telescope.wheel_axes[:, telescope.turning_wheels],
         bandwidth=table.bandwidth,
         damping=table.damping,
     )
@@ -452,7 +452,7 @@ def _free_flying(
         inputs=[
             *telescope.disturbance_ports,
             EXTERNAL_WRENCH,
-            Port(WHEEL_TORQUE, len(telescope.wheels), "Nm"),
+            Port(WHEEL_TORQUE, len(telescope.turning_wheels), "Nm"),
             FSM_COMMAND,
             PMA_FORCE,
             *outside,

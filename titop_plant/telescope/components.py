@@ -30,6 +30,7 @@ from titop_plant.structures.residual_mass import (
 )
 from titop_plant.telescope.layout import MountedBody
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.uncertain_parameters import wheel_speeds
 
 _ROUNDING = 1e-3
 """Part of the rigid mass that may be missing by rounding of the printed participation."""
@@ -118,12 +119,12 @@ def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[in
 
 def wheel_components(telescope: Telescope) -> list[MountedWheel]:
     """The wheels around I_w, axes parallel to the body's frame."""
-    speeds = telescope.uncertain
-    result = []
-    for i, one in enumerate(telescope.wheels, start=1):
-        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia, one.bearing)
-        result.append(MountedWheel(wheel, one.axis, one.position, speeds[f"wheel_{i}.speed"]))
-    return result
+    return [
+        MountedWheel(
+            ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia, one.bearing), one.axis, one.position, speed
+        )
+        for one, speed in zip(telescope.wheels, wheel_speeds(telescope.wheels))
+    ]
 
 
 def platform_mass(telescope: Telescope) -> FloatArray:

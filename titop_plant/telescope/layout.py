@@ -129,8 +129,10 @@ class WheelOnBoard:
         Of the spin, in the spacecraft's frame, a unit vector.
     position : ndarray, shape (3,)
         Its centre, from ``I_w`` [m].
-    maximum_speed, default_speed : float
-        rad/s.
+    speed_range : tuple of float
+        Smallest and largest speed [rad/s]; equal: its only speed.
+    default_speed : float
+        Of a run that names none [rad/s].
     bearing, broadband : WheelBearing, Broadband, optional
         See :mod:`titop_plant.telescope.sections`.
     """
@@ -141,10 +143,20 @@ class WheelOnBoard:
     radial_inertia: float
     axis: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
-    maximum_speed: float
+    speed_range: tuple[float, float]
     default_speed: float
     bearing: WheelBearing | None = field(default=None, repr=False)
     broadband: Broadband | None = field(default=None, repr=False)
+
+    @property
+    def varies(self) -> bool:
+        """Whether its speed is a parameter."""
+        return self.speed_range[0] < self.speed_range[1]
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is not always at rest, as a spare wheel is, which is a mass."""
+        return any(self.speed_range)
 
 
 def read_arrays(tables: Mapping[str, Any]) -> tuple[MountedBody, ...]:
@@ -199,16 +211,19 @@ def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
             wheels.append(_wheel(listed, f"wheel_{i}", axis, position, speed))
         return tuple(wheels)
     return tuple(
-        _wheel(table, str(table["name"]), _direction(table["axis"]), table["position"], table["default_speed"])
+        _wheel(table, str(table["name"]), _direction(table["axis"]), table["position"], table.get("default_speed"))
         for table in listed
     )
 
 
-def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: ArrayLike, speed: float) -> WheelOnBoard:
+def _wheel(
+    table: Mapping[str, Any], name: str, axis: FloatArray, position: ArrayLike, speed: float | None
+) -> WheelOnBoard:
     """A wheel of the kind that a table describes."""
     kind, place = WheelKind.of_part(table), np.array(position, dtype=float)
     inertias = kind.mass, kind.axial_inertia, kind.radial_inertia
-    return WheelOnBoard(name, *inertias, axis, place, kind.maximum_speed, float(speed), kind.bearing, kind.broadband)
+    default = kind.range[0] if speed is None else float(speed)
+    return WheelOnBoard(name, *inertias, axis, place, kind.range, default, kind.bearing, kind.broadband)
 
 
 def read_nodes(tables: Mapping[str, Any]) -> dict[str, str]:

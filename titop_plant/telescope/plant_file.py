@@ -36,7 +36,6 @@ from lftkit.systems.ports import Port
 from lftkit.uncertainty.elements import RealParameter
 from titop_plant.interface import COMMAND_PORTS, TRUTH_PORTS
 from titop_plant.sensors import GAUGE_PORT, MEASURED_SENSORS
-from titop_plant.telescope.layout import IMBALANCE_CHANNELS, speed_names
 from titop_plant.telescope.uncertain_parameters import SPEED
 
 if TYPE_CHECKING:
@@ -69,7 +68,9 @@ def take_plant(content: dict[str, Any], file: ParameterFile, folder: Path) -> di
     return {PLANT: {FILE: str(folder / table[FILE])}}
 
 
-def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sensitivity: float) -> System:
+def plant_system(
+    path: str, disturbances: Sequence[Port], speeds: Sequence[str], forces: bool, los_sensitivity: float
+) -> System:
     """The system of a file with the ports of an assembled telescope.
 
     Parameters
@@ -77,6 +78,8 @@ def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sens
     path : str
     disturbances : sequence of Port
         Imbalance of the wheels and torques of the drives that the other tables of the parameter file have.
+    speeds : sequence of str
+        Names of the blocks of the wheels' speeds, of which the file has all or none.
     forces : bool
         Whether the telescope has proof-mass actuators; without them ``pma_force`` is an input without effect.
     los_sensitivity : float
@@ -92,11 +95,13 @@ def plant_system(path: str, disturbances: Sequence[Port], forces: bool, los_sens
         content = read_bytes(path)
     except OSError as error:
         raise InputError(f"cannot read the plant {path}: {error.strerror or error}") from None
-    return _completed(path, content, tuple(disturbances), forces, los_sensitivity)
+    return _completed(path, content, tuple(disturbances), tuple(speeds), forces, los_sensitivity)
 
 
 @lru_cache(maxsize=4)
-def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces: bool, sensitivity: float) -> System:
+def _completed(
+    path: str, content: bytes, disturbances: tuple[Port, ...], speeds: tuple[str, ...], forces: bool, sensitivity: float
+) -> System:
     from lftkit import append, connect, read_mat, read_system, static_gain
 
     system = read_system(path) if Path(path).suffix.lower() == ".json" else read_mat(path)
@@ -128,7 +133,6 @@ def _completed(path: str, content: bytes, disturbances: tuple[Port, ...], forces
             inputs=system.inputs,
             outputs={**every, truth.name: (f"plant.{LOS.name}", f"steering.{LOS.name}")},
         )
-    speeds = speed_names(disturbances[0].size // IMBALANCE_CHANNELS)
     turning = {e.name for e in system.elements if SPEED.fullmatch(e.name)}
     if turning and turning != set(speeds):  # those of some of the wheels, or other ones
         raise InputError(f"{path}: blocks must have {', '.join(speeds)} or none, got {', '.join(turning)}")

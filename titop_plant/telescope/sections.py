@@ -21,6 +21,7 @@ from pointing_analysis.files.settings import (
     POSITIVE,
     STRICT,
     CheckedTable,
+    Missing,
     Refused,
     setting,
     settings_class,
@@ -348,8 +349,27 @@ class Broadband(CheckedTable):
 class WheelKind(ReactionWheel):
     """A kind of reaction wheel."""
 
-    maximum_speed: float = setting(..., "largest speed", "rad/s", POSITIVE)
+    maximum_speed: float | None = setting(None, "largest speed", "rad/s", POSITIVE, absent="that of speed_range")
+    speed_range: Vector | None = setting(
+        None, "smallest and largest speed", "rad/s", length=2, absent="both senses of maximum_speed"
+    )
     broadband: Broadband | None = setting(None, "broadband noise", absent="none")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.maximum_speed is None and self.speed_range is None:
+            raise Missing("", "has no 'maximum_speed' or 'speed_range'")
+        if self.maximum_speed is not None and self.speed_range is not None:
+            raise Refused("speed_range", f"must be absent beside maximum_speed, got {list(self.speed_range)}")
+        low, high = self.range
+        if low > high:
+            raise Refused("speed_range", f"must be its smallest and its largest speed, got {[low, high]}")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest and largest speed [rad/s]; equal: the wheel turns at this speed, or stays at rest."""
+        low, high = self.speed_range or (-float(self.maximum_speed or 0.0), float(self.maximum_speed or 0.0))
+        return low, high
 
 
 @settings_class
@@ -377,12 +397,14 @@ class WheelTable(WheelKind):
     name: str = setting(..., "name")
     axis: Vector = setting(..., "direction of the spin", length=3)
     position: Vector = setting((0.0, 0.0, 0.0), "its centre from I_w", "m", length=3)
-    default_speed: float = setting(..., "speed", "rad/s")
+    default_speed: float | None = setting(None, "speed", "rad/s", absent="the only one of its range")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not any(self.axis):
             raise Refused("axis", "must be a direction, got zeros")
+        if self.default_speed is None and self.range[0] < self.range[1]:
+            raise Missing("", "has no 'default_speed'")
 
 
 @settings_class

@@ -219,7 +219,9 @@ class Telescope:
             return None
         forces = bool(self.pma.azimuths_deg)
         file = self._tables[PLANT][FILE]
-        return plant_system(file, self.disturbance_ports, forces, float(self.fsm.los_sensitivity))
+        named = zip(layout.speed_names(len(self.wheels)), self.wheels)
+        speeds = [name for name, wheel in named if wheel.varies]
+        return plant_system(file, self.disturbance_ports, speeds, forces, float(self.fsm.los_sensitivity))
 
     # ---- on board ---------------------------------------------------------------------------------------------------
 
@@ -237,6 +239,11 @@ class Telescope:
     def wheels(self) -> tuple[WheelOnBoard, ...]:
         """Reaction wheels, in the order of the file."""
         return layout.read_wheels(self._tables)
+
+    @property
+    def turning_wheels(self) -> tuple[int, ...]:
+        """Numbers, from 0, of the wheels that are not always at rest: those with imbalance and torque."""
+        return tuple(i for i, wheel in enumerate(self.wheels) if wheel.turns)
 
     @property
     def wheel_axes(self) -> FloatArray:
@@ -383,13 +390,13 @@ class Telescope:
     @property
     def disturbance_ports(self) -> tuple[Port, ...]:
         """Inputs of micro-vibrations: imbalance of the wheels and, where there are drives, their torques."""
-        drives, imbalance = len(self.driven_arrays), layout.imbalance_port(len(self.wheels))
+        drives, imbalance = len(self.driven_arrays), layout.imbalance_port(len(self.turning_wheels))
         return (imbalance, Port(layout.SADM_TORQUE, drives, "Nm")) if drives else (imbalance,)
 
     @property
     def channels(self) -> int:
         """Number of micro-vibration inputs, 22 for the reference."""
-        return layout.IMBALANCE_CHANNELS * len(self.wheels) + len(self.driven_arrays)
+        return layout.IMBALANCE_CHANNELS * len(self.turning_wheels) + len(self.driven_arrays)
 
     # ---- control ----------------------------------------------------------------------------------------------------
 

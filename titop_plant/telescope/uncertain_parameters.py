@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from lftkit.uncertainty.elements import RealParameter
 from titop_plant.physical_settings import ANGLE
-from titop_plant.telescope.layout import MountedBody, WheelOnBoard
+from titop_plant.telescope.layout import MountedBody, WheelOnBoard, speed_names
 from titop_plant.telescope.tables.uncertain import is_factor
 
 SPEED = re.compile(r"wheel_[1-9]\d*\.speed")
@@ -27,22 +27,27 @@ def uncertain_parameters(
 ) -> dict[str, RealParameter]:
     """The varying and uncertain parameters of the telescope, in the order of Delta.
 
-    ``wheel_1.speed`` and so on [rad/s]; of each array the uncertain frequencies ``<parameters>.omega_1`` and so on
-    [rad/s]; ``solar_array.tau`` = tan(theta / 4), one theta for all arrays that turn; of appendages their uncertain
-    frequencies; factors of the table ``[uncertain]``, where there is one. The arrays of the reference share
-    ``solar_array.omega_1`` and ``solar_array.omega_2``.
+    ``wheel_1.speed`` and so on [rad/s] of the wheels whose speeds vary; of each array the uncertain frequencies
+    ``<parameters>.omega_1`` and so on [rad/s]; ``solar_array.tau`` = tan(theta / 4), one theta for all arrays that
+    turn; of appendages their uncertain frequencies; factors of the table ``[uncertain]``, where there is one. The
+    arrays of the reference share ``solar_array.omega_1`` and ``solar_array.omega_2``.
     """
-    result = {}
-    for i, wheel in enumerate(wheels, start=1):
-        name, top = f"wheel_{i}.speed", wheel.maximum_speed
-        result[name] = RealParameter(name, 0.0, -top, top, "rad/s", f"speed of reaction wheel {i}")
-    result |= _frequencies(arrays)
+    speeds = wheel_speeds(wheels)
+    result = {speed.name: speed for speed, wheel in zip(speeds, wheels) if wheel.varies} | _frequencies(arrays)
     turning = [array for array in arrays if array.turns]
     if turning:
         low, high = (math.tan(theta / 4) for theta in turning[0].theta_range)
         about = f"tan(theta/4), theta the angle of {_words(turning, arrays)}"
         result[ANGLE] = RealParameter(ANGLE, 0.0, low, high, "1", about)
     return result | _frequencies(appendages) | dict(factors)
+
+
+def wheel_speeds(wheels: Sequence[WheelOnBoard]) -> list[RealParameter]:
+    """Speed of each wheel [rad/s]; nominal is the middle of its range, so that the map to [-1, 1] is affine."""
+    return [
+        RealParameter(name, 0.5 * sum(wheel.speed_range), *wheel.speed_range, "rad/s", f"speed of reaction wheel {i}")
+        for i, (name, wheel) in enumerate(zip(speed_names(len(wheels)), wheels), start=1)
+    ]
 
 
 def _frequencies(bodies: Sequence[MountedBody]) -> dict[str, RealParameter]:

@@ -31,7 +31,7 @@ def disturbance_weight(telescope: Telescope) -> System:
     """
     table = telescope.weights
     zero, pole = table.wheel_imbalance_zero, table.wheel_imbalance_pole
-    size, bounds = np.tile(table.wheel_imbalance, len(telescope.wheels)), telescope.torque_bounds
+    size, bounds = np.tile(table.wheel_imbalance, len(telescope.turning_wheels)), telescope.torque_bounds
     n, m = size.size, size.size + bounds.size
     D = np.diag(np.r_[size, bounds])
     B = np.hstack([np.eye(n), np.zeros((n, bounds.size))])
@@ -44,7 +44,7 @@ def weight_amplitudes(telescope: Telescope, omega: ArrayLike) -> FloatArray:
     table = telescope.weights
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     high_pass = np.hypot(w, table.wheel_imbalance_zero) / np.hypot(w, table.wheel_imbalance_pole)
-    wheels = high_pass[:, None] * np.tile(table.wheel_imbalance, len(telescope.wheels))
+    wheels = high_pass[:, None] * np.tile(table.wheel_imbalance, len(telescope.turning_wheels))
     return np.hstack([wheels, np.tile(telescope.torque_bounds, (w.size, 1))])
 
 

@@ -14,6 +14,7 @@ from oracles import any_spacecraft as oracle
 from oracles.accurate_response import accurate_response
 from oracles.kinematic_elimination import about_point, carry, index_slices, turn
 from scipy import linalg
+from support.spacecraft import write
 
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.load import load_telescope
@@ -91,23 +92,6 @@ BEARINGS: dict[str, Any] = {
     },
 }
 LAYOUTS = {"none": NONE, "unlike": UNLIKE, "bearings": BEARINGS}
-
-
-def toml(value: Any) -> str:
-    """A value as TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {toml(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else repr(value)
-
-
-def write(folder: Path, layout: dict[str, Any]) -> Path:
-    path = folder / "mine.toml"
-    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in layout.items()) + "\n", encoding="utf-8")
-    return path
 
 
 @pytest.fixture(scope="module", params=list(LAYOUTS))

@@ -24,7 +24,7 @@ from titop_plant.telescope.sections import (
     WheelKind,
     WheelTable,
 )
-from titop_plant.telescope.tables.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import ParameterFile, without_alternatives
 from titop_plant.telescope.tables.placed_devices import DEVICES, check_device_keys, check_devices
 
 Table = dict[str, Any]
@@ -188,7 +188,7 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
 def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
     """Tables of wheels; what they leave out is that of the reference's wheels."""
     kind = {key: value for key, value in reference[WHEELS].items() if key in WheelKind.SETTINGS}
-    wheels = [{**kind, "position": [0.0, 0.0, 0.0], **table} for table in tables]
+    wheels = [without_alternatives({**kind, "position": [0.0, 0.0, 0.0], **table}, table) for table in tables]
     for i, table in enumerate(wheels):
         with file.refusals(f"{WHEELS}[{i}]"):
             WheelTable.of_table(table)
@@ -249,16 +249,16 @@ def _check_shared(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
     table, wheels = whole[WHEELS], read_wheels(whole)
-    axes = np.array([wheel.axis for wheel in wheels])
-    rank = 3 - linalg.null_space(axes, rcond=1e-6).shape[1] if wheels else 0
+    axes = np.array([wheel.axis for wheel in wheels if wheel.turns])
+    rank = 3 - linalg.null_space(axes, rcond=1e-6).shape[1] if len(axes) else 0
     if rank < 3:
-        got = f"{len(wheels)} wheels with axes of rank {rank}"
-        raise file.error(WHEELS, f"must have axes that span the space, got {got}")
+        got = f"{len(axes)} wheels with axes of rank {rank}"
+        raise file.error(WHEELS, f"must have turning wheels with axes that span the space, got {got}")
     for i, wheel in enumerate(wheels):
-        if abs(wheel.default_speed) > wheel.maximum_speed:
+        low, high = wheel.speed_range
+        if not low <= wheel.default_speed <= high:
             key = f"{WHEELS}.default_speed" if isinstance(table, Mapping) else f"{WHEELS}[{i}].default_speed"
-            limit = f"{-wheel.maximum_speed:g} and {wheel.maximum_speed:g} rad/s"
-            raise file.error(key, f"must be between {limit}, got {wheel.default_speed:g}")
+            raise file.error(key, f"must be between {low:g} and {high:g} rad/s, got {wheel.default_speed:g}")
 
 
 def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:

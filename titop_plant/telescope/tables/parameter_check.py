@@ -26,6 +26,8 @@ OPEN: Mapping[str, str] = {"body.ports.": "", "body.sections.": "bracket_"}
 REPLACE = "replace"
 """Key of a user's table: the lists of named tables, for instance equipment, that replace those of the reference."""
 
+ALTERNATIVES = (("position", "node"), ("speed_range", "maximum_speed"))
+"""Keys of which a table has one, so that the one of the user's table takes the place of the other."""
 LISTS: Mapping[str, type[CheckedTable]] = {"equipment": Equipment, "requirement": RequirementTable}
 """Classes of the tables of lists in which a name is given once."""
 
@@ -109,7 +111,7 @@ class ParameterFile:
                 if prefix == "sensors.":
                     self.check(name, key, like, value)
                 result[key] = value
-        return result
+        return without_alternatives(result, over)
 
     def _model(self, name: str, key: str, prefix: str, base: Mapping[str, Any]) -> Any:
         """Value of the reference that one with a name of the user must be like; None where none may be added."""
@@ -140,9 +142,7 @@ class ParameterFile:
         for i, item in enumerate(value):
             stated = item.get("name")
             merged = dict(item) if replaced or not isinstance(stated, str) else {**by_name.get(stated, {}), **item}
-            for one, other in (("position", "node"), ("node", "position")):
-                if one in item and other not in item:
-                    merged.pop(other, None)
+            merged = without_alternatives(merged, item)
             with self.refusals(f"{name}[{i}]"):
                 kind.of_table(merged)
             if stated in named and not replaced:
@@ -172,6 +172,14 @@ class ParameterFile:
                 raise self.error(name, f"must not be negative, got {value!r}")
             if key in RATES and whole_ticks(value) is None:
                 raise self.error(name, f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {value!r} Hz")
+
+
+def without_alternatives(merged: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A merged table without the keys in place of which the user's table has others."""
+    replaced = {
+        other for pair in ALTERNATIVES for one, other in (pair, pair[::-1]) if one in over and other not in over
+    }
+    return {key: value for key, value in merged.items() if key not in replaced}
 
 
 def _named(base: Mapping[str, Any]) -> list[str]:

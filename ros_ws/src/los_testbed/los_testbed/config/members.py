@@ -9,7 +9,7 @@ are those of the parameter file.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -219,15 +219,22 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
             _within("tau", table[ANGLE], config.tau)
         for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
             _within_angle(table[ANGLE], angle, when)
-    if speed_names(1)[0] not in table:  # of a plant from a file: the speeds are those of its tones alone
-        return
-    for i, speed in enumerate(config.wheel_speed or (), start=1):
-        _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
+    _check_speeds(config.wheel_speed or (), telescope)
     if config.wheel_acceleration and config.ramp_duration:
         speeds = start_speeds(config, telescope)
-        for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
-            end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
-            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
+        ends = [speed + gain * config.ramp_duration for speed, gain in zip(speeds, config.wheel_acceleration)]
+        _check_speeds(ends, telescope, " at the end of the ramp")
+
+
+def _check_speeds(speeds: Iterable[float], telescope: Telescope, when: str = "") -> None:
+    """Refuse speeds of wheels out of their ranges; a plant from a file may have none, they are those of its tones."""
+    table = telescope.uncertain
+    for i, (speed, wheel) in enumerate(zip(speeds, telescope.wheels), start=1):
+        if parameter := table.get(f"wheel_{i}.speed"):
+            _within(f"wheel_speed (wheel {i})", parameter, speed, when)
+        elif not wheel.varies and speed != wheel.default_speed:
+            only = f"{wheel.default_speed:g} rad/s"
+            raise InputError(f"wheel_speed (wheel {i}) must be its only speed, {only}, got {speed:g} rad/s{when}")
 
 
 def _check_profile(config: RunConfig, telescope: Telescope, table: Mapping[str, RealParameter]) -> None:
@@ -235,9 +242,7 @@ def _check_profile(config: RunConfig, telescope: Telescope, table: Mapping[str, 
         when = f" at {time:g} s of {config.profile}"
         if ANGLE in table:
             _within_angle(table[ANGLE], theta, when)
-        for i, speed in enumerate(speeds, start=1):
-            if (name := f"wheel_{i}.speed") in table:
-                _within(f"wheel_speed (wheel {i})", table[name], speed, when)
+        _check_speeds(speeds, telescope, when)
 
 
 def _setting_of(name: str, config: RunConfig) -> str:
