@@ -19,7 +19,7 @@ from titop_plant.telescope.layout import APPENDAGES, ARRAYS, MountedBody
 from titop_plant.telescope.plant_file import PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
 from titop_plant.telescope.tables.parameter_check import ParameterFile
-from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_spreads
+from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_entries
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
 
 if sys.version_info >= (3, 11):
@@ -79,7 +79,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     merged = with_guide_camera(merged, content, file)
     merged |= checked_layout(mounted, merged, reference, file)
     if spreads:
-        merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
+        merged[UNCERTAIN] = checked_entries(spreads, file, merged)
     for name in OWN_BODIES:
         if merged[name]["modal_data"]:
             check_modal_file(name, merged[name], file)

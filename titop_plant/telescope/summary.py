@@ -13,6 +13,7 @@ from lftkit.arrays import FloatArray
 from titop_plant.structures.kinematics import rigid_properties
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
 from titop_plant.telescope.telescope import Telescope
 
@@ -52,8 +53,10 @@ class PlantSummary:
     order : int
         Number of states.
     occurrences : dict
-        Number of repetitions of each parameter in Delta.
+        Number of repetitions of each parameter in Delta, those of gains of sensors included.
     parameters : tuple of RealParameter
+    roles : dict
+        Of each parameter, see :mod:`titop_plant.telescope.tables.uncertain`.
     hurwitz : bool
         Whether every pole has a negative real part.
     slowest_pole : float
@@ -75,6 +78,7 @@ class PlantSummary:
     order: int
     occurrences: dict[str, int]
     parameters: tuple[RealParameter, ...]
+    roles: dict[str, str]
     hurwitz: bool
     slowest_pole: float
     largest_real_part: float
@@ -103,7 +107,13 @@ class PlantSummary:
             "min_residual_mass": {b.name: b.min_residual_mass for b in self.bodies},
             "min_residual_fraction": {b.name: b.min_residual_fraction for b in self.bodies},
             "parameters": {
-                p.name: {"nominal": p.nominal, "lower": p.lower, "upper": p.upper, "unit": p.unit}
+                p.name: {
+                    "nominal": p.nominal,
+                    "lower": p.lower,
+                    "upper": p.upper,
+                    "unit": p.unit,
+                    "role": self.roles[p.name],
+                }
                 for p in self.parameters
             },
             "bodies": {b.name: {"mass": b.mass, "modes": b.modes, "frequencies": b.frequencies} for b in self.bodies},
@@ -127,8 +137,9 @@ def summarise(telescope: Telescope) -> PlantSummary:
     mass, centre, _ = rigid_properties(assembled.rigid_mass)
     return PlantSummary(
         order=system.order,
-        occurrences=system.occurrences(),
-        parameters=system.parameters,
+        occurrences=with_sensors(system, telescope).occurrences(),
+        parameters=tuple(telescope.uncertain.values()),
+        roles=dict(telescope.roles),
         hurwitz=bool(poles.real.max() < 0.0),
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),

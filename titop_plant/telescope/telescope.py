@@ -51,8 +51,18 @@ from titop_plant.telescope.sections import (
     ProofMassTable,
     WeightTable,
 )
-from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
-from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
+from titop_plant.telescope.tables.uncertain import (
+    CONSTANT,
+    OPERATING,
+    SPREAD,
+    UNCERTAIN,
+    Entry,
+    factors,
+    require_modes,
+    spread_and_role,
+    spread_of,
+)
+from titop_plant.telescope.uncertain_parameters import box_corners, moves, uncertain_parameters
 
 if TYPE_CHECKING:
     from lftkit.systems.system import System
@@ -444,9 +454,27 @@ class Telescope:
     # ---- uncertainty ------------------------------------------------------------------------------------------------
 
     @property
+    def _entries(self) -> dict[str, Entry]:
+        """Entries of the table of uncertain factors."""
+        return dict(self._tables.get(UNCERTAIN, {}))
+
+    @property
     def spreads(self) -> Mapping[str, float]:
         """Half-widths of the uncertain factors by entry."""
-        return dict(self._tables.get(UNCERTAIN, {}))
+        return {name: spread_and_role(entry)[0] for name, entry in self._entries.items()}
+
+    @property
+    def roles(self) -> Mapping[str, str]:
+        """Role of each uncertain parameter, see :mod:`titop_plant.telescope.tables.uncertain`.
+
+        Examples
+        --------
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> [load_telescope().roles[name] for name in ("wheel_1.speed", "solar_array.tau", "solar_array.omega_1")]
+        ['operating', 'operating', 'constant']
+        """
+        stated = {name: spread_and_role(entry)[1] for name, entry in self._entries.items()}
+        return {name: OPERATING if moves(name) else stated.get(name, CONSTANT) for name in self.uncertain}
 
     @cached_property
     def factors(self) -> Mapping[str, RealParameter]:
@@ -477,7 +505,10 @@ class Telescope:
         ValueError
             Another form, an unknown entry, a half-width out of its range, a mode that is none.
         """
-        table = {**self.spreads, **dict(map(spread_of, spreads))}
+        table = self._entries | {
+            name: {**entry, SPREAD: spread} if isinstance(entry := self._entries.get(name), dict) else spread
+            for name, spread in map(spread_of, spreads)
+        }
         if table and self.plant is not None:
             raise InputError(f"uncertain entries must be blocks of the plant's file, got {', '.join(table)}")
         require_modes(table, self._tables)

@@ -5,7 +5,10 @@ Each entry is a factor about 1 of what it names, with a half-width::
     [uncertain]
     isolator.stiffness = 0.10     # all six stiffnesses of the isolator, 10 % less to 10 % more
     camera_los.gain = 0.05
-    payload.frequency_1 = 0.03
+    payload.frequency_1 = { spread = 0.03, role = "operating" }
+
+The role says how the value differs among members: a `CONSTANT` is one number of a spacecraft, which measurements can
+tell better; an `OPERATING` parameter is driven through its range, as the speeds of wheels and the angle of arrays are.
 
 ========================  ============================================================================================
 entry                     what it multiplies
@@ -47,6 +50,12 @@ MODAL = re.compile(rf"({'|'.join(BODIES)})\.({DAMPING_OF}|(?:{FREQUENCY_OF}|{DAM
 """Of modes of the central body and the payload: body, kind, number; without a number all of them."""
 LARGEST = 0.9
 """Half-width of a factor: none may be zero."""
+SPREAD, ROLE = "spread", "role"
+"""Keys of an entry that is a table."""
+CONSTANT, OPERATING = ROLES = ("constant", "operating")
+"""Roles of parameters."""
+Entry = float | dict[str, Any]
+"""Half-width of a constant factor, or a table."""
 
 
 def spread_of(text: str) -> tuple[str, float]:
@@ -91,21 +100,43 @@ def checked(name: str, spread: Any) -> str:
     return name
 
 
-def checked_spreads(table: Any, file: ParameterFile, tables: Mapping[str, Any]) -> dict[str, float]:
-    """Half-widths by entry, of a table of a file with these other tables.
+def spread_and_role(entry: Entry) -> tuple[float, str]:
+    """Half-width and role of a checked entry."""
+    return (entry[SPREAD], entry[ROLE]) if isinstance(entry, dict) else (entry, CONSTANT)
+
+
+def _checked_entry(name: str, entry: Any) -> Entry:
+    """An entry of a file: a number where the role is constant, as before there were roles."""
+    table = entry if isinstance(entry, dict) else {SPREAD: entry}
+    if not {SPREAD} <= set(table) <= {SPREAD, ROLE}:
+        raise InputError(
+            f"uncertain {name} must have {SPREAD} and may have {ROLE}, got {', '.join(table) or 'nothing'}"
+        )
+    spread, role = table[SPREAD], table.get(ROLE, CONSTANT)
+    checked(name, spread)
+    if role not in ROLES:
+        raise InputError(f"uncertain {name} must have a {ROLE} that is one of {', '.join(ROLES)}, got {role!r}")
+    return float(spread) if role == CONSTANT else {SPREAD: float(spread), ROLE: role}
+
+
+def checked_entries(table: Any, file: ParameterFile, tables: Mapping[str, Any]) -> dict[str, Entry]:
+    """Half-widths and roles by entry, of a table of a file with these other tables.
 
     Raises
     ------
     ValueError
-        Not a table, an unknown entry, a half-width out of its range, a mode that is none; the message names the file.
+        Not a table, an unknown entry or key, a half-width out of its range, a role or mode that is none; the message
+        names the file.
     """
     if not isinstance(table, dict):
         raise file.error(UNCERTAIN, f"must be a table, got {table!r}")
-    nested = ((key, value if isinstance(value, dict) else {"": value}) for key, value in table.items())
-    flat = {f"{key}.{inner}" if inner else key: spread for key, values in nested for inner, spread in values.items()}
+    nested = (
+        (key, value if isinstance(value, dict) and not is_factor(key) else {"": value}) for key, value in table.items()
+    )
+    flat = {f"{key}.{inner}" if inner else key: entry for key, values in nested for inner, entry in values.items()}
     try:
         require_modes(flat, tables)
-        return {checked(name, spread): float(spread) for name, spread in flat.items()}
+        return {name: _checked_entry(name, entry) for name, entry in flat.items()}
     except ValueError as error:
         raise file.error(UNCERTAIN, f"is not valid: {error}") from None
 

@@ -226,7 +226,7 @@ def show(console: Console, summary: PlantSummary) -> None:
         console.print(f"mass {summary.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
         console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
     console.print(
-        _table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(summary))
+        _table("parameters", ("parameter", "in Delta", "nominal", "range", "unit", "role"), _parameters(summary))
     )
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
     if summary.bodies:
@@ -239,14 +239,15 @@ def show(console: Console, summary: PlantSummary) -> None:
 
 def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> ScreenTable:
     cells = [tuple(digits(x, 4) if isinstance(x, float) else str(x) for x in row) for row in rows]
-    return on_screen(TextTable.of((heads[0], *numbers(*heads[1:])), cells, title))
+    return on_screen(TextTable.of((heads[0], *numbers(*heads[1:])), cells, title), whole=heads[:1])
 
 
 def _parameters(summary: PlantSummary) -> list[tuple[Any, ...]]:
-    return [
-        (p.name, summary.occurrences[p.name], p.nominal, p.lower, p.upper, "" if p.unit == "1" else p.unit)
-        for p in summary.parameters
-    ]
+    rows: list[tuple[Any, ...]] = []
+    for p in summary.parameters:
+        span = f"{digits(p.lower, 4)} .. {digits(p.upper, 4)}"
+        rows.append((p.name, summary.occurrences[p.name], p.nominal, span, p.in_unit.strip(), summary.roles[p.name]))
+    return rows
 
 
 def _bodies(summary: PlantSummary) -> list[tuple[Any, ...]]:
