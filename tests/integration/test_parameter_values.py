@@ -29,7 +29,14 @@ from titop_plant.simulation.plant_config import parameter_values, stated_values
 from titop_plant.telescope.load import load_telescope
 
 SPREADS = "[uncertain]\nisolator.stiffness = 0.1\nisolator.damping = 0.5\ncamera_los.gain = 0.05\n"
-MEMBER = {"isolator.stiffness": 1.03, "isolator.damping": 0.6, "wheel_2.speed": 120.0, "solar_array.tau": 0.2}
+SPREADS += "solar_array.damping = 0.5\n"
+MEMBER = {
+    "isolator.stiffness": 1.03,
+    "isolator.damping": 0.6,
+    "solar_array.damping": 0.7,
+    "wheel_2.speed": 120.0,
+    "solar_array.tau": 0.2,
+}
 SHORT = {"mode": "inprocess", "duration": 0.5, "loop": "fsm+pma", "noise": False}
 
 
@@ -40,7 +47,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     uncertain, certain = folder / "uncertain.toml", folder / "certain.toml"
     uncertain.write_text(SPREADS)
     stiffness, damping = [1.03 * k for k in table.stiffness], [0.6 * d for d in table.damping]
-    certain.write_text(f"[isolator]\nstiffness = {stiffness}\ndamping = {damping}\n")
+    arrays = f"[solar_array]\ndamping = {0.7 * load_telescope().to_mapping()['solar_array']['damping']!r}\n"
+    certain.write_text(f"{arrays}[isolator]\nstiffness = {stiffness}\ndamping = {damping}\n")
     return str(uncertain), str(certain)
 
 
@@ -97,7 +105,7 @@ def test_members_of_stages_and_campaigns_have_the_values(files: tuple[str, str],
     asked = Campaign.of(base, "uniform", 2, 1, "time", {})
     assert asked.parameters.columns == (
         *("tau", "wheel_speed_1", "wheel_speed_3", "wheel_speed_4"),
-        *("omega_1", "omega_2", "isolator.damping", "camera_los.gain"),
+        *("omega_1", "omega_2", "isolator.damping", "camera_los.gain", "solar_array.damping"),
     )
     row = next(asked.chunks())[1][0]
     config = replace(base, **asked.parameters.settings(row))
@@ -171,3 +179,12 @@ def test_a_search_of_members_keeps_the_values(files: tuple[str, str], monkeypatc
     whole = RunParts(replace(base, scenario="design")).implemented_loop()
     for own, other in zip(loop.sampled_at(rest)[0].matrices, whole.sampled_at({**rest, **stated})[0].matrices):
         np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+def test_a_hard_mounted_payload_has_no_isolator(files: tuple[str, str], tmp_path: Path) -> None:
+    """The stage none runs with the parameters that it has."""
+    stated = {"parameters": files[0], "loop": "none", "scenario": "imbalance", "wheel_speed": [100.0] * 4}
+    own = {"solar_array.damping": 0.7, "isolator.stiffness": 1.03}
+    found = los_of({**stated, "parameter_values": own}, tmp_path / "named")
+    expected = los_of({**stated, "parameters": files[1]}, tmp_path / "certain")
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()

@@ -21,11 +21,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit import Port, System, connect, static_gain
+from lftkit import Port, RealParameter, System, connect, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import on_revolute_joint, position_commanded
+from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.structures.modal_data import from_inertia
 
 
@@ -52,8 +53,11 @@ class FastSteeringMirror:
     center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> System:
+def fast_steering_mirror(data: FastSteeringMirror, point: str = "If", stiffness: RealParameter | None = None) -> System:
     """TITOP block of a fast steering mirror (ports: see the module).
+
+    `stiffness` is an uncertain factor k of that of both joints (2 occurrences): **the torque by a command stays, so
+    that the static gain from command to angle is 1 / k.**
 
     Examples
     --------
@@ -79,15 +83,19 @@ def fast_steering_mirror(data: FastSteeringMirror, point: str = "If") -> System:
     command, angle = Port("fsm_command", 2, "rad"), Port("fsm_angle", 2, "rad")
     xy = [Port("x", 1, "rad"), Port("y", 1, "rad")]
     accel, wrench = ports.accel(point).name, ports.wrench(point).name
+    known = {} if stiffness is None else {"springs": uncertain_gain(angle, stiffness)}
     return connect(
         {
+            **known,
             "split": static_gain(np.eye(2), [command], xy),
             "mirror": block,
             "join": static_gain(np.eye(2), xy, [angle]),
         },
         [
             (accel, f"mirror.{accel}"),
-            (command.name, "split.fsm_command"),
+            # a torque -(k - 1) K angle is that of the command -(k - 1) angle
+            ((command.name, *(("join.fsm_angle", "-springs.fsm_angle") if known else ())), "split.fsm_command"),
+            *([("join.fsm_angle", "springs.fsm_angle")] if known else []),
             ("split.x", "mirror.command_x"),
             ("split.y", "mirror.command_y"),
             ("mirror.angle_x", "join.x"),

@@ -46,7 +46,7 @@ def flexible_body(
     deflections: Collection[str] = (),
     frequencies: Mapping[int, RealParameter] | None = None,
     dampings: Mapping[int, RealParameter] | None = None,
-    relative: bool = False,
+    relative: Collection[str] = (),
 ) -> System:
     """TITOP block of a flexible body (ports and assumptions: see the module).
 
@@ -61,8 +61,8 @@ def flexible_body(
     frequencies, dampings : mapping
         Mode index to the parameter that replaces the frequency [rad/s] (2 occurrences) or the damping
         ratio (1 occurrence) of this mode.
-    relative : bool
-        The parameters are factors of the frequencies and damping ratios of `data`; several modes may share one.
+    relative : collection of str
+        Names of the parameters that are factors of the values of `data`; several modes may share one.
 
     Returns
     -------
@@ -94,9 +94,10 @@ def flexible_body(
     for name in deflections:
         data.child(name)
     w, z = data.frequencies.copy(), data.damping.copy()
-    units = (w.copy(), z.copy()) if relative else (np.ones(n), np.ones(n))
+    units = (np.ones(n), np.ones(n))
     for values, unit, known in zip((w, z), units, (omega, zeta)):
         for mode, parameter in known.items():
+            unit[mode] = values[mode] if parameter.name in relative else 1.0
             values[mode] = unit[mode] * parameter.nominal
     channels, Bd, Cd = _modal_parameters(n, w, z, omega, zeta, units)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(w**2), -np.diag(2 * z * w)]])

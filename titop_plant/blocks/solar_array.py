@@ -20,8 +20,8 @@ with corner frequency sqrt(k / J). Source: the paper, "Full spacecraft assembly"
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def solar_array(
     data: SolarArray,
     point: str,
     tau: RealParameter | None,
-    frequencies: Mapping[int, RealParameter] | None = None,
+    **uncertain: Any,
 ) -> System:
     """TITOP block of a solar array on its drive (ports: see the module).
 
@@ -75,10 +75,10 @@ def solar_array(
         Name of the interface on the spacecraft.
     tau : RealParameter or None
         tan(theta / 4); None for a drive that is held at the angle of `data`.
-    frequencies : mapping
-        Mode index to uncertain frequency [rad/s].
+    **uncertain
+        Uncertain frequencies and damping ratios, as :func:`titop_plant.blocks.flexible_body.flexible_body` takes them.
     """
-    array = flexible_body(data.modes, frequencies=frequencies)
+    array = flexible_body(data.modes, **uncertain)
     attached = mounted(array, data.modes.parent, point, dcm=data.dcm)
     driven = on_revolute_joint(
         attached,

@@ -125,7 +125,7 @@ def _in_order(frequencies: tuple[float, ...] | None, telescope: Telescope) -> di
     """The values of the uncertain frequencies of all bodies."""
     if frequencies is None:
         return {}
-    names, count = further_parameters(telescope.uncertain), len(frequencies)
+    names, count = further_parameters(telescope.uncertain, telescope.factors), len(frequencies)
     if len(names) != count:
         raise InputError(f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {count}")
     return dict(zip(names, frequencies))

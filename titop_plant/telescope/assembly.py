@@ -77,7 +77,7 @@ from titop_plant.telescope.placed.mounting import (
     sensor_wires,
 )
 from titop_plant.telescope.places import PAYLOAD_NODES, body_of
-from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors_of_modes
+from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, MIRROR, STIFFNESS, factors_of_modes
 from titop_plant.telescope.telescope import Telescope
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
@@ -223,7 +223,9 @@ def _driven_at_G(
         "platform": _platform(telescope, isolated),
         "payload": _flexible(telescope, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
         "fsm": fast_steering_mirror(
-            FastSteeringMirror(fsm.mass, np.diag(fsm.inertia), fsm.stiffness, fsm.damping), "I_f"
+            FastSteeringMirror(fsm.mass, np.diag(fsm.inertia), fsm.stiffness, fsm.damping),
+            "I_f",
+            telescope.factors.get(MIRROR),
         ),
         "optics": line_of_sight(telescope),
         "steering": static_gain(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lftkit import RealParameter, System
+from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from titop_plant.blocks.flexible_body import flexible_body
@@ -29,6 +31,7 @@ from titop_plant.structures.residual_mass import (
     repair_residual_mass,
 )
 from titop_plant.telescope.layout import MountedBody
+from titop_plant.telescope.tables.uncertain import factors_of_modes
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.uncertain_parameters import wheel_speeds
 
@@ -73,11 +76,13 @@ def body_modes(body: MountedBody) -> ModalData:
     return add_residual_modes(repair_residual_mass(printed).data, modes)
 
 
-def uncertain_modes(body: MountedBody, telescope: Telescope) -> dict[int, RealParameter]:
-    """Modes of a mounted body whose frequency is uncertain, by their place in its modal data."""
+def uncertain_modes(body: MountedBody, telescope: Telescope, modes: int) -> Mapping[str, Any]:
+    """Uncertain modes of a mounted body with so many, as arguments of its block: frequencies [rad/s], and factors."""
     known = telescope.uncertain
-    names = ((i, f"{body.parameters}.omega_{i + 1}") for i in range(len(known)))
-    return {i: known[name] for i, name in names if name in known}
+    names = ((i, f"{body.parameters}.omega_{i + 1}") for i in range(modes))
+    frequencies = {i: known[name] for i, name in names if name in known}
+    factors = factors_of_modes(telescope.factors, body.parameters, modes)
+    return {**factors, "frequencies": {**factors["frequencies"], **frequencies}}
 
 
 def array_block(telescope: Telescope, array: MountedBody) -> System:
@@ -88,16 +93,17 @@ def array_block(telescope: Telescope, array: MountedBody) -> System:
     System
         Ports of :mod:`titop_plant.blocks.solar_array`; without a drive ``accel_<P>`` and ``wrench_<P>`` alone.
     """
-    frequencies, fixed = uncertain_modes(array, telescope), array.theta_range[0]
+    modes, fixed = body_modes(array), array.theta_range[0]
+    uncertain = uncertain_modes(array, telescope, modes.n_modes)
     axis, dcm, drive = np.array(array.axis, dtype=float), array.dcm, array.drive
     if not array.turns and fixed:
         dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
     if drive is None:
-        return _clamped(body_modes(array), array.point, dcm, frequencies)
+        return _clamped(modes, array.point, dcm, uncertain)
     rotor = drive_rotor(array)
-    data = SolarArray(body_modes(array), axis, dcm, drive.gearbox_stiffness, drive.gearbox_damping, rotor)
+    data = SolarArray(modes, axis, dcm, drive.gearbox_stiffness, drive.gearbox_damping, rotor)
     tau = telescope.uncertain[ANGLE] if array.turns else None
-    return solar_array(data, array.point, tau, frequencies)
+    return solar_array(data, array.point, tau, **uncertain)
 
 
 def drive_rotor(array: MountedBody) -> DriveRotor | None:
@@ -110,11 +116,12 @@ def drive_rotor(array: MountedBody) -> DriveRotor | None:
 
 def appendage_block(telescope: Telescope, body: MountedBody) -> System:
     """Flexible appendage, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
-    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, telescope))
+    modes = body_modes(body)
+    return _clamped(modes, body.point, body.dcm, uncertain_modes(body, telescope, modes.n_modes))
 
 
-def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
-    return mounted(flexible_body(modes, frequencies=frequencies), modes.parent, point, dcm=dcm)
+def _clamped(modes: ModalData, point: str, dcm: FloatArray, uncertain: Mapping[str, Any]) -> System:
+    return mounted(flexible_body(modes, **uncertain), modes.parent, point, dcm=dcm)
 
 
 def wheel_components(telescope: Telescope) -> list[MountedWheel]:

@@ -6,12 +6,11 @@ import itertools
 import math
 import random
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from lftkit.uncertainty.elements import RealParameter
 from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard, speed_names
-from titop_plant.telescope.tables.uncertain import is_factor
 
 SPEED = re.compile(r"wheel_[1-9]\d*\.speed")
 """Names of the speeds of wheels."""
@@ -87,15 +86,15 @@ def moves(name: str) -> bool:
     return SPEED.fullmatch(name) is not None or name == ANGLE
 
 
-def further_parameters(names: Iterable[str]) -> list[str]:
-    """Parameters that a run sets by ``frequencies``: neither speeds of wheels, nor the arrays' angle, nor factors.
+def further_parameters(names: Iterable[str], factors: Collection[str]) -> list[str]:
+    """Parameters that a run sets by ``frequencies``: neither speeds of wheels, nor the arrays' angle, nor `factors`.
 
     Examples
     --------
-    >>> further_parameters(["wheel_1.speed", "solar_array.omega_1", "solar_array.tau", "isolator.stiffness"])
-    ['solar_array.omega_1']
+    >>> further_parameters(["wheel_1.speed", "solar_array.tau", "wing.omega_1", "fsm.stiffness"], ["fsm.stiffness"])
+    ['wing.omega_1']
     """
-    return [name for name in names if not (moves(name) or is_factor(name))]
+    return [name for name in names if not (moves(name) or name in factors)]
 
 
 def box_corners(box: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

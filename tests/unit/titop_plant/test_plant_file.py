@@ -121,7 +121,7 @@ def test_a_file_of_matlab_is_the_telescope_that_it_was_made_of(written: Callable
     """Another telescope, normalised, signals with MATLAB's labels; a parameter without a name of the testbed."""
     telescope = load_telescope(written(matlab(small, {"panel.omega_1": "k1"})))
     assert telescope.plant is not None and telescope.stages == ("isolator", "fsm")
-    assert further_parameters(telescope.uncertain) == ["k1"]
+    assert further_parameters(telescope.uncertain, telescope.factors) == ["k1"]
     values = parameter_values(PlantConfig(disturbance=False, frequencies=(20.5,)), telescope)
     assert values == {"wheel_1.speed": 180.0, "wheel_2.speed": 180.0, "wheel_3.speed": 180.0, "k1": 20.5}
     found = telescope.plant.at(values)

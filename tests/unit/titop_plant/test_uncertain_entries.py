@@ -113,3 +113,62 @@ def test_modes_that_are_none_or_counted_twice_are_refused(texts: list[str], mess
     file.write_text("[uncertain]\n" + "".join(text.replace("%", "e-2\n") for text in texts))
     with pytest.raises(ValueError, match=rf"mine\.toml.*{message}"):
         load_telescope(file)
+
+
+SHARED = {
+    "solar_array.damping": 0.6,
+    "solar_array.frequency_3": 1.05,
+    "fsm.stiffness": 1.1,
+    "payload.frequency": 0.98,
+}
+
+
+def test_array_modes_mirror_and_all_modes_of_a_body_are_those_of_changed_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a telescope assembled with these numbers; the mirror's torque by a command stays."""
+    reference = load_telescope()
+    system = plant(reference.with_uncertain([f"{name}=50%" for name in SHARED]))
+    arrays = reference.to_mapping()["solar_array"]
+    counted = {p.name: system.channels.count(p.name) for p in system.parameters if p.name in SHARED}
+    modes = len(arrays["frequencies"]) + len(arrays["further_modes"])
+    assert counted == {"fsm.stiffness": 2, "payload.frequency": 72, "solar_array.damping": 2 * modes} | {
+        "solar_array.frequency_3": 4
+    }
+    member = system.at({**SHARED, "wheel_1.speed": 500.0, "solar_array.tau": 0.4})
+    first, *others = arrays["further_modes"]
+    further = [{**first, "frequency": 1.05 * first["frequency"]}, *others]
+    other = reference.changed(
+        {
+            "solar_array": {"damping": 0.6 * arrays["damping"], "further_modes": further},
+            "fsm": {"stiffness": 1.1 * reference.fsm.stiffness},
+        }
+    )
+    build = assembly.build_payload
+    monkeypatch.setattr(
+        assembly,
+        "build_payload",
+        lambda *asked: dataclasses.replace(build(*asked), frequencies=0.98 * build(*asked).frequencies),
+    )
+    whole = plant(other).at({"wheel_1.speed": 500.0, "solar_array.tau": 0.4})
+    scale = np.ones(member.D.shape[1])
+    scale[COLUMNS["fsm_command"]] = 1.0 / 1.1
+    omega = np.array([0.3, 0.8, 8.0, 16.0, 340.0, 900.0])
+    found, expected = (accurate_response(s.A, s.B, s.C, s.D, omega) for s in (member, whole))
+    expected = expected * scale
+    size = np.abs(expected).max(axis=2, keepdims=True) + 1e-300
+    assert np.abs((found - expected) / size).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["wing.damping=50%"], "must be of one of body, payload, solar_array, got wing"),
+        (["solar_array.frequency_2=5%"], r"without a parameter of their own, got that of solar_array\.omega_2"),
+        (["solar_array.frequency=5%"], r"got that of solar_array\.omega_1"),
+        (["solar_array.damping_7=5%"], "one of the 6 modes, got mode 7"),
+    ],
+)
+def test_other_modes_of_arrays_are_refused(texts: list[str], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_telescope().with_uncertain(texts)

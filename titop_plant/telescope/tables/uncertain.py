@@ -18,9 +18,12 @@ entry                     what it multiplies
 ``fsm_command.gain``      commands as the mirror carries them out
 ``pma_force.gain``        forces of the proof-mass actuators, together
 ``<measured>.gain``       a measured port: ``accel_Ip``, ``accel_M1``, ``accel_M2``, ``camera_los``, ``fsm_angle``
-``body.frequency_1``      clamped frequency of the central body's first mode, and so on; ``payload.frequency_1``
-``body.damping_1``        damping ratio of that mode; ``payload.damping_1``
-``body.damping``          damping ratios of all modes of the central body, together; ``payload.damping``
+``fsm.stiffness``         the stiffness of both joints of the mirror; torques by commands stay
+``body.frequency_1``      clamped frequency of the central body's first mode, and so on
+``body.frequency``        clamped frequencies of all its modes, together: one stiffness, or one mass
+``body.damping_1``        damping ratio of that mode
+``body.damping``          damping ratios of all its modes, together
+``payload.*``, ``<p>.*``  the same of the payload, and of arrays and appendages with ``<p>`` before their parameters
 ========================  ============================================================================================
 
 They are channels of the telescope's Delta behind those that are always there, for everything that uses them: searches,
@@ -29,6 +32,7 @@ designs, verification, proofs, and members of the family in runs.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -36,18 +40,19 @@ from typing import Any
 from lftkit.errors import InputError
 from lftkit.uncertainty.elements import RealParameter
 from titop_plant.interface import COMMANDED, MEASURED
+from titop_plant.telescope.layout import MountedBody, read_appendages, read_arrays
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 UNCERTAIN = "uncertain"
 """Name of the table."""
-STIFFNESS, DAMPING = "isolator.stiffness", "isolator.damping"
+STIFFNESS, DAMPING, MIRROR = "isolator.stiffness", "isolator.damping", "fsm.stiffness"
 GAIN = "gain"
-ENTRIES = (STIFFNESS, DAMPING, *(f"{name}.{GAIN}" for name in (*COMMANDED, *MEASURED)))
+ENTRIES = (STIFFNESS, DAMPING, *(f"{name}.{GAIN}" for name in (*COMMANDED, *MEASURED)), MIRROR)
 """Entries that can be uncertain, in the order of Delta; then those of `MODAL`."""
 BODIES = ("body", "payload")
 FREQUENCY_OF, DAMPING_OF = "frequency", "damping"
-MODAL = re.compile(rf"({'|'.join(BODIES)})\.({DAMPING_OF}|(?:{FREQUENCY_OF}|{DAMPING_OF})_([1-9]\d*))")
-"""Of modes of the central body and the payload: body, kind, number; without a number all of them."""
+MODAL = re.compile(rf"([A-Za-z]\w*)\.({FREQUENCY_OF}|{DAMPING_OF})(?:_([1-9]\d*))?", re.ASCII)
+"""Of modes of a body: its name, or that of its parameters, kind, number; without a number all of them."""
 LARGEST = 0.9
 """Half-width of a factor: none may be zero."""
 SPREAD, ROLE = "spread", "role"
@@ -142,20 +147,38 @@ def checked_entries(table: Any, file: ParameterFile, tables: Mapping[str, Any]) 
 
 
 def require_modes(spreads: Iterable[str], tables: Mapping[str, Any]) -> None:
-    """Refuse entries of modes that a frame does not have, and the damping of all modes beside that of one.
+    """Refuse entries of bodies and modes that are not on board, and factors of a value that another parameter has.
 
     Modes of a file of modal data are counted where it is read.
     """
     names = set(spreads)
-    for name in names:
-        body, kind, number = match.groups() if (match := MODAL.fullmatch(name)) else ("", "", None)
-        if number is None:
-            continue
-        if kind.startswith(DAMPING_OF) and f"{body}.{DAMPING_OF}" in names:
-            raise InputError(f"uncertain {body}.{DAMPING_OF} has all modes: it must be given without {name}, got both")
-        modes = tables[body]["modes"]
-        if int(number) > modes and not tables[body].get("modal_data"):
-            raise InputError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")
+    mounted = {one.parameters: one for one in (*read_arrays(tables), *read_appendages(tables))}
+    for name in names - set(ENTRIES):
+        body, kind, number = match.groups() if (match := MODAL.fullmatch(name)) else (BODIES[0], "", None)
+        if body not in (*BODIES, *mounted):
+            raise InputError(f"uncertain {name} must be of one of {', '.join((*BODIES, *mounted))}, got {body}")
+        if number and f"{body}.{kind}" in names:
+            raise InputError(f"uncertain {body}.{kind} has all modes: it must be given without {name}, got both")
+        modes, uncertain = _counts(mounted[body]) if body in mounted else _counts_of_frame(tables[body])
+        if number and int(number) > modes:
+            raise InputError(f"uncertain {name} must be of one of the {modes:g} modes, got mode {number}")
+        if kind == FREQUENCY_OF and int(number or 1) <= uncertain:
+            omega = f"{body}.omega_{number or 1}"
+            raise InputError(f"uncertain {name} must be of modes without a parameter of their own, got that of {omega}")
+
+
+def _counts(body: MountedBody) -> tuple[float, float]:
+    """Modes of a mounted body, infinite of one from a file, and those of them whose frequency is a parameter."""
+    printed, count = (
+        (0, math.inf) if body.modes is None else (len(body.modes.frequencies), len(body.modes.further_modes))
+    )
+    uncertain = body.uncertain_modes or (math.inf if body.modes is None else printed)
+    return printed + count, uncertain if body.relative_uncertainty else 0
+
+
+def _counts_of_frame(table: Mapping[str, Any]) -> tuple[float, float]:
+    """The same of the central body or the payload."""
+    return math.inf if table.get("modal_data") else table["modes"], 0
 
 
 def factors(spreads: Mapping[str, float]) -> dict[str, RealParameter]:
@@ -171,12 +194,9 @@ def factors(spreads: Mapping[str, float]) -> dict[str, RealParameter]:
 
 def factors_of_modes(parameters: Mapping[str, RealParameter], body: str, modes: int) -> Mapping[str, Any]:
     """Arguments of :func:`titop_plant.blocks.flexible_body.flexible_body` for a body with so many modes."""
-    known = {name: factor for name, factor in parameters.items() if name.startswith(f"{body}.")}
-    whole = known.get(f"{body}.{DAMPING_OF}")
-    all_modes = {} if whole is None else dict.fromkeys(range(modes), whole)
-    by_kind: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: all_modes}
+    known = {name: factor for name, factor in parameters.items() if name.startswith(f"{body}.") and name not in ENTRIES}
+    by_kind: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: {}}
     for name, factor in known.items():
         kind, _, number = name.removeprefix(f"{body}.").partition("_")
-        if number:
-            by_kind[kind][int(number) - 1] = factor
-    return {"frequencies": by_kind[FREQUENCY_OF], "dampings": by_kind[DAMPING_OF], "relative": True}
+        by_kind[kind] |= dict.fromkeys([int(number) - 1] if number else range(modes), factor)
+    return {"frequencies": by_kind[FREQUENCY_OF], "dampings": by_kind[DAMPING_OF], "relative": tuple(known)}

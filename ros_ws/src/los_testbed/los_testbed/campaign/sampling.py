@@ -77,7 +77,7 @@ class MemberParameters:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Columns of the data set, in the order of `ranges`."""
-        frequencies = tuple(further_parameters(self.ranges))
+        frequencies = tuple(further_parameters(self.ranges, self.telescope.factors))
         short = {ANGLE, *(frequencies if frequencies == REFERENCE_FREQUENCIES else ())}
 
         def column(name: str) -> str:
