@@ -226,7 +226,7 @@ def show(console: Console, summary: PlantSummary) -> None:
         console.print(f"mass {summary.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
         console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
     console.print(
-        _table("parameters", ("parameter", "in Delta", "nominal", "range", "unit", "role"), _parameters(summary))
+        _table("parameters", ("parameter", "Delta", "nominal", "range", "unit", "role"), _parameters(summary))
     )
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
     if summary.bodies:
