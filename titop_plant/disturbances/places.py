@@ -100,7 +100,9 @@ def place_matrix(
         raise InputError("frame must be a rotation, three rows of three numbers, got another matrix")
     actuators = actuator_places(telescope)
     if place in drives or place in actuators:
-        one, port, axis = ("torque about", SADM_TORQUE, 5) if place in drives else ("force along", ACTUATOR_FORCE, 2)
+        port = SADM_TORQUE if place in drives else ACTUATOR_FORCE
+        turns = place in drives or telescope.placed_actuators[actuators.index(place)].port.unit == "Nm"
+        one, axis = ("torque about", 5) if turns else ("force along", 2)
         if offset is not None or frame is not None:
             raise InputError(f"frame and offset must be absent at {place}, which has a {one} its axis only")
         whole[columns[port].start + (drives if place in drives else actuators).index(place), axis] = 1.0

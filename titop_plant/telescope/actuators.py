@@ -18,25 +18,35 @@ from titop_plant.telescope.sections import OscillatorTable
 
 @dataclass(frozen=True)
 class ActuatorMount:
-    """Place and mechanics of a further actuator: those of a proof-mass actuator.
+    """Place and mechanics of a further actuator.
 
     Parameters
     ----------
     place : str
         Point of the structure.
     axis : ndarray, shape (3,)
-        Unit vector along which its mass moves, in the axes of the body. **A positive force acts on the structure along
-        it, and on the mass against it.**
+        Unit vector of its force or torque, in the axes of the body. **A positive value acts on the structure along it,
+        and on the mass of a proof-mass actuator against it.**
     position : ndarray, shape (3,)
         From the point [m].
-    table : OscillatorTable
-        Its mechanics.
+    table : OscillatorTable, optional
+        Mechanics of a proof-mass actuator; others act from outside the structure.
+    torque : bool
+        Whether it is a torque.
     """
 
     place: str
     axis: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
-    table: OscillatorTable = field(repr=False)
+    table: OscillatorTable | None = field(default=None, repr=False)
+    torque: bool = False
+
+    @property
+    def wrench(self) -> FloatArray:
+        """Force and torque on its point by a value of 1, shape (6,)."""
+        if self.torque:
+            return np.concatenate([np.zeros(3), self.axis])
+        return np.concatenate([self.axis, np.cross(self.position, self.axis)])
 
 
 @dataclass(frozen=True)

@@ -213,7 +213,8 @@ def _driven_at_G(
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     arrays, others, fsm = telescope.solar_arrays, telescope.appendages, telescope.fsm
-    acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(telescope)
+    driven = any(port.name == ACTUATOR_FORCE for port in outside)
+    acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(telescope, driven=driven)
     used = {"I_w", "I_p", *telescope.mounted_points, *(node for _, node in acting)}
     systems = {
         "body": _flexible(telescope, "body", body, {child.name for child in body.children} - used, motion=True),
@@ -234,7 +235,7 @@ def _driven_at_G(
         **_drives(telescope),
         **_motors(telescope, outside),
         **_gains(telescope),
-        **actuator_blocks(telescope, driven=any(port.name == ACTUATOR_FORCE for port in outside)),
+        **actuator_blocks(telescope, driven=driven),
         **sensor_blocks(telescope),
     }
     there = {

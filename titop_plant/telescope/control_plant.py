@@ -232,4 +232,5 @@ def loop_plant(telescope: Telescope, ports: LoopPorts, *, isolated: bool = True)
     force = np.zeros((len(every), len(driven)))
     for column, row in enumerate(driven):
         force[every.index(row.name), column] = row.scale
-    return transform(selected, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), "N"))})
+    units = ",".join(row.port.unit for row in driven)
+    return transform(selected, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), units))})

@@ -2,8 +2,9 @@
 
 The stored controllers measure with the sensors of :mod:`titop_plant.sensors` and act with mirror and proof-mass
 actuators. This module has those besides them: a further sensor is recorded, and read by a controller of the user that
-names it; a further actuator loads the structure with its mass, its spring and its damper, and is driven by a source of
-disturbance or by such a controller. The reference telescope has none of them.
+names it; a further actuator is driven by a source of disturbance or by such a controller. A proof-mass actuator loads
+the structure with its mass, its spring and its damper; a force and a torque act from outside, as those of a thruster or
+of the motor of a wheel, whose speed follows its profile. The reference telescope has none of them.
 
 A sensor at ``r`` from its point P measures along a unit vector n::
 
@@ -58,6 +59,10 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
 PLACED_SENSORS, ACTUATOR_FORCE = "placed_sensors", "actuator_force"
 """Output of the telescope with the values of all further sensors; input with the forces of all further actuators."""
 
+PROOF_MASS, FORCE, TORQUE = "proof_mass", "force", "torque"
+ACTUATOR_UNITS: Mapping[str, str] = {PROOF_MASS: "N", FORCE: "N", TORQUE: "Nm"}
+"""Kinds of actuators, each with its unit: a proof mass that moves along an axis, a force or a torque from outside."""
+
 PROOF_MASSES = "pma"
 MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "authority")
 """Values of an actuator that are those of ``[pma]`` where its table does not give them."""
@@ -75,14 +80,18 @@ def read_actuators(tables: Mapping[str, Any]) -> tuple[Actuator, ...]:
 
 def usual_values(table: Mapping[str, Any]) -> tuple[str, ...]:
     """Values of ``[pma]`` that an actuator takes: those that its table does not give, and the authority as a scale."""
-    return tuple(key for key in MECHANICS if key not in table or key == "authority")
+    known = MECHANICS if table.get("kind", PROOF_MASS) == PROOF_MASS else ()
+    return (*(key for key in known if key not in table and key != "authority"), "authority")
 
 
 def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
-    mechanics = OscillatorTable.of_part({**usual, **table})
-    authority = float(mechanics.authority)
-    mount = ActuatorMount(str(table["place"]), _unit(table["axis"]), _position(table), mechanics)
-    return Actuator(Port(str(table["name"]), 1, "N"), authority, authority / float(usual["authority"]), mount)
+    kind = str(table.get("kind", PROOF_MASS))
+    mechanics = OscillatorTable.of_part({**usual, **table}) if kind == PROOF_MASS else None
+    authority = float(table.get("authority", usual["authority"]))
+    place, axis = str(table["place"]), _unit(table["axis"])
+    mount = ActuatorMount(place, axis, _position(table), mechanics, torque=kind == TORQUE)
+    port = Port(str(table["name"]), 1, ACTUATOR_UNITS[kind])
+    return Actuator(port, authority, authority / float(usual["authority"]), mount)
 
 
 def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:

@@ -393,9 +393,9 @@ class Telescope:
 
     @property
     def actuator_ports(self) -> tuple[Port, ...]:
-        """Input with the forces of all further actuators; none where there are none."""
-        count = len(self.placed_actuators)
-        return (Port(ACTUATOR_FORCE, count, "N"),) if count else ()
+        """Input with the values of all further actuators; none where there are none."""
+        units = [actuator.port.unit for actuator in self.placed_actuators]
+        return (Port(ACTUATOR_FORCE, len(units), ",".join(units)),) if units else ()
 
     @property
     def disturbance_ports(self) -> tuple[Port, ...]:
@@ -412,9 +412,10 @@ class Telescope:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Stages of the control: those with forces only where there are proof-mass actuators."""
+        """Stages of the control: those with forces only where there are actuators for them."""
         known = STAGES if self.plant is None else STAGES[1:]  # the isolator of a file's plant cannot be taken out
-        return tuple(stage for stage in known if self.pma.azimuths_deg or stage not in FORCE_STAGES)
+        forces = self.pma.azimuths_deg or self.placed_actuators
+        return tuple(stage for stage in known if forces or stage not in FORCE_STAGES)
 
     @property
     def mirror_stages(self) -> tuple[str, ...]:

@@ -22,14 +22,16 @@ MOTOR = "pma_force"
 """Input of the block of a proof-mass actuator."""
 
 
-def actuator_wrenches(telescope: Telescope) -> list[tuple[str, str]]:
+def actuator_wrenches(telescope: Telescope, *, driven: bool) -> list[tuple[str, str]]:
     """Signal of the wrench of each further actuator, and the node on which it acts."""
-    return [(f"{name}.wrench_{node}", node) for name, node, _ in _actuators(telescope)]
+    return [(f"{name}.wrench_{node}", node) for name, node, _ in _actuators(telescope, driven)]
 
 
 def actuator_block(mount: ActuatorMount, node: str) -> System:
-    """A further actuator, driven by the motion of its node: ``accel_<node>`` -> ``wrench_<node>``."""
+    """A further actuator: its command and, of a proof mass, the motion of its node to ``wrench_<node>``."""
     table = mount.table
+    if table is None:
+        return static_gain(mount.wrench[:, None], [Port(MOTOR, 1, "Nm" if mount.torque else "N")], [ports.wrench(node)])
     data = ProofMassActuator(
         table.moving_mass, table.casing_mass, np.diag(table.inertia), table.stiffness, table.damping
     )
@@ -40,25 +42,28 @@ def actuator_block(mount: ActuatorMount, node: str) -> System:
 def actuator_blocks(telescope: Telescope, *, driven: bool) -> dict[str, System]:
     """The actuators by name, and what parts the input `ACTUATOR_FORCE` where they are driven."""
     actuators = telescope.placed_actuators
-    blocks = {name: actuator_block(mount, node) for name, node, mount in _actuators(telescope)}
+    blocks = {name: actuator_block(mount, node) for name, node, mount in _actuators(telescope, driven)}
     if not (driven and actuators):
         return {
             name: block.select(inputs=[p.name for p in block.inputs if p.name != MOTOR])
             for name, block in blocks.items()
         }
-    forces = [Port(one.name, 1, "N") for one in actuators]
-    on_masses = -np.eye(len(forces))  # a positive force of the port is on the structure
-    return {**blocks, "actuator_split": static_gain(on_masses, telescope.actuator_ports, forces)}
+    values = [one.port for one in actuators]
+    # a positive force of the port is on the structure, that of a motor on its mass
+    signs = [-1.0 if one.mount is not None and one.mount.table is not None else 1.0 for one in actuators]
+    return {**blocks, "actuator_split": static_gain(np.diag(signs), telescope.actuator_ports, values)}
 
 
 def actuator_wires(telescope: Telescope, systems: Mapping[str, System]) -> list[Connection]:
     """Motion of the nodes to the actuators, and their forces where they are driven."""
     wires: list[Connection] = []
-    for name, node, _ in _actuators(telescope):
-        wires.append((_motion(node), f"{name}.accel_{node}"))
-        if "actuator_split" in systems:
+    driven = "actuator_split" in systems
+    for name, node, mount in _actuators(telescope, driven):
+        if mount.table is not None:
+            wires.append((_motion(node), f"{name}.accel_{node}"))
+        if driven:
             wires.append((f"actuator_split.{name}", f"{name}.{MOTOR}"))
-    return [*wires, (ACTUATOR_FORCE, f"actuator_split.{ACTUATOR_FORCE}")] if "actuator_split" in systems else wires
+    return [*wires, (ACTUATOR_FORCE, f"actuator_split.{ACTUATOR_FORCE}")] if driven else wires
 
 
 def sensor_blocks(telescope: Telescope) -> dict[str, System]:
@@ -135,10 +140,12 @@ def sensor_wires(telescope: Telescope) -> list[Connection]:
     return [(_motion(node), f"sensors.accel_{node}") for node in at]
 
 
-def _actuators(telescope: Telescope) -> list[tuple[str, str, ActuatorMount]]:
-    """Name, node and mount of each further actuator."""
+def _actuators(telescope: Telescope, driven: bool) -> list[tuple[str, str, ActuatorMount]]:
+    """Name, node and mount of each further actuator, of those that are not driven the ones with a mass."""
     with_mount = [(one.name, one.mount) for one in telescope.placed_actuators if one.mount is not None]
-    return [(name, telescope.node_at(mount.place), mount) for name, mount in with_mount]
+    return [
+        (name, telescope.node_at(mount.place), mount) for name, mount in with_mount if driven or mount.table is not None
+    ]
 
 
 def _mounts(telescope: Telescope) -> list[tuple[str, SensorMount]]:

@@ -8,7 +8,16 @@ from typing import Any
 
 from titop_plant.interface import COLUMNS
 from titop_plant.sensors import TICKS_PER_SECOND, whole_ticks
-from titop_plant.telescope.devices import ACCELEROMETER, ACTUATOR, LINE_OF_SIGHT, MECHANICS, SENSOR, SENSOR_KINDS
+from titop_plant.telescope.devices import (
+    ACCELEROMETER,
+    ACTUATOR,
+    ACTUATOR_UNITS,
+    LINE_OF_SIGHT,
+    MECHANICS,
+    PROOF_MASS,
+    SENSOR,
+    SENSOR_KINDS,
+)
 from titop_plant.telescope.layout import device_nodes, read_nodes
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import OscillatorTable
@@ -24,7 +33,7 @@ DEVICE_KEYS: Mapping[str, Mapping[str, Any]] = {
         "axes": [[0.0] * 3],
         **dict.fromkeys(("rate", "noise", "bias", "random_walk", "scale", "step", "range"), 0.0),
     },
-    ACTUATOR: {**_PLACE, "axis": [0.0] * 3, **dict.fromkeys(MECHANICS, 0.0), "inertia": [0.0] * 3},
+    ACTUATOR: {**_PLACE, "kind": "", "axis": [0.0] * 3, **dict.fromkeys(MECHANICS, 0.0), "inertia": [0.0] * 3},
 }
 """Keys of each kind of table, each with a value of the kind that it must have."""
 
@@ -82,8 +91,23 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
                     raise file.error(key, f"must be a unit vector, got {axis} of length {length:.4g}")
             if kind == SENSOR:
                 _check_sensor(name, table, file)
-            elif any(not entry > 0.0 for entry in table.get("inertia", ())):
-                raise file.error(f"{name}.inertia", f"must be positive, got {table['inertia']}")
+            else:
+                _check_actuator(name, table, file)
+
+
+def _check_actuator(name: str, table: Mapping[str, Any], file: ParameterFile) -> None:
+    kind = table.get("kind", PROOF_MASS)
+    if kind not in ACTUATOR_UNITS:
+        raise file.error(f"{name}.kind", f"must be one of {', '.join(ACTUATOR_UNITS)}, got {kind!r}")
+    if any(not entry > 0.0 for entry in table.get("inertia", ())):
+        raise file.error(f"{name}.inertia", f"must be positive, got {table['inertia']}")
+    if kind == PROOF_MASS:
+        return
+    for key in MECHANICS:
+        if key != "authority" and key in table:
+            raise file.error(f"{name}.{key}", f"must be absent for a {kind}, got {table[key]}")
+    if "authority" not in table:
+        raise file.error(name, "has no 'authority'")
 
 
 def _kind(name: str, table: Mapping[str, Any], file: ParameterFile) -> str:

@@ -174,9 +174,9 @@ COMMANDED = "actuator"
 """Forces of further actuators that a controller commands have their topics below this name."""
 
 
-def actuator_topic(name: str, columns: slice) -> TopicDefinition:
+def actuator_topic(name: str, columns: slice, unit: str = "") -> TopicDefinition:
     """Topic of the command of a further actuator, with its column in the command."""
-    return TopicDefinition(f"{COMMANDED}/{name}/command", VECTOR3, name, "controller", "command", columns, name, "N")
+    return TopicDefinition(f"{COMMANDED}/{name}/command", VECTOR3, name, "controller", "command", columns, name, unit)
 
 
 def actuator_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...]:
@@ -186,7 +186,8 @@ def actuator_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...
     ----------
     actuators : sequence of Actuator
     """
-    return tuple(actuator_topic(one.name, slice(i, i + 1)) for i, one in enumerate(actuators, start=COMMAND_SIZE))
+    columns = (slice(i, i + 1) for i in range(COMMAND_SIZE, COMMAND_SIZE + len(actuators)))
+    return tuple(actuator_topic(one.name, part, one.port.unit) for one, part in zip(actuators, columns))
 
 
 def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
