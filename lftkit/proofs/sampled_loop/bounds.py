@@ -16,8 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.lft_response import LftResponse
+from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop.model import SearchedResponses
@@ -329,10 +328,15 @@ def member_gains(model: SearchedResponses, omega: float, members: FloatArray) ->
     q = model.sizes[0]
     z, e = model.at(omega)
     weight, amplitude = model.amplitudes(omega)
-    delta: ComplexArray = np.zeros((len(members), q), complex)
+    # Delta = S C^-1, so that half a turn of an angle, whose tangent is infinite, is a member as others are
+    S, C = np.zeros((len(members), q)), np.ones((len(members), q))
     for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
-        delta[:, list(group)] = (np.tan(0.5 * members[:, k]) if angle else members[:, k])[:, None]
-    closed = LftResponse(z[:, :q], e[:, :q], z[:, q:], e[:, q:]).closed(delta)
+        columns, values = list(group), members[:, k, None]
+        S[:, columns] = np.sin(0.5 * values) if angle else values
+        C[:, columns] = np.cos(0.5 * values) if angle else 1.0
+    inner = C[:, None, :] * np.eye(q) - z[:, :q] * S[:, None, :]
+    entered = solve(inner, np.broadcast_to(z[:, q:], (len(S), *z[:, q:].shape)))
+    closed = e[:, q:] + (e[:, :q] * S[:, None, :]) @ entered
     return weight * largest_gains(closed * amplitude)
 
 

@@ -83,7 +83,7 @@ def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, tel
         assert model.sizes[0] == 32
         low, high = max(metric.band[0], 0.02), min(metric.band[1], 3000.0)
         for omega in np.exp(rng.uniform(np.log(low), np.log(high), 4)):
-            points = rng.uniform(size=(5, 7))
+            points = np.vstack([rng.uniform(size=(5, 7)), rng.integers(0, 2, (3, 7))])  # ends: half a turn among them
             expected = loop.gains(loop.at(float(omega)), metric, points)
             np.testing.assert_allclose(member_gains(model, float(omega), deviations(loop, points)), expected, rtol=1e-5)
 
