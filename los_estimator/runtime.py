@@ -47,7 +47,7 @@ class LosEstimator:
     --------
     An observer that hands on the camera value holds it between two frames:
 
-    >>> from titop_plant.interface import MEASUREMENTS
+    >>> from titop_plant.interface import COLUMNS, MEASUREMENTS
     >>> D = np.zeros((2, MEASUREMENTS)); D[:, COLUMNS["camera_los"]] = np.eye(2)
     >>> k = SampledSystem([], [], [], D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     >>> estimator, y, los = LosEstimator(k), np.zeros(MEASUREMENTS), np.zeros(2)

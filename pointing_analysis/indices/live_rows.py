@@ -8,7 +8,7 @@ the values themselves:
   of the motion between.
 - **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
   a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart. A motion
-  without noise comes to rest: at zero without a jump, elsewhere without a jump of the velocity.
+  without noise comes to rest: where it began, at zero without a jump, elsewhere without a jump of the velocity.
 - **saturated**: more rows at one extreme value than a smooth distribution has there.
 
 An axis that is constant in the whole record is a motion that does not change.
@@ -301,7 +301,8 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     changes = np.abs(np.diff(x[starts], n=2)[:PART])
     change = float(np.nanmedian(changes)) if np.isfinite(changes).any() else 0.0
     allowed = settings.turned * np.where(x[starts] == 0.0, typical, change)
-    rests = (change <= settings.smooth * typical) & ~(into > allowed)
+    begun = (x[starts] == x[0]) & (lengths[0] > settings.margin)  # a motion that begins at rest comes back to it
+    rests = (change <= settings.smooth * typical) & (begun | ~(into > allowed))
     return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
 
 
