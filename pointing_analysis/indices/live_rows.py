@@ -118,8 +118,8 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | tuple
     # Both axes together as well: where one of them changes too little, the other one shows when a sample came.
     both, x, y = (_hold_of(part, settings) for part in (e, e[:, :1], e[:, 1:2]))
     slowest = max((hold for hold in (both, x, y) if hold is not None), key=lambda hold: hold.rows, default=None)
-    if slowest is None:
-        return None
+    if slowest is None or (e == e[:1]).all(axis=0).any():  # an axis that is constant has no rate
+        return slowest
     same = (1.0 - settings.same) * slowest.rows
     if (both is not None and both.rows >= same) or (x is not None and y is not None and min(x.rows, y.rows) >= same):
         return slowest
@@ -129,6 +129,8 @@ def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | tuple
 def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     if len(e) < settings.fewest:
         return None
+    if e.shape[1] == 1 and np.isnan(e[:PART, 0]).any() and (hold := _regular(~np.isnan(e[:, 0]), settings)):
+        return hold  # rows between the samples are empty
     changed = _marks(e, _moves)
     begins = np.flatnonzero(changed[:PART])[1:]
     if not changed[1:].any():
@@ -257,8 +259,11 @@ def _regular(begins: BoolArray, settings: LiveRowSettings) -> Hold | None:
 
 
 def samples_behind(e: FloatArray, hold: Hold) -> FloatArray:
-    """Samples (m, 2) that a record repeats."""
-    return np.repeat(e[hold.starts], hold.repeats, axis=0)
+    """Samples (m, 2) of which a record is made, those of a run at its regular places."""
+    first = np.cumsum(hold.repeats) - hold.repeats
+    place = np.arange(int(hold.repeats.sum())) - np.repeat(first, hold.repeats)
+    rows = np.repeat(hold.starts, hold.repeats) + np.rint(place * hold.rows).astype(np.int64)
+    return np.asarray(e[np.minimum(rows, len(e) - 1)])
 
 
 def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
@@ -293,10 +298,16 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     into = np.append(0.0, steps)[starts]
     edges = np.fmax(into, np.append(into[1:], 0.0))
     quantum, typical = float(moving.min()), float(np.median(moving))
-    quantised = quantum >= settings.fine * typical
-    one = float(repeated.mean()) if quantised else quantum / typical  # probability of one row that repeats
-    longest = math.log(settings.chance / len(x)) / math.log(one)
-    still = 2.001 * quantum if quantised else settings.fine * typical  # step of a motion that hardly moves
+    quantised = quantum >= settings.fine * typical and bool(_quantum(np.diff(x[:PART])[:, None], settings)[0])
+    # Probability of one row that repeats, in a quantised axis by the rows beside the longest run
+    others = len(x) - int(lengths.max())
+    one = (int(repeated.sum()) - int(lengths.max()) + 1) / others if quantised else quantum / typical
+    longest = math.log(settings.chance / len(x)) / math.log(min(max(one, 1e-300), 1.0 - 1e-15))
+    if not quantised and int(repeated.sum()) > settings.margin + settings.beside * one * len(x):
+        longest = 0.0  # many single rows that repeat are no chance either
+    still = settings.fine * typical  # step of a motion that hardly moves
+    if quantised and moving.size >= settings.fewest:
+        still = 2.001 * quantum
     # The steps of a motion without noise change less from row to row than those of noise, by 1.4 or 1.7 of themselves
     changes = np.abs(np.diff(x[starts], n=2)[:PART])
     change = float(np.nanmedian(changes)) if np.isfinite(changes).any() else 0.0
@@ -347,7 +358,10 @@ def _at_top(values: FloatArray, settings: LiveRowSettings, quantum: float = 0.0)
     if below.min(initial=math.inf) >= np.max(below, where=below < next_level, initial=-math.inf):
         return none  # of fewer than four values no distribution is seen
     band = max(top - next_level, settings.band * (top - float(below.min())))
-    if count <= settings.beside * int((below >= top - 1.0001 * band).sum()) + settings.margin:
+    near = below[below >= top - 1.0001 * band]
+    # Where no value just below it comes twice, the signal is not quantised: of that some values have more rows
+    beside = 1.0 if len(np.unique(near)) == len(near) else settings.beside
+    if count <= beside * len(near) + settings.margin:
         return none
     once = period(values, float(np.nanstd(values)))
     repeats_itself = once < len(values) and int(at_top[:once].sum()) <= settings.margin

@@ -165,8 +165,8 @@ class Run:
         """Samples of a whole run; None where it is not known.
 
         Of a file that was cut off by the duration in its configuration. Else by the ticks that the plant has sent: its
-        report and the messages are written by different programs, and the end of one topic can be missing. The last
-        frame of a camera may come after the end.
+        report and the messages are written by different programs, and the end of one topic can be missing. In real time
+        the last frame of a camera may come after the end.
         """
         duration, rate = self.parameters.get("duration"), self.parameters.get("rate_hz")
         if self._read.cut:
@@ -175,7 +175,9 @@ class Run:
             return max(round((duration - self._window[0]) / topic.period), 0)
         sent = run_end(self.parameters).sent if self._window == WHOLE else None
         if topic.name == CAMERA and sent is not None and is_number(rate) and rate > 0 and topic.period > 0:
-            return math.floor(sent / rate / topic.period + 1e-6) - 1
+            frames = sent / rate / topic.period
+            simulated = self.parameters.get("mode") in ("inprocess", "lockstep")
+            return math.ceil(frames - 1e-6) if simulated else math.floor(frames + 1e-6) - 1
         if topic.name == "truth/los" and not len(topic) and self.parameters.get("device"):
             return None  # which a rig need not have
         return sent if topic.name in OF_EVERY_TICK else None

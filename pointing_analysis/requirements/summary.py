@@ -526,7 +526,7 @@ def _lines(
     if not metrics.holds(window, series.dt):  # a spectrum has lines whatever a window's samples are
         named = lines(series.values, series.dt, named_tones(run), window)
         return None, unnamed_lines(series.values, series.dt, named)[0]
-    if series.duration < window:
+    if series.duration < window or not math.isfinite(total):
         return None, ()
     budget = tone_budget(run, series, window, total, part)
     return budget, budget.found
@@ -556,7 +556,7 @@ def _of_series(run: Recording, series: ErrorSeries, window: float, transient: fl
     if run.parameters.get("mode") == "replay":
         notes.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")
     if "loop" not in run.parameters and (top := highest_frequency(series.values, series.dt)) is not None:
-        notes.append(f"above {top:.3g} Hz the record has only the rounding of its numbers: figures of motion below")
+        notes.append(f"above {top:.3g} Hz the record is near the rounding of its numbers: figures of motion below")
     return notes
 
 

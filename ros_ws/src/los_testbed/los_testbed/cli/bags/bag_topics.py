@@ -45,7 +45,7 @@ def topics(
         for c in usable
     ]
     heads = (*texts("--los", "type", "values", "unit", "time"), *numbers("count", "Hz"))
-    table = TextTable.of(heads, rows, f"{bag.name}: possible lines of sight")
+    table = TextTable.of(heads, rows, f"{bag.name}: what --los takes")
     shown = on_screen(table, whole=("--los",), box=None, padding=(0, 1))
     Screen(stderr=json_).print(
         shown if usable else f"{bag}: no message with two numbers or a quaternion", soft_wrap=not usable
