@@ -36,7 +36,7 @@ from los_testbed.config.topics import (
 from los_testbed.nodes.support import node_context
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-from los_testbed.parts.run_parts import build_controller, build_estimator, build_plant
+from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator, build_plant
 from los_testbed.run.loop.closed_loop import aligned_start
 from los_testbed.run.loop.latency_histogram import LatencyHistogram
 from rclpy.executors import SingleThreadedExecutor
@@ -95,7 +95,7 @@ class Synchronizer:
     ) -> None:
         self.pending: dict[int, tuple[np.ndarray, set[int]]] = {}
         self.size, self.tick = size, tick
-        self.periods = [topic.every(context.config.frame_ticks) * TICK_NS for topic in topics]
+        self.periods = [topic.every(RunParts(context.config).ports.ticks) * TICK_NS for topic in topics]
         for index, topic in enumerate(topics):
             callback = self.callback(index, topic, columns[index])
             context.node.create_subscription(MESSAGES[topic.type_name], topic.name, callback, 10)
@@ -123,7 +123,8 @@ class PlantTimer:
         self.context, self.core = context, build_plant(context.config)
         self.core.reset()
         self.sensors, self.truth_output = [Output(context, t) for t in SENSORS], Output(context, TRUTH_LOS)
-        self.frame_ns = context.config.frame_ticks * TICK_NS
+        self.ports = RunParts(context.config).ports
+        self.frame_ns = self.core.frame_ticks * TICK_NS
         self.command, self.measurement, self.truth = np.zeros(8), np.zeros(22), np.zeros(2)
         self.latency, self.lateness, self.execution = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.woke = [0] * RING
@@ -178,7 +179,7 @@ class PlantTimer:
 
     def send(self, stamp: int) -> None:
         for output in self.sensors:
-            if stamp % (output.topic.every(self.context.config.frame_ticks) * TICK_NS) == 0:
+            if stamp % (output.topic.every(self.ports.ticks) * TICK_NS) == 0:
                 output.send(stamp, self.measurement[output.topic.columns])
         self.truth_output.send(stamp, self.truth)
 
@@ -187,7 +188,7 @@ class PlantTimer:
         if len(self.echoes) < 3 and self.calls % HOLD_TICKS == 0:
             self.send(0)
         elif len(self.echoes) == 3 and self.calls % HOLD_TICKS == 0:
-            self.start = aligned_start(time.time_ns(), self.context.config.frame_ticks)
+            self.start = aligned_start(time.time_ns(), self.ports.period)
             self.begin = now + TICK_NS
             self.context.event("running", start_ns=self.start)
 

@@ -43,8 +43,8 @@ from los_testbed.run.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
 from los_testbed.run.loop.simulate import run_in_process
 from processor_time import least
 
-from los_estimator.runtime import hold_values
-from titop_plant.interface import CAMERA, COMMANDS, FORCES, HELD, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.held_samples import HeldSamples
+from titop_plant.interface import CAMERA, COMMANDS, FORCES, MEASUREMENTS, MIRROR, PLATFORM
 from titop_plant.simulation import build, compilation
 from titop_plant.simulation.plant_step import step_matrix
 
@@ -82,7 +82,8 @@ class DenseLoop:
         self.block, self.tick = np.zeros((64, MEASUREMENTS)), 0
         self.observer = Law(parts.k_fsm, parts.start.states.k_fsm)
         self.forces = Law(parts.k_pma, parts.start.states.k_pma)
-        self.held, self.seen, self.force = parts.start.states.camera.copy(), np.zeros(MEASUREMENTS), np.zeros(6)
+        self.held, self.seen, self.force = HeldSamples(parts.ports.sensors), np.zeros(MEASUREMENTS), np.zeros(6)
+        self.held.values[:] = parts.start.states.camera
         controller = parts.controller()
         self.gain, self.authority = controller.mirror_gain, controller.limits
 
@@ -105,9 +106,8 @@ class DenseLoop:
 
     def step(self, command: np.ndarray, y: np.ndarray, truth: np.ndarray, los: np.ndarray, u: np.ndarray) -> None:
         self.plant(command, y, truth)
-        hold_values(y, self.held)
         self.seen[:] = y
-        self.seen[HELD] = self.held
+        self.held.fill(self.seen)
         self.observer.step(self.seen, los)
         self.forces.step(y[PLATFORM], self.force)
         np.multiply(los, self.gain, out=u[MIRROR])
