@@ -10,7 +10,7 @@ import numpy as np
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from lftkit.systems.ports import Port
+from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.held_samples import HeldSamples
 from titop_plant.interface import (
@@ -148,6 +148,7 @@ class FsmPmaController:
         self._start: FloatArray = np.zeros(k_pma.order)
         platform = [port_alone(entry) for entry in MEASURED_SENSORS if entry.port.name == PLATFORM_PORT]
         self._held = HeldSamples((*platform, *sensors))
+        self._measured = np.zeros(total_size(K_PMA_INPUTS) + total_size(s.port for s in sensors))
 
     def start_at(self, state: FloatArray) -> None:
         """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.
@@ -215,8 +216,9 @@ class FsmPmaController:
             out[MIRROR] = 0.0
         if force:
             if self._held.columns.size:
-                accel_Ip = accel_Ip.copy()
-                self._held.fill(accel_Ip)
+                self._measured[:] = accel_Ip
+                self._held.fill(self._measured)
+                accel_Ip = self._measured
             self.k_pma.step(accel_Ip, self._force)
             out[FORCES.start :] = self._force
         else:

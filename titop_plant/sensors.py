@@ -210,6 +210,11 @@ class SensorMount:
     scale: float = 0.0
 
     @property
+    def key(self) -> tuple[str, str, list[list[float]]]:
+        """What tells it from other mounts."""
+        return self.place, self.source, self.rows.tolist()
+
+    @property
     def rows(self) -> FloatArray:
         """Its values from its source, or from the acceleration of its point as a twist (6): shape (k, size)."""
         axes = self.axes * (1.0 + self.scale)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.campaign.member import MemberEvaluator
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
@@ -84,3 +86,15 @@ def test_a_rate_that_does_not_divide_the_ticks_is_refused(tmp_path: Path) -> Non
     path.write_text("[sensors]\ncamera_rate = 30.0\n", "utf-8")
     with pytest.raises(InputError, match=r"line 2: 'sensors.camera_rate' must divide 1000 Hz .*, got 30.0 Hz"):
         load_telescope(path)
+
+
+def test_a_campaign_at_depth_model_has_the_rate_of_its_runs() -> None:
+    columns = []
+    for rate in (50.0, 10.0):
+        base = RunConfig(mode="inprocess", camera_rate=rate, scenario="unit_norm")
+        known = MemberParameters.of(base.parameters)
+        middle = {name: 0.5 * sum(known.ranges[of]) for name, of in zip(known.columns, known.ranges)}
+        row = MemberEvaluator.of(base).row(0, {**middle, "seed": 1}, "model")
+        assert row["status"] == "ok", row["reason"]
+        columns.append(row["noise_rpe_mas_rms"])
+    assert columns[1] > 1.1 * columns[0]

@@ -566,8 +566,8 @@ class Telescope:
         Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
         that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
         optics those of images do not count, nor does the table of the guide camera, of which the low-pass and the noise
-        under ``sensors`` count where they follow from it, nor do sources of disturbance and further sensors: no design
-        depends on them.
+        under ``sensors`` count where they follow from it, nor do sources of disturbance and further sensors, which a
+        telescope has beside its loop: a design that reads one is not told apart by its noise and rate.
         """
         known = layout.without_sources(self.without_images())
         content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}

@@ -43,7 +43,8 @@ class SensorReadings:
         self._range = np.repeat([one.range for one in sensors], sizes)
         self._walk = np.repeat([one.random_walk * np.sqrt(DT) for one in sensors], sizes)
         self._ticks = np.repeat([one.ticks for one in sensors], sizes)
-        self._slow = bool(np.any(self._ticks > 1))
+        self._slow, self._walking = bool(np.any(self._ticks > 1)), bool(self._walk.any())
+        self._drawn = np.zeros(sum(sizes))
         self._coarse = self._step > 0.0
         self.values = np.zeros(sum(sizes))
         self.reset()
@@ -52,7 +53,7 @@ class SensorReadings:
         """Return to tick 0: same seed, bit-identical noise."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._walks = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY, 1)))
-        self._drift, self._tick = np.zeros(self.values.size), 0
+        self._drift, self._step_of_walk, self._tick = *np.zeros((2, self.values.size)), 0
         self._noisy = self._with_noise
         self.values[:] = 0.0
 
@@ -63,15 +64,19 @@ class SensorReadings:
 
     def read(self, sensed: FloatArray) -> None:
         """Write the readings of this tick into `values`; `sensed` are the true values, of the same shape."""
-        drawn, out = self._rng.standard_normal(self.values.size), self.values
+        drawn, out = self._drawn, self.values
+        self._rng.standard_normal(out=drawn)
+        drawn *= self._noise
         out[:] = sensed
         if self._with_noise:
             out += self._bias
-            if self._walk.any():
+            if self._walking:
                 out += self._drift
-                self._drift += self._walk * self._walks.standard_normal(out.size)
+                self._walks.standard_normal(out=self._step_of_walk)
+                self._step_of_walk *= self._walk
+                self._drift += self._step_of_walk
         if self._noisy:
-            out += self._noise * drawn
+            out += drawn
         np.clip(out, -self._range, self._range, out=out)
         out[self._coarse] = np.round(out[self._coarse] / self._step[self._coarse]) * self._step[self._coarse]
         if self._slow:

@@ -151,6 +151,12 @@ class ParameterFile:
             by_name[stated] = merged
         return value if replaced else list(by_name.values())
 
+    def check_rate(self, name: str, rate: float) -> None:
+        """Refuse a rate of samples [Hz] that does not divide that of the ticks, or that is below 1 Hz."""
+        if not rate >= 1.0 or whole_ticks(rate) is None:
+            text = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...) and be 1 Hz at least, got {rate!r} Hz"
+            raise self.error(name, text)
+
     def check(self, name: str, key: str, base: Any, value: Any) -> None:
         """Refuse a value of another kind, length or sign than that of a table without a class."""
         if isinstance(base, str):
@@ -170,8 +176,8 @@ class ParameterFile:
                 raise self.error(name, f"must be positive, got {value!r}")
             if key in NOT_NEGATIVE and not value >= 0:
                 raise self.error(name, f"must not be negative, got {value!r}")
-            if key in RATES and whole_ticks(value) is None:
-                raise self.error(name, f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {value!r} Hz")
+            if key in RATES:
+                self.check_rate(name, value)
 
 
 def without_alternatives(merged: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from titop_plant.interface import COLUMNS
-from titop_plant.sensors import TICKS_PER_SECOND, whole_ticks
+from titop_plant.sensors import TICKS_PER_SECOND
 from titop_plant.telescope.devices import (
     ACCELEROMETER,
     ACTUATOR,
@@ -123,8 +123,7 @@ def _check_sensor(name: str, table: Mapping[str, Any], file: ParameterFile) -> N
         raise file.error(f"{name}.position", f"must be absent for a {kind}, got {table['position']}")
     if kind == LINE_OF_SIGHT and "axes" in table:
         raise file.error(f"{name}.axes", f"must be absent for a {kind}, got {table['axes']}")
-    if whole_ticks(rate := table.get("rate", TICKS_PER_SECOND)) is None:
-        raise file.error(f"{name}.rate", f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate!r} Hz")
+    file.check_rate(f"{name}.rate", table.get("rate", TICKS_PER_SECOND))
     if not table.get("scale", 0.0) > -1.0:
         raise file.error(f"{name}.scale", f"must be above -1, got {table['scale']}")
     for key in ("noise", "step", "random_walk"):

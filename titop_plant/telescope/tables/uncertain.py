@@ -98,8 +98,10 @@ def checked(name: str, spread: Any) -> str:
         An unknown entry, a half-width out of its range.
     """
     if not is_factor(name):
-        modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (f"{FREQUENCY_OF}_1", f"{DAMPING_OF}_1"))
-        raise InputError(f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, got {name!r}")
+        modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (FREQUENCY_OF, DAMPING_OF))
+        raise InputError(
+            f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, of one mode with _1, _2, ..., got {name!r}"
+        )
     if isinstance(spread, bool) or not isinstance(spread, (int, float)) or not 0.0 < spread <= LARGEST:
         raise InputError(f"uncertain {name} must be above 0 and at most {LARGEST:g}, got {spread!r}")
     return name

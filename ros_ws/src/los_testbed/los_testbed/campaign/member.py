@@ -261,7 +261,8 @@ class MemberEvaluator:
     def _model(self) -> MemberMetrics:
         """Shared data of the members at depth model: computed once per process in a few seconds."""
         pair = self.controllers["k_fsm"], self.controllers["k_pma"]
-        return MemberMetrics.of(self.family.telescope, *pair, self.base.loop)
+        telescope = RunParts(self.base, known_family=self.family).sampled_telescope
+        return MemberMetrics.of(telescope, *pair, self.base.loop)
 
     @cached_property
     def _parameters(self) -> MemberParameters:

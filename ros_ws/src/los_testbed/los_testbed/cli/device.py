@@ -69,7 +69,7 @@ def check(
     number("--scale", scale, 0.01, 10.0)
     telescope = with_stage({"start": "rest", "parameters": None if parameters is None else str(parameters)})
     rig = {"device": device, "device_address": device_address, "device_key": device_key}
-    config = RunConfig.from_mapping({**telescope, **rig})
+    config = RunParts(RunConfig.from_mapping({**telescope, **rig})).config
     supervisor = Supervisor(make_device(config), config)
     parts = RunParts(RunConfig.from_mapping(telescope))
     peaks = peaks_of(parts.basis.authority, scale)

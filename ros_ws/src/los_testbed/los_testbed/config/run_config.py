@@ -6,6 +6,7 @@ and the metadata of the bag.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -299,7 +300,7 @@ def parse_value(name: str, text: str) -> Any:
 
 
 def settings_of(words: Iterable[str]) -> dict[str, Any]:
-    """Settings of some ``NAME=VALUE``; a name with a dot is that of a parameter, for ``parameter_values``.
+    """Settings of some ``NAME=VALUE``; a name that is like no setting is that of a parameter, for ``parameter_values``.
 
     Raises
     ------
@@ -316,7 +317,8 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         name, sign, text = word.partition("=")
         if not sign:
             raise InputError(f"--set must be NAME=VALUE, got {word!r}")
-        if "." not in name:
+        near = difflib.get_close_matches(name, RunConfig.SETTINGS, 1)
+        if name in RunConfig.SETTINGS or (near and "." not in name):
             settings[name] = parse_value(name, text)
             continue
         values = settings.setdefault("parameter_values", {})

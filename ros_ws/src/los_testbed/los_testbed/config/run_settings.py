@@ -16,10 +16,10 @@ from los_design.files import CONTROLLERS, TELESCOPE
 from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import NO_SCENARIO, SCENARIOS
-from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.physical_settings import PROFILES, PhysicalSettings
 from titop_plant.simulation.plant_config import stated_values
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.uncertain_parameters import SPEED
+from titop_plant.telescope.uncertain_parameters import SPEED, moves
 
 if TYPE_CHECKING:
     from titop_plant.telescope.telescope import Telescope
@@ -64,6 +64,9 @@ def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
         of_layer = PhysicalSettings.from_mapping({name: layer[name] for name in MEMBER if name in layer})
         by_name |= stated_values(of_layer, telescope)
     by_name = {name: value for name, value in by_name.items() if name in telescope.uncertain}
+    if values.get("profile", PROFILES[0]) not in PROFILES:  # a file has what moves, but for what a layer names itself
+        named = {name for layer in layers for name in layer.get("parameter_values") or ()}
+        by_name = {name: value for name, value in by_name.items() if name in named or not moves(name)}
     kept = () if any(map(SPEED.fullmatch, by_name)) else ("wheel_speed",)  # of wheels whose speeds are no parameters
     others = {name: value for name, value in values.items() if name in kept or name not in MEMBER}
     return {**others, "parameter_values": by_name}

@@ -78,7 +78,7 @@ class ControllerLaw:
         self.context = context
         by_user = build is not build_controller
         run = RunParts(context.config)
-        controller = made_by(build, context.config, "controller") if by_user else run.controller()
+        controller = made_by(build, run.config, "controller") if by_user else run.controller()
         if not by_user:
             context.warn_alone(run.check())
         self.digest = "" if by_user else announced(run)["controller"]

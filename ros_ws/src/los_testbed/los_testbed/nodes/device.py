@@ -18,6 +18,7 @@ from los_testbed.nodes.plant import RING, PlantLoop
 from los_testbed.nodes.support.handshake import OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.parts.device_contract import TRUTH_PORT, DeviceError, make_device
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.rig.supervisor import Supervisor, as_stamp, refused_in_words
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.requirements.verdict import FAULT_STAMP
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def body(context: NodeContext) -> int:
         if not context.config.device:
             raise InputError("device must be MODULE:NAME or an entry point, got none")
-        device = Supervisor(make_device(context.config), context.config)
+        device = Supervisor(make_device(RunParts(context.config).config), context.config)
         others = OtherPlants(context)
         context.event("alone")
         device.open()

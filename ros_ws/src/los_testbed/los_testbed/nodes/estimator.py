@@ -77,9 +77,9 @@ class EstimatorLaw:
     def __init__(self, context: NodeContext, build: Callable[[RunConfig], EstimatorCore] = build_estimator) -> None:
         self.context = context
         by_user = build is not build_estimator
-        estimator = made_by(build, context.config, "estimator") if by_user else build(context.config)
-        self._reset = watched(estimator.reset, "reset")
         parts = RunParts(context.config)
+        estimator = made_by(build, parts.config, "estimator") if by_user else build(context.config)
+        self._reset = watched(estimator.reset, "reset")
         self.digest = "" if by_user else announced(parts)["estimator"]
         self.further = () if by_user else sensor_topics(parts.used["k_fsm"].further_sensors)
         self.size = MEASUREMENTS + sum(topic.size for topic in self.further)

@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
                 f"device must be absent for the node plant, got {context.config.device}: use the node device"
             )
         parts = RunParts(context.config)
-        plant = made_by(build, context.config, "plant") if by_user else parts.plant()
+        plant = made_by(build, parts.config, "plant") if by_user else parts.plant()
         if by_user or context.config.plant:
             check_plant(plant)
         if not by_user:

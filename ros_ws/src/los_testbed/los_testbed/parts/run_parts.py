@@ -102,6 +102,14 @@ class RunParts:
         return loaded
 
     @cached_property
+    def sampled_telescope(self) -> Telescope:
+        """The telescope with the frame rate of the run."""
+        rate = self.config.camera_rate
+        if rate in (None, self.telescope.camera_rate):
+            return self.telescope
+        return self.telescope.changed({"sensors": {"camera_rate": rate}})
+
+    @cached_property
     def pupil_file(self) -> bytes:
         """Content of the file of the pupil, empty where there is none; InputError: it cannot be read."""
         from pointing_analysis.image.optics import read_pupil_file

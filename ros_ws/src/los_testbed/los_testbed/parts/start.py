@@ -198,7 +198,8 @@ def find_run_start(
         for matrix in (system.A, system.B, system.C, system.D):
             digest.update(matrix.tobytes())
         digest.update(json.dumps(dict(system.design_basis), sort_keys=True).encode())
-    key = f"{chosen} {family.name(settings)} {digest.hexdigest()} {ports.further_actuators}"
+    rows = [(row.name, row.ticks, row.bias.tolist(), row.mount and row.mount.key) for row in ports.further_sensors]
+    key = f"{chosen} {family.name(settings)} {digest.hexdigest()} {ports.further_actuators} {rows}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]

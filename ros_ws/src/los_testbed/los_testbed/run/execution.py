@@ -58,7 +58,7 @@ def check(parts: RunParts, plant: SteppedPlant | None = None) -> tuple[str, ...]
     if config.device:
         from los_testbed.parts.device_contract import make_device
 
-        make_device(config)
+        make_device(parts.config)
     if config.disturbance_source and config.disturbance:
         parts.disturbance()
     warnings = parts.check()

@@ -228,7 +228,8 @@ def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tu
     if is_library(text):
         return LibraryLaw(Path(text), name), read_bytes(text, SYSTEM)
     if is_code(text):
-        block = make_law(RunConfig.from_mapping({name: text, "ports_in_order": in_order}), name)
+        known = {key: run.parameters[key] for key in ("camera_rate",) if key in run.parameters}
+        block = make_law(RunConfig.from_mapping({**known, name: text, "ports_in_order": in_order}), name)
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
     law = read_law(name, Path(text), in_order)

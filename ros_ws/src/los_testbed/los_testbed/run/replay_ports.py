@@ -11,6 +11,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, PLACED, SENSORS, actuator_topics, sensor_topics, shifted
 from los_testbed.run.metadata import FURTHER_AUTHORITY
 from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout
 from titop_plant.interface import COMMANDED, DT, K_FSM_OUTPUTS, MEASURED_PORTS
@@ -44,8 +45,9 @@ def rows_of(run: Run, law: SampledSystem) -> LoopPorts:
 def _sensor(run: Run, port: Port) -> Sensor:
     """Row of a sensor, at the rate of its topic in the bag."""
     topic, ticks = f"{PLACED}/{port.name}", 1
-    if topic in run and len(run[topic]) > 1:
-        ticks = max(1, round(run[topic].period / DT))
+    stated = [sensor.rate for sensor in sensors_of(run) if sensor.topic == topic]
+    if stated or (topic in run and len(run[topic]) > 1):
+        ticks = max(1, round((1.0 / stated[0] if stated else run[topic].period) / DT))
     noise, bias = np.full((2, port.size), np.nan)
     return Sensor(port, noise, bias, ticks > 1, ticks)
 

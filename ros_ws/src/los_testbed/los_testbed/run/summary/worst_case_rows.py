@@ -119,7 +119,7 @@ def worst_tone_of(run: Run, parts: RunParts) -> WorstToneRun | None:
 
 def _noise(parts: RunParts) -> tuple[WindowNoise, WindowNoise]:
     """Sensor noise in the line of sight [rad], of the instants and of windows: none where no mirror is commanded."""
-    telescope, loop = parts.telescope, parts.config.loop
+    telescope, loop = parts.sampled_telescope, parts.config.loop
     if loop not in MIRROR_STAGES:
         return WindowNoise(0.0), WindowNoise(0.0)
     k_fsm, k_pma = (parts.models[name] for name in ("k_fsm", "k_pma"))
