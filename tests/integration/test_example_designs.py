@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import tomli_w
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_designs, of_scenario
@@ -96,10 +97,9 @@ def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys
     for row, at in zip(content["over_members"], content["requirements"], strict=True):
         assert row["members"] == 4 and row["at_the_point"] == at["total"] <= row["worst"]
         assert row["worst"] + row["margin"] == pytest.approx(at["limit"], rel=1e-12)
-        settings = "\n".join(f"{key} = {json.dumps(value)}" for key, value in row["settings"].items())
         own = tmp_path / "own.toml"
-        text = 'unit = "mas"\n[sources.loop]\ntype = "testbed"\nscenario = "imbalance"\nloop = "fsm"\n'
-        own.write_text(f"{text}[sources.loop.settings]\n{settings}\n")
+        source = {"type": "testbed", "scenario": "imbalance", "loop": "fsm", "settings": row["settings"]}
+        own.write_text(tomli_w.dumps({"unit": "mas", "sources": {"loop": source}}), "utf-8")
         assert main(["budget", str(own), *apart, "--json"]) == 0
         alone = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
         assert [r["total"] for r in alone if r["text"] == row["requirement"]] == pytest.approx([row["worst"]], rel=1e-6)

@@ -13,6 +13,7 @@ from los_testbed.api import designs
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 from support.command_line import call_command
+from support.loop_rows import loop_rows
 
 from lftkit import SampledSystem, System
 from los_design.search.worst_points import load_worst_points
@@ -93,7 +94,7 @@ def test_refined_peaks_are_on_top(three, telescope) -> None:
         for name in ("APE", "mirror"):
             p, rows = check.worst[name], slice(0, 2) if name == "APE" else slice(2, 4)
             plant = small_plant(p.parameters["stiffness"])
-            loop = sampled_loop(plant, ControlLaws(*quiet_pair(), check.stage, rows(20), 0.1))
+            loop = sampled_loop(plant, ControlLaws(*quiet_pair(), check.stage, loop_rows(20), 0.1))
             omega = p.omega * np.exp([-1e-4, 0.0, 1e-4])
             response, _ = weighted_gains(loop, plant, telescope, omega)
             gains = np.linalg.norm(response[:, rows], 2, axis=(1, 2)) / p.limit

@@ -62,7 +62,9 @@ def user_file(path: Path, number: tuple[Any, ...]) -> Path:
     value: Any = REFERENCE.to_mapping()
     for key in number[:depth]:
         value = value[key]
-    path.write_text(f"{'.'.join(number[:depth])} = {toml(changed(value, number[depth:]))}\n")
+    # a frame rate divides that of the ticks
+    other = 0.5 * value if number == ("sensors", "camera_rate") else changed(value, number[depth:])
+    path.write_text(f"{'.'.join(number[:depth])} = {toml(other)}\n")
     return path
 
 
