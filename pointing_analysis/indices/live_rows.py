@@ -41,6 +41,7 @@ class LiveRowSettings:
     chance : probability of a run of repeated rows, in the whole record, below which it is not one of chance
     beside : times the rows just below the extreme value that may be at it
     margin : rows more that may be there
+    apart : distance of rows that are equal by chance, as the digits of a number make them
     band : part of the range that is just below the extreme value
     rounding : part of the largest norm by which norms miss it in rounding
     smooth : change of the typical step, a part of it, up to which a motion is one without noise
@@ -63,6 +64,7 @@ class LiveRowSettings:
     chance: float = 1e-3
     beside: float = 3.0
     margin: int = 8
+    apart: int = 7
     band: float = 0.01
     rounding: float = 1e-12
     smooth: float = 0.7
@@ -299,12 +301,14 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     edges = np.fmax(into, np.append(into[1:], 0.0))
     quantum, typical = float(moving.min()), float(np.median(moving))
     quantised = quantum >= settings.fine * typical and bool(_quantum(np.diff(x[:PART])[:, None], settings)[0])
-    # Probability of one row that repeats, in a quantised axis by the rows beside the longest run
-    others = len(x) - int(lengths.max())
-    one = (int(repeated.sum()) - int(lengths.max()) + 1) / others if quantised else quantum / typical
+    # Probability of one row that repeats, in a quantised axis at most, by the rows beside the longest run
+    others, seen = len(x) - int(lengths.max()), int(repeated.sum()) - int(lengths.max()) + 1
+    one = (seen + settings.beside) / (others + settings.beside) if quantised else quantum / typical
     longest = math.log(settings.chance / len(x)) / math.log(min(max(one, 1e-300), 1.0 - 1e-15))
-    if not quantised and int(repeated.sum()) > settings.margin + settings.beside * one * len(x):
-        longest = 0.0  # many single rows that repeat are no chance either
+    # Many single rows that repeat are no chance either, where rows further apart are not equal as often
+    equal = int(np.count_nonzero(x[settings.apart :] == x[: -settings.apart]))
+    if not quantised and int(repeated.sum()) > settings.margin + settings.beside * max(one * len(x), equal):
+        longest = 0.0
     still = settings.fine * typical  # step of a motion that hardly moves
     if quantised and moving.size >= settings.fewest:
         still = 2.001 * quantum
@@ -359,8 +363,10 @@ def _at_top(values: FloatArray, settings: LiveRowSettings, quantum: float = 0.0)
         return none  # of fewer than four values no distribution is seen
     band = max(top - next_level, settings.band * (top - float(below.min())))
     near = below[below >= top - 1.0001 * band]
-    # Where no value just below it comes twice, the signal is not quantised: of that some values have more rows
-    beside = 1.0 if len(np.unique(near)) == len(near) else settings.beside
+    # Where no value just below it comes twice, and it comes again and again, the signal is not quantised, nor settled
+    comes = int(np.count_nonzero(np.diff(np.flatnonzero(at_top)) > 1)) + 1
+    alone = comes > settings.margin and len(np.unique(near)) == len(near)
+    beside = 1.0 if alone else settings.beside
     if count <= beside * len(near) + settings.margin:
         return none
     once = period(values, float(np.nanstd(values)))

@@ -338,3 +338,15 @@ def test_an_axis_with_a_value_in_each_tenth_row_has_a_tenth_of_the_rate() -> Non
     alone = hold_of(np.column_stack([np.zeros(5000), record[:, 1]]))
     assert isinstance(alone, Hold) and alone.rows == 10.0
     assert np.isfinite(samples_behind(record[:, 1:], alone)).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_few_repeats_and_ends_that_are_no_limits_are_judged(seed: int) -> None:
+    """Short records whose rounding repeats some values, and a motion that settles at the precision of numbers."""
+    rng = np.random.default_rng([9, seed])
+    time, white = np.arange(300) / 500.0, rng.standard_normal((300, 2))
+    tone = np.column_stack([np.sin(40.0 * time + seed), np.cos(47.0 * time)])
+    digits = np.array([float(f"{value:.3g}") for value in rng.standard_normal(20_000)]).reshape(-1, 2)
+    settled = np.column_stack([1.0 - np.exp(-np.arange(30_000) / 500.0), np.exp(-np.arange(30_000) / 500.0)])
+    for e in (np.round(white / 0.01) * 0.01, np.round(white, 1), np.round(20.0 * tone), digits, settled):
+        assert not stuck_rows(e).any() and not saturated_rows(e).any()
