@@ -132,9 +132,8 @@ class FsmPmaController:
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} must be positive and finite, got {value}")
-        k_pma.require(
-            (*K_PMA_INPUTS, *(sensor.port for sensor in sensors)), (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT
-        )
+        inputs = (*K_PMA_INPUTS, *(sensor.port for sensor in sensors))
+        k_pma.require(inputs, (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT)
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
@@ -148,7 +147,7 @@ class FsmPmaController:
         self._start: FloatArray = np.zeros(k_pma.order)
         platform = [port_alone(entry) for entry in MEASURED_SENSORS if entry.port.name == PLATFORM_PORT]
         self._held = HeldSamples((*platform, *sensors))
-        self._measured = np.zeros(total_size(K_PMA_INPUTS) + total_size(s.port for s in sensors))
+        self._measured = np.zeros(total_size(inputs))
 
     def start_at(self, state: FloatArray) -> None:
         """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.

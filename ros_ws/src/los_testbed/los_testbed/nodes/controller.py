@@ -94,10 +94,7 @@ class ControllerLaw:
         self._sample = np.zeros(self.size)
         self._estimate: FloatArray = np.zeros(0)
         self._columns: IntArray | None = None
-        behind = (
-            np.concatenate([np.full(t.size, t.framed) for t in self.further]) if self.further else np.zeros(0, bool)
-        )
-        slow = ACCEL.stop + np.flatnonzero(behind)
+        slow = ACCEL.stop + np.flatnonzero([t.framed for t in self.further for _ in range(t.size)])
         self._step = GapStepper(
             lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out),
             self.size,

@@ -384,9 +384,8 @@ class RunParts:
     @cached_property
     def ports(self) -> LoopPorts:
         """Sensors and actuators as rows of the loop, at the run's frame rate; of another plant the reference's."""
-        rows = self.telescope.loop_ports
-        frames = frame_ticks(self.config.camera_rate or self.telescope.camera_rate)
-        return (rows.reference if self.config.other_plant else rows).with_frames(frames)
+        rows = self.sampled_telescope.loop_ports
+        return rows.reference if self.config.other_plant else rows
 
     def _used(self, name: str) -> LoopPorts:
         """Rows that a controller uses."""
