@@ -85,7 +85,7 @@ class SampledLoop:
     ports: LoopPorts
     between: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def frame_ticks(self) -> int:
         """N, the period: ticks from one tick with all sensors to the next."""
         return self.ports.period

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -121,32 +122,32 @@ class LoopPorts:
 
     # ---- samples ----------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def framed(self) -> tuple[Sensor, ...]:
         """Sensors that may lack a sample at a tick; the last one is held then."""
         return tuple(row for row in self.sensors if row.framed)
 
-    @property
+    @cached_property
     def ticks(self) -> dict[str, int]:
         """Ticks from one sample to the next of each of them, by the name of its port."""
         return {row.name: row.ticks for row in self.framed}
 
-    @property
+    @cached_property
     def period(self) -> int:
         """Ticks from one tick at which every sensor has a sample to the next."""
         return math.lcm(*self.ticks.values())
 
-    @property
+    @cached_property
     def columns(self) -> Mapping[str, slice]:
         """Columns of each measured port."""
         return port_slices(self.measured)
 
-    @property
+    @cached_property
     def held_parts(self) -> Mapping[str, slice]:
         """Part of each sensor that may lack a sample in the vector of held values."""
         return port_slices(row.port for row in self.framed)
 
-    @property
+    @cached_property
     def held(self) -> IntArray:
         """Columns of the held values in the measurement."""
         columns, every = self.columns, np.arange(self.measurements)
