@@ -202,8 +202,7 @@ def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     """
     table = telescope.uncertain
     if config.loop not in (stages := telescope.stages):
-        why = "without proof-mass actuators" if telescope.plant is None else "with a plant from a file"
-        raise InputError(f"loop must be one of {', '.join(stages)} {why}, got {config.loop}")
+        raise InputError(f"loop must be one of {', '.join(stages)} of this telescope, got {config.loop}")
     by_name = config.parameter_values or {}
     for name, value in stated_values(config, telescope).items():
         if name in by_name or not moves(name):
