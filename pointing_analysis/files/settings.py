@@ -288,8 +288,13 @@ def proposal(name: str, known: Iterable[str]) -> str:
     (': did you mean duration?', ', expected one of: duration, seed')
     """
     names = tuple(known)
-    near = difflib.get_close_matches(name, names, 1)
-    return f": did you mean {near[0]}?" if near else f", expected one of: {', '.join(names)}"
+    near = nearest(name, names)
+    return f": did you mean {near}?" if near else f", expected one of: {', '.join(names) or '(none)'}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name that is most like one that is not; empty where none is like it."""
+    return "".join(difflib.get_close_matches(name, known, 1))
 
 
 def unknown(key: str, known: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
+from pointing_analysis.files.settings import proposal
 from titop_plant.physical_settings import ANGLE, PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
 from titop_plant.telescope.layout import speed_names
@@ -107,7 +108,7 @@ def stated_values(config: PhysicalSettings, telescope: Telescope) -> dict[str, f
     known = telescope.uncertain
     for name in config.parameter_values or ():
         if name not in known:
-            raise InputError(f"a parameter must be one of {', '.join(known) or '(none)'}, got {name}")
+            raise InputError(f"unknown parameter {name!r}{proposal(name, known)}")
     return values
 
 

@@ -90,10 +90,8 @@ def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monk
     [
         ("isolator.stiffness", "ENTRY=SPREAD"),
         ("isolator.damping=nan", "above 0 and at most 0.9"),
-        (
-            "payload.frequency_0=5%",
-            r"payload\.frequency, payload\.damping, of one mode with _1, _2, \.\.\., got 'payload\.frequency_0'",
-        ),
+        ("payload.frequency_0=5%", r"entry 'payload\.frequency_0' of uncertain: did you mean payload\.frequency_1\?"),
+        ("colour=5%", r"entry 'colour' of uncertain, expected one of: .*, payload\.damping, payload\.damping_1$"),
     ],
 )
 def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> None:

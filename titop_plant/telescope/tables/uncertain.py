@@ -39,6 +39,7 @@ from typing import Any
 
 from lftkit.errors import InputError
 from lftkit.uncertainty.elements import RealParameter
+from pointing_analysis.files.settings import proposal
 from titop_plant.interface import COMMANDED, MEASURED
 from titop_plant.telescope.layout import MountedBody, read_appendages, read_arrays
 from titop_plant.telescope.tables.parameter_check import ParameterFile
@@ -98,10 +99,8 @@ def checked(name: str, spread: Any) -> str:
         An unknown entry, a half-width out of its range.
     """
     if not is_factor(name):
-        modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (FREQUENCY_OF, DAMPING_OF))
-        raise InputError(
-            f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, of one mode with _1, _2, ..., got {name!r}"
-        )
+        modal = [f"{body}.{kind}{end}" for body in BODIES for kind in (FREQUENCY_OF, DAMPING_OF) for end in ("", "_1")]
+        raise InputError(f"unknown entry {name!r} of uncertain{proposal(name, (*ENTRIES, *modal))}")
     if isinstance(spread, bool) or not isinstance(spread, (int, float)) or not 0.0 < spread <= LARGEST:
         raise InputError(f"uncertain {name} must be above 0 and at most {LARGEST:g}, got {spread!r}")
     return name

@@ -6,7 +6,6 @@ and the metadata of the bag.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -17,6 +16,7 @@ from pydantic.dataclasses import dataclass
 
 from lftkit.errors import InputError
 from lftkit.support.file_kind import kind_of_file
+from pointing_analysis.files.settings import nearest
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import NO_SCENARIO, RATE, STAGES
@@ -317,8 +317,7 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         name, sign, text = word.partition("=")
         if not sign:
             raise InputError(f"--set must be NAME=VALUE, got {word!r}")
-        near = difflib.get_close_matches(name, RunConfig.SETTINGS, 1)
-        if name in RunConfig.SETTINGS or (near and "." not in name):
+        if name in RunConfig.SETTINGS or ("." not in name and nearest(name, RunConfig.SETTINGS)):
             settings[name] = parse_value(name, text)
             continue
         values = settings.setdefault("parameter_values", {})
