@@ -1,10 +1,10 @@
 """The sensors of the loop: the one table of those of the reference, and the values of a telescope.
 
-Vectors of the loop, simulation, topics, recorder, observer, design, prediction and budget are made from the table; a
-row that is added to :data:`SENSORS` takes effect in all of them. The numbers themselves, such as noise and filter, are
-keys of the table ``sensors`` of the parameter file, and a :class:`Sensor` has them. Further sensors are the tables
-``[[sensor]]`` of a user's file (:mod:`titop_plant.telescope.devices`). This module needs numpy and the names of ports
-only, so that the controllers at run time may import it.
+Vectors of the loop, simulation, topics, recorder, observer, design, prediction and budget are made from the table.
+The numbers themselves, such as noise and filter, are keys of the table ``sensors`` of the parameter file, and a
+:class:`Sensor` has them. Further sensors are the tables ``[[sensor]]`` of a user's file
+(:mod:`titop_plant.telescope.devices`). This module needs numpy and the names of ports only, so that the controllers at
+run time may import it.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class SensorEntry:
         Key of the standard deviation of a sample, in the unit of the port.
     step : str
         Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`; "": none.
-    rate : float or str
-        Samples per second, or the key of them; they divide the tick rate. Between its samples the last one is held.
+    rate : str
+        Key of its samples per second, between which the last one is held; "": one a tick.
     bias : str
         Key of what is added to every sample; "": nothing.
     washout : str
@@ -62,12 +62,12 @@ class SensorEntry:
     Raises
     ------
     ValueError
-        A rate that does not divide the tick rate, or another number of values than a message holds.
+        Another number of values than a message holds.
 
     Examples
     --------
-    >>> SensorEntry(Port("tracker", 3, "rad"), "tracker", "bus", "trackers", "tracker_noise", "camera_step", 4.0).framed
-    True
+    >>> SensorEntry(Port("tracker", 3, "rad"), "tracker", "bus", "trackers", "tracker_noise", "camera_step").framed
+    False
     """
 
     port: Port
@@ -76,22 +76,20 @@ class SensorEntry:
     group: str
     noise: str
     step: str = ""
-    rate: float | str = TICKS_PER_SECOND
+    rate: str = ""
     bias: str = ""
     washout: str = ""
     low_pass: str = ""
     measures: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.rate, str):
-            divided_ticks(self.rate, f"rate of {self.port.name}")
         if self.port.size > 3 and self.port.unit != TWIST_UNIT:
             raise InputError(f"size of {self.port.name} must be 1 to 3, or 6 of a twist, got {self.port.size}")
 
     @property
     def framed(self) -> bool:
         """Whether it may have samples at some ticks only, which are held between them."""
-        return self.rate != TICKS_PER_SECOND
+        return bool(self.rate)
 
     @property
     def source(self) -> str:
@@ -272,9 +270,8 @@ class Sensor:
 
 def port_alone(entry: SensorEntry) -> Sensor:
     """A sensor of no telescope: its noise and bias are unknown (NaN), and a rate that has a key (0 ticks)."""
-    unknown, rate = np.full(entry.port.size, math.nan), entry.rate
-    ticks = 0 if isinstance(rate, str) else divided_ticks(rate, f"rate of {entry.port.name}")
-    return Sensor(entry.port, unknown, unknown, entry.framed, ticks)
+    unknown = np.full(entry.port.size, math.nan)
+    return Sensor(entry.port, unknown, unknown, entry.framed, 0 if entry.framed else 1)
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
@@ -303,8 +300,7 @@ def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
         size, washout = np.ones(entry.port.size), float(value(entry, entry.washout))
         noise, bias = (value(entry, key) * size for key in (entry.noise, entry.bias))
         low_pass = tuple(map(float, value(entry, entry.low_pass))) if entry.low_pass else ()
-        name = entry.rate if isinstance(entry.rate, str) else f"rate of {entry.port.name}"
-        rate = value(entry, entry.rate) if isinstance(entry.rate, str) else entry.rate
-        return Sensor(entry.port, noise, bias, entry.framed, divided_ticks(rate, name), washout, low_pass)
+        ticks = divided_ticks(value(entry, entry.rate), entry.rate) if entry.framed else 1
+        return Sensor(entry.port, noise, bias, entry.framed, ticks, washout, low_pass)
 
     return tuple(sensor(entry) for entry in MEASURED_SENSORS)

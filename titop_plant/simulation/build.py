@@ -18,7 +18,6 @@ from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.physical_settings import PROFILES
-from titop_plant.sensors import CAMERA_PORT
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
@@ -147,10 +146,9 @@ class PlantFamily:
 
     def _sensors(self, config: PlantConfig) -> SensorModel:
         rows = self.telescope.loop_ports.reference
-        slow = tuple((rows.columns[name], ticks) for name, ticks in rows.ticks.items() if name != CAMERA_PORT)
         sigma = float(config.noise) * rows.noise
         frame = frame_ticks(config.camera_rate or self.telescope.camera_rate)
-        return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed, slow)
+        return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
 
     def name(self, config: PlantConfig) -> str:
         """`Plant.parameters_hash` of a configuration, without building the plant."""

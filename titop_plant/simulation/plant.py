@@ -276,8 +276,8 @@ class Plant:
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` from this tick on; write `measurement` (22,) and `truth` (2,) of this tick.
 
-        A sensor that is slower than the tick has its sample every so many ticks and NaN otherwise, the camera also for
-        a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
+        The camera has NaN between its frames and for one that is lost. `truth` is the controlled line of sight without
+        noise or filter [rad].
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Samples of the 22 measurements: noise, bias, sensors that are slower than the tick, frames that are lost."""
+"""Samples of the 22 measurements: noise, bias, frames of the camera and those that are lost."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ class SensorModel:
     dropout : float
         Probability that a frame is lost (read as NaN).
     seed : int
-    slow : tuple of (slice, int)
-        Columns of the other sensors that are slower than the tick, and ticks from one sample to the next.
     """
 
     sigma: FloatArray
@@ -37,7 +35,6 @@ class SensorModel:
     frame_ticks: int
     dropout: float
     seed: int
-    slow: tuple[tuple[slice, int], ...] = ()
 
 
 class SensorSamples:
@@ -78,9 +75,6 @@ class SensorSamples:
             self._draw()
         np.add(true, self._block[row] if self.noisy else 0.0, out=out)
         out += self.model.bias
-        for columns, ticks in self.model.slow:
-            if tick % ticks:
-                out[columns] = np.nan
         if tick % self.model.frame_ticks or self._lost():
             out[CAMERA] = np.nan
 
@@ -95,8 +89,6 @@ class SensorSamples:
             some = min(_NOISE_BLOCK - row, rows - done)
             noise[done : done + some] = self._block[row : row + some]
             done += some
-        for columns, every in self.model.slow:
-            absent[ticks % every != 0, columns] = True
         framed = ticks % self.model.frame_ticks == 0
         absent[:, CAMERA] = ~framed[:, None]
         if self._dropout > 0.0:

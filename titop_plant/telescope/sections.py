@@ -449,7 +449,7 @@ class WeightTable(LimitsTable):
     wheel_imbalance: Vector = setting(..., "amplitudes of the imbalance", "N, Nm", 0.0, length=5)
     wheel_imbalance_zero: float = setting(..., "zero of their weight", "rad/s")
     wheel_imbalance_pole: float = setting(..., "pole of their weight", "rad/s")
-    band_edge: float = setting(FIRST_BAND_EDGE, "edge of the bands", "rad/s", *LOOP_FREQUENCIES)
+    band_edge: float = setting(..., "edge of the bands", "rad/s", *LOOP_FREQUENCIES)
 
 
 @settings_class

@@ -17,7 +17,7 @@ from titop_plant.telescope.sections import TABLES, Equipment, Material, Requirem
 NOT_NEGATIVE = {entry.noise for entry in SENSORS}
 """Keys of the table of the sensors whose numbers must not be negative."""
 
-RATES = {entry.rate for entry in SENSORS}
+RATES = {entry.rate for entry in SENSORS if entry.framed}
 """Keys of its rates, which divide the tick rate."""
 
 OPEN: Mapping[str, str] = {"body.ports.": "", "body.sections.": "bracket_"}

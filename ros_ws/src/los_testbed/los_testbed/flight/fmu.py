@@ -121,7 +121,7 @@ def law_model(laws: FlightLaws) -> Model:
 def plant_model(plant: object) -> Model:
     """The telescope with its disturbance, without sensor noise: command to measurement and true line of sight.
 
-    Between its samples the value of a slower sensor is the last one.
+    Between its frames the value of the camera is the last one.
 
     Parameters
     ----------
@@ -150,8 +150,7 @@ def plant_model(plant: object) -> Model:
     }
     rounded = Tables.of(**tables)
     every = np.ones(MEASUREMENTS, int)
-    for columns, ticks in ((CAMERA, plant.frame_ticks), *plant.sensors.slow):
-        every[columns] = ticks
+    every[CAMERA] = plant.frame_ticks
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
     text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
