@@ -361,6 +361,8 @@ class _Reader:
         for what, share in series.blind:
             if share > self.unseen:
                 raise self.wrong(path, f"bag must show the motion: {what}", str(bag))
+        if series.quantum:
+            raise self.wrong(path, "bag must have values in steps that are smaller than the motion", str(bag))
         return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
 
     def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:

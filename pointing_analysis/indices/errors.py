@@ -8,8 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray, IntArray
-from pointing_analysis.formatting.number_text import percent
-from pointing_analysis.indices.live_rows import Hold, hold_of, samples_behind, saturated_rows, stuck_rows
+from pointing_analysis.formatting.number_text import digits, percent
+from pointing_analysis.indices.live_rows import (
+    Hold,
+    coarse_quantum,
+    hold_of,
+    samples_behind,
+    saturated_rows,
+    stuck_rows,
+)
 from pointing_analysis.indices.metrics import AXES
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
@@ -44,6 +51,7 @@ class ErrorSeries:
     open_end : whether the recording is truncated and the number of missing samples at its end is unknown
     blind : what the sensor did not see, in words, with its share of the samples: these are missing
     remarks : what else the values say of the record, one sentence each
+    quantum : step to which the values are rounded, where it is larger than the motion [rad]; else 0
     """
 
     values: FloatArray
@@ -53,6 +61,7 @@ class ErrorSeries:
     open_end: bool = False
     blind: tuple[tuple[str, float], ...] = ()
     remarks: tuple[str, ...] = ()
+    quantum: float = 0.0
 
     @property
     def time(self) -> FloatArray:
@@ -126,6 +135,12 @@ def _drop(
         moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
     dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
     dead["stuck"] &= ~dead["saturated"]
+    for column, name in enumerate(AXES):
+        if judged[column] and _is_constant(rows[:, column]):
+            remarks.append(f"{name} has the same value in all samples")
+            # What comes to a stop before the judged rows is told by the rows before
+            if stuck_rows(values[:, column : column + 1])[first:].any():
+                dead["stuck"][:] = True
     shares = {what: float(one.mean()) for what, one in dead.items() if one.any()}
     unseen = tuple((f"{what}: {percent(share)} of the samples", share) for what, share in shares.items())
     blind += unseen
@@ -133,7 +148,18 @@ def _drop(
         rows = np.where((dead["saturated"] | dead["stuck"])[:, None], np.nan, rows)
         remarks += [f"{what}, which count as missing" for what, _ in unseen]
     missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
-    return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks))
+    if quantum := coarse_quantum(rows):
+        step = digits(quantum / RAD_PER_MAS)
+        remarks.append(f"the values have steps of {step} mas, larger than the motion: smaller figures are not known")
+    return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks), quantum)
+
+
+def _is_constant(axis: FloatArray) -> bool:
+    """Whether all samples (n,) that are there have one value."""
+    extremes = [
+        (float(np.nanmin(p)), float(np.nanmax(p))) for part in parts(len(axis)) if not np.isnan(p := axis[part]).all()
+    ]
+    return min(low for low, _ in extremes) == max(high for _, high in extremes)
 
 
 def on_camera(run: Recording) -> bool:

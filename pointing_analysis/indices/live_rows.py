@@ -12,6 +12,8 @@ the values themselves:
 - **saturated**: more rows at one extreme value than a smooth distribution has there.
 
 An axis that is constant in the whole record is a motion that does not change.
+
+Rounding to a quantum that is larger than the motion leaves nothing of it, see :func:`coarse_quantum`.
 """
 
 from __future__ import annotations
@@ -54,6 +56,7 @@ class LiveRowSettings:
     multiple : part of a quantum by which the steps of a rounded record miss a multiple of it
     same : part by which the rows for a sample may differ in the two axes
     decimated : rows that are taken together where rounding hides a polynomial between single ones
+    coarse : part of a limit up to which the values may be rounded
     """
 
     fewest: int = 32
@@ -77,6 +80,7 @@ class LiveRowSettings:
     multiple: float = 1e-3
     same: float = 0.02
     decimated: int = 4
+    coarse: float = 0.5
 
 
 SETTINGS = LiveRowSettings()
@@ -319,6 +323,28 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     begun = (x[starts] == x[0]) & (lengths[0] > settings.margin)  # a motion that begins at rest comes back to it
     rests = (change <= settings.smooth * typical) & (begun | ~(into > allowed))
     return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
+
+
+def coarse_quantum(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> float:
+    """Largest quantum of the axes of a record (n, 2) that is larger than the rms of the motion; 0: none is.
+
+    A motion that is larger than the quantum is told by many of its steps. What repeats itself is no rounded noise.
+
+    Examples
+    --------
+    >>> noise = 4.0 * np.random.default_rng(1).standard_normal((1000, 2))
+    >>> float(coarse_quantum(10.0 * np.round(noise / 10.0))), float(coarse_quantum(np.round(noise)))
+    (10.0, 0.0)
+    """
+    coarse = 0.0
+    if len(e) < settings.fewest:
+        return coarse
+    for axis, quantum in zip(e.T, _quantum(np.diff(e[:PART], axis=0), settings)):
+        scatter = float(np.nanstd(axis)) if quantum > coarse else math.inf
+        if scatter < quantum and period(axis, scatter) >= len(axis):
+            halves = 2.0 * axis[:PART][~np.isnan(axis[:PART])] / quantum  # rounded to a multiple, or to the middle
+            coarse = float(quantum) if (np.abs(halves - np.rint(halves)) <= settings.multiple).all() else coarse
+    return coarse
 
 
 def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:

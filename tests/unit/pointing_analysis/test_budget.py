@@ -167,6 +167,10 @@ def test_a_recorded_source_that_the_sensor_did_not_see_is_refused(tmp_path: Path
                 budget(tmp_path, sources)
         else:
             assert budget(tmp_path, sources).level == pytest.approx(1.645, rel=0.05)
+    table[:, 1:] = 4.0 * np.round(table[:, 1:] / 4.0)
+    np.savetxt(tmp_path / "bench.csv", table, delimiter=",", header="time,x (mas),y (mas)", comments="")
+    with pytest.raises(InputError, match="a: bag must have values in steps that are smaller than the motion"):
+        budget(tmp_path, sources)
 
 
 def test_a_measured_source_takes_the_windows_of_an_analysis(tmp_path: Path) -> None:

@@ -243,7 +243,8 @@ def test_blank_cells_are_missing_samples_everywhere(tmp_path: Path, capsys: pyte
     run = open_los(tmp_path / "a.csv")
     found = summarise(run, requirements=[parse("prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")])
     assert found.samples_lost == 100 and found.verdicts[0].missing == 100
-    assert found.problems == ("1 empty rows skipped", "x [mas], y [mas]: 100 samples without a value: missing")
+    empty = ("1 empty rows skipped", "x [mas], y [mas]: 100 samples without a value: missing")
+    assert found.problems == (*empty, "y has the same value in all samples")
     assert main(["analyse", str(tmp_path / "a.csv"), "--requirements", str(tmp_path / "m.toml"), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["samples_lost"] == 100

@@ -21,6 +21,7 @@ from pointing_analysis.requirements.verdict import judge
 
 N, DT = 60_000, 1e-3
 TIME = DT * np.arange(N)
+APE_AND_RPE = ("|APE|", "rms RPE(20 ms)")
 RPE = "prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence"
 APE = "prob(|APE| < 1000 mas) >= 0.997 at 95 % confidence"
 
@@ -130,7 +131,6 @@ SEEN = {
     "quantised 1 %": lambda: np.round(white(10.0) / 10.0) * 10.0,
     "quantised 5 %": lambda: np.round(white(100.0) / 50.0) * 50.0,
     "quantised 20 %": lambda: np.round(white(300.0) / 200.0) * 200.0,
-    "quantised, two levels": lambda: np.round((white(40.0) + 130.0) / 200.0) * 200.0,
     "quantised slow tone": lambda: np.round(tone(0.1, 900.0) / 200.0) * 200.0,
     "quantised slow tone 1 %": lambda: np.round(tone(0.1, 900.0) / 10.0) * 10.0,
     "quantised slow tone with noise": lambda: np.round((tone(0.1, 900.0) + white(3.0)) / 10.0) * 10.0,
@@ -350,3 +350,33 @@ def test_few_repeats_and_ends_that_are_no_limits_are_judged(seed: int) -> None:
     settled = np.column_stack([1.0 - np.exp(-np.arange(30_000) / 500.0), np.exp(-np.arange(30_000) / 500.0)])
     for e in (np.round(white / 0.01) * 0.01, np.round(white, 1), np.round(20.0 * tone), digits, settled):
         assert not stuck_rows(e).any() and not saturated_rows(e).any()
+
+
+@pytest.mark.parametrize("step", [4.5, 10.0, 12.0])
+def test_rounding_that_hides_the_motion_is_not_judged(step: float) -> None:
+    """Steps of more than half of the limit."""
+    rounded = np.round(white(2.0) / step) * step
+    texts = [
+        f"prob({index} < {limit} mas) >= 0.95 at 90 % confidence" for index in APE_AND_RPE for limit in (4, 2.5 * step)
+    ]
+    found = judge_series(TIME, rounded, unit="mas", requirements=texts, transient=0.0)
+    for index, verdict in enumerate(found.verdicts):
+        if index % 2:
+            assert verdict.status == "compliant"
+        else:
+            assert verdict.status == "not judged" and f"steps of {step:g} mas" in verdict.note
+    assert any(f"steps of {step:g} mas, larger than the motion" in text for text in found.problems)
+    two_levels = judged(np.round((white(40.0) + 130.0) / 200.0) * 200.0)
+    assert [verdict.status for verdict in two_levels.verdicts] == ["not judged", "compliant"]
+
+
+@pytest.mark.parametrize("dies_at", [1.0, 3.0, 4.999])
+def test_an_axis_that_dies_in_the_start_up_is_not_judged(dies_at: float) -> None:
+    """The judged rows are constant, as those of an axis that never moves: the rows before tell them apart."""
+    e = white(20.0)
+    e[dies_at < TIME, 0] = e[int(1e3 * dies_at), 0]
+    e[:, 1] *= 0.2
+    texts = [f"prob(|APE{axis}| < 50 mas) >= 0.9 at 90 % confidence" for axis in ("_x", "", "_y")]
+    found = judge_series(TIME, e, unit="mas", requirements=texts, transient=5.0)
+    assert [verdict.status for verdict in found.verdicts] == ["not judged", "not judged", "compliant"]
+    assert "x has the same value in all samples" in found.problems
