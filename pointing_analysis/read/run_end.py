@@ -18,6 +18,9 @@ FAILURE = "failure"
 OUTSIDE = "unsent_outside"
 """Statistic of the plant: ticks before the first and after the last one of which it has sent samples."""
 
+AFTER = "unsent_after"
+"""Statistic of the plant: those of them after the last one."""
+
 BY_NODES = ("realtime", "lockstep")
 """Modes in which the plant reports its ticks during the run."""
 
@@ -48,8 +51,10 @@ class RunEnd:
             return "the plant has reported no tick: the end of the run is not known"
         unplanned = self.planned is not None and self.done is not None and self.done < self.planned
         early = f"the run ended early: after {self.done} of {self.planned} ticks" if unplanned else ""
-        if self.covered is None or self.sent is None or self.covered >= self.sent:
+        if self.covered is None or self.sent is None or (self.covered >= self.sent and not self.longer):
             return early
+        if self.longer:
+            return f"the messages cover {self.covered} ticks, more than the {self.sent} in the run's record"
         if early:
             return f"{early}; the messages cover {self.covered} of the {self.sent} ticks in the run's record"
         plan = "" if self.planned is None else "by its plan, "
@@ -57,6 +62,13 @@ class RunEnd:
             f"the run's record says that it ended {plan}after {self.sent} ticks, "
             f"but the messages cover {self.covered} of them"
         )
+
+    @property
+    def longer(self) -> bool:
+        """Whether there are messages of more ticks than the run had; one that ended early may lack its last report."""
+        if self.planned is None or self.covered is None:
+            return False
+        return self.done == self.planned < self.covered
 
     @property
     def by_plan(self) -> bool:

@@ -77,6 +77,7 @@ class Topic:
     integrity : gaps, duplicates and the like
     lost_before, lost_after : samples that were recorded, or were to be, before the first stamp and after the last one,
         and are not in the bag
+    unsent_after : periods behind them that a loop in real time has lost, and that are judged as missing
     open_end : whether the recording is truncated and the missing part at its end is unknown
     """
 
@@ -91,6 +92,7 @@ class Topic:
     integrity: Integrity
     lost_before: int = 0
     lost_after: int = 0
+    unsent_after: int = 0
     open_end: bool = False
 
     def __len__(self) -> int:
@@ -300,7 +302,7 @@ def on_grid(topic: Topic, off_grid: float = OFF_GRID) -> tuple[FloatArray, float
             f"{counted(state.irregular, 'interval')} off it "
             "(with a known sampling rate, --rate HZ moves them to its grid)"
         )
-    rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after
+    rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after + topic.unsent_after
     if rows > 4 * len(topic) + 100_000:
         raise BagError(
             f"{topic.name}: recording must be continuous, got {len(topic)} samples in {rows * topic.period:g} s: "

@@ -23,9 +23,11 @@ from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
+from pointing_analysis.read.mapped_arrays import by_parts
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra import spectra
+from pointing_analysis.spectra.line_search import MOST_MISSING
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 
@@ -34,6 +36,7 @@ BAND_EDGE = 85.0
 
 PARTS = ("noise", "slow", "fast", "total")
 UNRESOLVED = "tones cannot be distinguished from the rest: their sum would exceed the total (a drift or a pulse?)"
+GAPS = "tones cannot be looked for: too many samples are missing"
 
 
 def _short(value: float) -> str:
@@ -63,6 +66,7 @@ class ToneBudget:
     found : lines among the tones that the recording does not name
     part : of the windows, that the total holds for
     spectrum : frequencies [Hz] and powers of the noise in the relative error, both axes; None where it is not known
+    unresolved : why there are no tones, where noise and tones are NaN
     """
 
     noise: float
@@ -74,12 +78,13 @@ class ToneBudget:
     found: tuple[FoundLine, ...] = ()
     spectrum: tuple[FloatArray, FloatArray] | None = None
     part: float = 0.997
+    unresolved: str = UNRESOLVED
 
     def __str__(self) -> str:
         texts, whole = [], f"total ({percent(self.part, 10)}) {{}}"
         if math.isnan(self.slow) and math.isnan(self.fast):
             limit = f" of {self.allowances['total']:.3g}" if "total" in self.allowances else ""
-            return f"budget of the RPE [mas]: {UNRESOLVED}; {whole.format(_short(self.total))}{limit}"
+            return f"budget of the RPE [mas]: {self.unresolved}; {whole.format(_short(self.total))}{limit}"
         for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", whole)):
             value, allowed = getattr(self, part), self.allowances.get(part)
             texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))
@@ -120,13 +125,17 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     allowances = {k: float(v) for k, v in stated.items() if _number(v)} if isinstance(stated, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
     allowed = {part: allowances[part] for part in PARTS if part in allowances}
-    named = spectra.lines(series.values, series.dt, named_tones(run), window)
-    unnamed, rest = unnamed_lines(series.values, series.dt, named)
+    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), series.values, dtype=bool)
+    values = series.values[: len(present) - int(np.argmax(present[::-1]))]  # without the lost end of a recording
+    named = spectra.lines(values, series.dt, named_tones(run), window)
+    if not named and np.count_nonzero(present) < (1.0 - MOST_MISSING) * len(values):  # no line is looked for
+        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, part=part, unresolved=GAPS)
+    unnamed, rest = unnamed_lines(values, series.dt, named)
     samples = metrics.samples_or_one(window, series.dt)
     factor = weights.rpe_discrete(np.array([line.omega for line in unnamed]), samples, series.dt) if unnamed else ()
     powers = [(line.omega, line.rpe**2) for line in named]
     powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(unnamed, factor)]
-    if spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
+    if spectra.exceeds(values, rest, [one for _, one in powers], series.dt, window):
         return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=unnamed, part=part)
     noise, noise_error = _rms(metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2)
     slow, fast = (

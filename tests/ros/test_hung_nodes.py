@@ -2,10 +2,12 @@
 
 import os
 import signal
+import subprocess
 
 import pytest
+from los_testbed.run.processes.node_launch import EVENTS_VARIABLE, environment, parameter_file, ros_arguments
 from los_testbed.run.runner import Runner
-from ros_runs import PLANT, config_for
+from ros_runs import PLANT, config_for, live_nodes
 
 from pointing_analysis.read.run import Run
 
@@ -41,3 +43,24 @@ def test_a_stopped_node_ends_the_run_with_a_bag(tmp_path, mode, node):
     run = Run.open(results.bag)
     assert len(run["truth/los"]) >= 200
     assert not [problem for problem in run.problems if "truncated" in problem]
+
+
+def test_a_plant_that_no_runner_watches_ends_by_itself(tmp_path):
+    """As on several hosts, where an observer dies: `run --only plant` waited for ever."""
+    config = config_for(tmp_path, duration=3600.0, mode="lockstep", hang_timeout=5.0, wait_for_recorder=False)
+    parameter_file(config, tmp_path / "plant.yaml")
+    variables = environment(config.domain, tmp_path)
+    del variables[EVENTS_VARIABLE]
+    with live_nodes(config, tmp_path, "estimator", "controller"):
+        plant = subprocess.Popen(
+            [*PLANT, *ros_arguments(config.namespace, tmp_path / "plant.yaml")],
+            env=variables,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert plant.stderr is not None
+        assert any("run begins" in line for line in plant.stderr)
+    _, said = plant.communicate(timeout=300)
+    assert plant.returncode == 3
+    assert said.splitlines()[-1].startswith("los_testbed plant: no tick for 7 s: no message on ")
+    assert said.splitlines()[-1].endswith("the run was ended (--hang-timeout)")

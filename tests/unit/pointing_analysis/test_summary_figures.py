@@ -122,6 +122,8 @@ def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
     assert found.lost_by_topic == {"truth/los": 5}
     assert found.problems == ("line of sight: 5 samples missing before the first and after the last one",)
     assert found.ticks == 3005
+    never = summarise(replace(made, topic=replace(made["truth/los"], unsent_after=7)), transient=0.0)
+    assert never.samples_lost == 0 and never.duration == pytest.approx(3.007)  # periods that a loop has lost at its end
     cut = summarise(replace(made, topic=replace(made["truth/los"], open_end=True)), transient=0.0)
     assert cut.samples_lost == 0 and "line of sight: the recording is truncated" in cut.problems[0]
     assert (cut.lost_text(), cut.lost_text(2), found.lost_text()) == ("unknown", "at least 2", "5")
@@ -347,6 +349,10 @@ def test_a_run_that_ended_early_is_told_with_both_counts() -> None:
     assert of_plant(ticks="6800", planned_ticks="6800") == ""
     assert of_plant(ticks="10000", planned_ticks="20000") == "the run ended early: after 10000 of 20000 ticks"
     assert of_plant(ticks="9999") == "the run ended early: after 9999 of 10000 ticks"
+    two = run_end({**PLAN, "statistics": {"plant": {"ticks": "10000"}}}, covered=20_000)
+    assert two.text == "the messages cover 20000 ticks, more than the 10000 in the run's record" and not two.by_plan
+    ended = run_end({**PLAN, "statistics": {"plant": {"ticks": "4000"}}}, covered=4300)  # its last report is older
+    assert ended.text == "the run ended early: after 4000 of 10000 ticks"
 
 
 def test_a_plant_that_was_killed_before_its_first_report_is_not_taken_for_one_that_ended() -> None:

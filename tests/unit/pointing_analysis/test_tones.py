@@ -42,6 +42,19 @@ def test_tones_and_noise_of_known_size_are_found() -> None:
     assert found.total == 40.0 and found.allowances == {}
 
 
+def test_tones_of_a_recording_that_was_cut_off_are_no_noise() -> None:
+    """Its end has their names, too. With gaps everywhere no line is looked for: nothing is said of either."""
+    noise = 5.0 * np.random.default_rng(3).standard_normal((len(T), 2))
+    values = np.column_stack([15.0 * np.cos(300.0 * T), 0.0 * T]) + noise
+    cut, holed = values.copy(), values.copy()
+    cut[int(0.6 * len(T)) :] = math.nan
+    holed[::3] = math.nan
+    whole, found = (tone_budget(run_with(), series(e), 0.02, 40.0, 0.997) for e in (values, cut))
+    assert (found.noise, found.fast) == (pytest.approx(whole.noise, rel=0.02), pytest.approx(whole.fast, rel=0.02))
+    gaps = tone_budget(run_with(), series(holed), 0.02, 40.0, 0.997)
+    assert math.isnan(gaps.noise) and "too many samples are missing" in str(gaps)
+
+
 @pytest.mark.parametrize("pole", [0.0, 0.95])
 def test_the_noise_of_short_records_scatters_as_its_error_says(pole: float) -> None:
     """White noise, and noise that is correlated over several windows."""

@@ -323,7 +323,7 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
 def _end_of_run(end: RunEnd) -> BagCheckRow:
     """Whether the run ended by its plan, and the messages show it."""
     if end.text:
-        return BagCheckRow("end of the run", "early", end.text)
+        return BagCheckRow("end of the run", "contradicts" if end.longer else "early", end.text)
     if end.by_plan and end.done is not None:
         return BagCheckRow("end of the run", "agrees", f"as planned, after {counted(end.done, 'tick')}")
     return BagCheckRow("end of the run", "none", "not known: the run's record lacks its plan and its ticks")

@@ -43,8 +43,9 @@ from los_testbed.run.loop.contract import RunFailedError, check_plant
 from los_testbed.run.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.run.loop.latency_histogram import LatencyHistogram
 from los_testbed.run.loop.tick_clock import TickClock
-from los_testbed.run.results import Exercised, check_missed, in_statistics
-from pointing_analysis.read.run_end import PLANNED, missed_share
+from los_testbed.run.results import Exercised, RunError, check_missed, in_statistics
+from pointing_analysis.command.exit_codes import ExitCode
+from pointing_analysis.read.run_end import AFTER, OUTSIDE, PLANNED, missed_share
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 
@@ -187,6 +188,8 @@ class PlantLoop:
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
+        if self._pacer is not None and self._pacer.hang:
+            raise RunError(self._pacer.hang, ExitCode.RESTARTED)
         if not context.process.tells:  # a runner judges the run by its record
             check_missed(missed_share(self.statistics()), context.config)
         return 0
@@ -410,7 +413,8 @@ class PlantLoop:
             "missed_ticks": str(self.missed),
             "lost_periods": str(self.lost),
             **{f"{UNSENT}{name}": str(count) for name, count in sorted(self.unsent.items())},
-            **({f"{UNSENT}outside": str(outside)} if outside else {}),
+            **({OUTSIDE: str(outside)} if outside else {}),
+            **({AFTER: str(self._pending[UNSENT_TICKS])} if self.sent and self._pending[UNSENT_TICKS] else {}),
             **(self.latency.summary("turnaround" if lockstep else "latency")),
             **({} if lockstep else self.lateness.summary("lateness")),
             **({} if lockstep else {"period_mean_us": f"{self.period.mean_us:.3f}"}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -11,6 +12,7 @@ from los_testbed.bags.cdr import stamp_of
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.transport.raw_topics import Waiter
+from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from titop_plant.interface import TICK_NS
 
 WAIT_NS = 50_000_000
@@ -21,7 +23,13 @@ AHEAD_NS = 60 * TICK_NS
 
 
 class LockstepPacer:
-    """Paces the plant by the commands, and by the recorder where one takes part."""
+    """Paces the plant by the commands, and by the recorder where one takes part.
+
+    Attributes
+    ----------
+    hang : str
+        Why it has ended a run in which no command came for ``hang_timeout``; a runner watches its own nodes.
+    """
 
     def __init__(self, context: NodeContext, io: PlantIo) -> None:
         self._context = context
@@ -31,10 +39,13 @@ class LockstepPacer:
         self._recorded = 0
         self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
         self._message = Clock()
+        self._watch = AnswerWatch()
+        self.hang = ""
 
     def begin(self) -> None:
         """Start of a run: the recorder has none of its samples."""
         self._recorded = 0
+        self._watch.heard(TICKS)
         sources = [reader.source for reader in self._io.readers]
         self._on_last = Waiter(self._context.node, sources[-1:])  # sent last: one wake-up for all
         self._on_any = Waiter(self._context.node, sources)
@@ -46,7 +57,7 @@ class LockstepPacer:
         self._clock.publish(self._message)
 
     def wait(self, now: int) -> bool:
-        """Return when all commands of tick `now` have arrived; False if the run was stopped."""
+        """Return when all commands of tick `now` have arrived; False if the run was stopped or hangs."""
         io, following = self._io, now + TICK_NS
         if self._context.stop:
             return False
@@ -54,11 +65,24 @@ class LockstepPacer:
         while True:
             io.take(following, time.monotonic_ns())
             if io.fresh(following):
+                self._watch.heard(TICKS)
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:
                 return False
-            self._context.alive(waits_for=io.unanswered(following))
+            unanswered = io.unanswered(following)
+            self._context.alive(waits_for=unanswered)
+            if not self._context.process.tells and self._hangs(unanswered):
+                return False
             self._on_any.wait(WAIT_NS)
+
+    def _hangs(self, unanswered: Sequence[str]) -> bool:
+        """Whether no tick was done for too long; a warning before."""
+        self._watch.waits_for(unanswered)
+        for line in self._watch.look():
+            self._context.node.get_logger().warning(line)
+        if hung := self._watch.silent(self._context.config.hang_timeout):
+            self.hang = f"{self._watch.in_words(hung)}: the run was ended (--hang-timeout)"
+        return bool(self.hang)
 
     def wait_for_recorder(self, now: int, ahead: int = 0) -> bool:
         """Return when the recorder has all but the last `ahead` [ns] up to `now`; False if the run was stopped.
