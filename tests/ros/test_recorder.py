@@ -87,7 +87,7 @@ def test_a_clock_that_drifts_loses_no_sample():
     for stamp in stamps:
         source.send(stamp)
     track.drain()
-    assert track.lost(stamps[0], stamps[-1]) == 0 and track.distinct == len(stamps)
+    assert track.lost(stamps[0], stamps[-1]) == 0 and track.kept == len(stamps)
 
 
 def test_a_sample_that_is_later_than_the_limit_stays_lost():
@@ -148,7 +148,7 @@ def test_answers_of_the_last_run_that_come_late_are_not_of_the_next_one():
     drained(made, HOLD, *followers)
     drained(made, 1000 * TICK_NS, *plant)
     drained(made, 1000 * TICK_NS, *followers)
-    assert all((len(track.data), track.first, track.distinct) == (1, 1000 * TICK_NS, 1) for track in made.tracks)
+    assert all((len(track.data), track.first, track.kept) == (1, 1000 * TICK_NS, 1) for track in made.tracks)
 
 
 @pytest.mark.parametrize("node", ["/telescope/node", ""])

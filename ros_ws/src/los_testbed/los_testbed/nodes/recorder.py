@@ -261,7 +261,7 @@ class Recorder:
         lost = {name: count - unsent.get(name, 0) for name, count in missing.items()}
         unreadable = {t.path: t.unreadable for t in (*self.tracks, *self.reports.values())}
         return {
-            "messages": str(sum(track.distinct for track in self.tracks)),
+            "messages": str(sum(track.kept for track in self.tracks)),
             "samples_lost": str(sum(lost.values())),
             **{f"unreadable_{name}": str(count) for name, count in unreadable.items() if count},
             **{f"lost_{name}": str(count) for name, count in lost.items() if count},

@@ -51,7 +51,7 @@ class Track:
         self.held = self._stale = False
         self.first = 0
         self.last = 0
-        self.distinct = 0
+        self.kept = 0
         self._missing: set[int] = set()
         self._gone = 0
         """Samples that are missing for too long to come."""
@@ -87,6 +87,7 @@ class Track:
         self.held = bool(self.period_ns) and len(message) >= 12 and stamp_of(message) == HOLD_STAMP
         self._stale = self._stale and not self.held
         if not self.held and not self._stale:
+            self.kept += 1
             self.data.append(message)
             self.received.append(taken.received)
             self.sent.append(taken.sent)
@@ -112,10 +113,8 @@ class Track:
             if periods > 0:
                 self._note_gap(stamp, periods - 1)
                 self.first, self.last = self.first or stamp, stamp
-                self.distinct += 1
             elif near := [gone for gone in self._missing if 2 * abs(gone - stamp) <= self.period_ns]:
                 self._missing.remove(near[0])  # out of order, not lost
-                self.distinct += 1
 
     def _note_gap(self, stamp: int, count: int) -> None:
         """So many samples before this one are missing; they may still come, out of order."""
@@ -134,7 +133,7 @@ class Track:
         Messages of a topic before its node holds, too, are still of the last one.
         """
         self._stale = not self.held
-        self.first = self.last = self.distinct = self.unreadable = self._gone = 0
+        self.first = self.last = self.kept = self.unreadable = self._gone = 0
         self._missing.clear()
 
     def lost(self, first: int, last: int, over: bool = True) -> int:
