@@ -274,6 +274,8 @@ def _reproducibility(
             window = requirement.times[0]
             means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
             values = _norm(metrics.pre(means[0], means[1]), requirement)
+            if not values.size:
+                raise InputError(f"no complete window of {requirement.quantity} in each run")
             most = min(IndependentSamples.of(metrics.radial(m), components=m).most for m in means)
             pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end

@@ -370,6 +370,8 @@ def test_reproducibility_is_of_each_pair_of_runs() -> None:
     for ends in ((True, False), (False, True)):
         cut = judge(requirement, [run(e, open_end=end) for e, end in zip((a, b), ends)], 0.0)
         assert math.isinf(cut.missing)
+    holed = judge(requirement, [run(a, missing=tuple(range(0, 400, 10))), run(b)], 0.0)
+    assert (holed.status, holed.note) == ("not judged", "no complete window of |PRE(20 ms)| in each run")
 
 
 def test_what_cannot_be_formed_is_not_judged() -> None:

@@ -86,8 +86,8 @@ def check_missed(share: float, config: RunConfig, rest: str = "") -> None:
         return
     remedy = "" if config.device else "; --mode lockstep misses none"
     raise RunError(
-        f"missed ticks must be at most {config.max_missed:g} % (--max-missed), got {share:.2f} %: this machine was "
-        f"too slow or too busy for the loop{remedy}{rest}",
+        f"missed ticks must be at most {config.max_missed:g} % (--max-missed), got {share:.2f} %: a node, or this "
+        f"machine, was too slow or too busy for the loop{remedy}{rest}",
         ExitCode.MISSED_TICKS,
     )
 
