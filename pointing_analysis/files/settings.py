@@ -56,20 +56,23 @@ class Named(dict[str, Any]):
 class Refused(InputError):
     """A key and what is wrong with its value, from which the reader of a file makes a message with file and line.
 
-    The key is empty for a mistake of a whole table. Of an unknown key the names that are `known` are given in place of
-    the problem.
+    The key is empty for a mistake of a whole table. Of unknown keys, one or `more`, the names that are `known` are
+    given in place of the problem.
     """
 
-    def __init__(self, key: str, problem: str = "", known: Iterable[str] = ()) -> None:
+    def __init__(self, key: str, problem: str = "", known: Iterable[str] = (), more: Iterable[str] = ()) -> None:
         super().__init__(key, problem)
-        self.key, self.problem, self.known = key, problem, tuple(known)
+        self.key, self.problem, self.known, self.more = key, problem, tuple(known), tuple(more)
 
     def __str__(self) -> str:
-        return unknown(self.key, self.known) if self.known else f"{self.key or 'table'} {self.problem}"
+        if not self.known:
+            return f"{self.key or 'table'} {self.problem}"
+        return "; ".join(unknown(key, self.known) for key in (self.key, *self.more))
 
     def within(self, outer: str) -> Refused:
         """The same of a table in another one, or of a list in a table."""
-        return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem, self.known)
+        more = [f"{outer}.{key}" for key in self.more]
+        return Refused(f"{outer}.{self.key}" if self.key else outer, self.problem, self.known, more)
 
 
 class Missing(Refused):
@@ -242,8 +245,6 @@ class Setting:
     def mistake(self, place: tuple[int | str, ...], kind: str, value: Any) -> Refused:
         """What is wrong with a value at a place of the field; `kind` is what pydantic calls the mistake."""
         name = self.name + "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place)
-        if kind == "missing":
-            return Missing("", f"has no {self.name!r}")
         if kind == "finite_number":
             both = self.low is not None and self.high is not None
             return Refused(
@@ -303,7 +304,7 @@ def unknown(key: str, known: Iterable[str]) -> str:
 
 
 def refuse_unknown(table: Iterable[str], known: Iterable[str], outer: str = "") -> None:
-    """Refuse the first key of a table that is not known; `outer` is the name of the table.
+    """Refuse the keys of a table that are not known; `outer` is the name of the table.
 
     Raises
     ------
@@ -311,9 +312,8 @@ def refuse_unknown(table: Iterable[str], known: Iterable[str], outer: str = "") 
         There is one.
     """
     names = tuple(known)
-    for key in table:
-        if key not in names:
-            raise Refused(f"{outer}.{key}" if outer else key, known=names)
+    if keys := [f"{outer}.{key}" if outer else key for key in table if key not in names]:
+        raise Refused(keys[0], known=names, more=keys[1:])
 
 
 def settings_class(kind: type[T]) -> type[T]:
@@ -332,7 +332,11 @@ def settings_class(kind: type[T]) -> type[T]:
         try:
             check(self, *in_order, **values)
         except ValidationError as error:
-            first = min(error.errors(include_url=False), key=lambda one: one["type"] == "missing")
+            mistakes = error.errors(include_url=False)
+            first = min(mistakes, key=lambda one: one["type"] == "missing")
+            if first["type"] == "missing":
+                names = [repr(known[str(one["loc"][0])].name) for one in mistakes]
+                raise Missing("", f"has no {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}") from None
             if first["type"] == "value_error":  # of a check of the class
                 raise first["ctx"]["error"] from None
             raise known[str(first["loc"][0])].mistake(first["loc"][1:], first["type"], first["input"]) from None

@@ -62,7 +62,12 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return _reference(text)
-    from titop_plant.telescope.tables.mounted import check_modal_file, checked_layout, take_mounted  # loads scipy
+    from titop_plant.telescope.tables.mounted import (  # loads scipy
+        check_modal_file,
+        checked_layout,
+        note_unknown_keys,
+        take_mounted,
+    )
 
     content, text = _read(Path(path))
     file = ParameterFile(str(path), text)
@@ -71,7 +76,10 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     spreads = content.pop(UNCERTAIN, {})
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
-    merged = with_limits(file.merged(reference, content), content, limits, file)
+    merged = file.merged(reference, content)
+    note_unknown_keys(mounted, file)
+    file.refuse_unknown()
+    merged = with_limits(merged, content, limits, file)
     file.check_tables(merged)
     for name, key in (("optics", "pupil"), ("camera", "noise_curve"), *((body, "modal_data") for body in OWN_BODIES)):
         if beside := merged[name][key]:

@@ -162,6 +162,12 @@ FILES = [
     ("[pma\n", "is not a TOML file"),
     ("[robot]\nx = 1\n", "line 1|unknown parameter 'robot'"),
     ("pma = 3\n", "line 1|'pma' must be a table"),
+    (
+        '[robot]\n[pma]\nmas = 1.0\n[[sensor]]\nplac = "bus"\n[[payload.equipment]]\nname = "x"\nsiz = 1\n',
+        "line 1: unknown parameter 'robot'|line 3: unknown parameter 'pma.mas'|; line 5: unknown parameter "
+        "'sensor[0].plac': did you mean place?; line 8: unknown parameter 'payload.equipment[0].siz': did you mean",
+    ),
+    ('[[payload.equipment]]\nname = "x"\n', "line 1: 'payload.equipment[0]' has no 'mass' and 'size'"),
     ("\n\n[pma]\n\nmoving_mass = 0", "line 5|'pma.moving_mass' must be above 0 kg, got 0"),
     ("[fsm]\nstiffness = nan", "line 2|'fsm.stiffness' must be a finite number above 0 Nm/rad, got nan"),
     ("[materials.aluminium]\nE = [7e10]", "line 2|E' must be a number above 0 Pa, got [70000000000]"),

@@ -25,7 +25,7 @@ from titop_plant.telescope.sections import (
     WheelTable,
 )
 from titop_plant.telescope.tables.parameter_check import ParameterFile, without_alternatives
-from titop_plant.telescope.tables.placed_devices import DEVICES, check_device_keys, check_devices
+from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_device_keys, check_devices
 
 Table = dict[str, Any]
 
@@ -50,6 +50,14 @@ def take_mounted(content: Table) -> dict[str, Any]:
     for name in lists:
         del content[name]
     return lists
+
+
+def note_unknown_keys(listed: Mapping[str, Any], file: ParameterFile) -> None:
+    """Note the keys of the tables of `take_mounted` that are not known, see `ParameterFile.refuse_unknown`."""
+    for kind, tables in listed.items():
+        known = DEVICE_KEYS[kind] if kind in DEVICES else KINDS[kind].SETTINGS
+        for i, table in enumerate(tables if isinstance(tables, list) else ()):
+            file.note_unknown(f"{kind}[{i}]", table if isinstance(table, dict) else {}, known)
 
 
 def checked_layout(

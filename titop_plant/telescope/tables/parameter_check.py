@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 from lftkit.errors import InputError
@@ -46,15 +47,43 @@ class ParameterFile:
     def __init__(self, path: str, text: str) -> None:
         self.path = path
         self.lines = dict(_keys(text))
+        self._unknown: dict[str, Iterable[str]] = {}
 
-    def error(self, key: str, problem: str = "", known_keys: Iterable[str] = ()) -> InputError:
-        """A ValueError that names the file, the line and the key; of an unknown key the known ones are given."""
-        known = key
-        while known and known not in self.lines:
-            known = re.sub(r"[.\[]?[^.\[]*$", "", known)
-        line = self.lines.get(known)
-        about = f"{key!r} {problem}" if problem else unknown(key, known_keys)
-        return InputError(f"{self.path}{f', line {line}' if line else ''}: {about}")
+    def error(self, key: str, problem: str) -> InputError:
+        """A ValueError that names the file, the line and the key."""
+        return InputError(f"{self.path}{', '.join(['', *self._line(key)])}: {key!r} {problem}")
+
+    def _line(self, key: str) -> list[str]:
+        """Line of a key, or of the table that it is in."""
+        while key and key not in self.lines:
+            key = re.sub(r"[.\[]?[^.\[]*$", "", key)
+        return [f"line {self.lines[key]}"] if key else []
+
+    def note_unknown(self, name: str, table: Mapping[str, Any], known: Iterable[str]) -> bool:
+        """Whether a table of this name has keys that are not known, for :meth:`refuse_unknown`."""
+        names = tuple(known)
+        keys = {f"{name}.{key}": names for key in table if key not in names}
+        self._unknown.update(keys)
+        return bool(keys)
+
+    def refuse_unknown(self, keys: Mapping[str, Iterable[str]] = MappingProxyType({})) -> None:
+        """Refuse all unknown keys, these ones and those that were noted, each with its line.
+
+        Parameters
+        ----------
+        keys : mapping of str to iterable of str
+            Unknown keys, with those that are known in their table.
+
+        Raises
+        ------
+        ValueError
+            There are any.
+        """
+        every, places = {**self._unknown, **keys}, list(self.lines)
+        in_order = sorted(every, key=lambda key: places.index(key) if key in places else -1)
+        about = [": ".join([*self._line(key), unknown(key, every[key])]) for key in in_order]
+        if about:
+            raise InputError(f"{self.path}{', ' if about[0].startswith('line') else ': '}{'; '.join(about)}")
 
     @contextmanager
     def refusals(self, name: str) -> Iterator[None]:
@@ -63,7 +92,9 @@ class ParameterFile:
             yield
         except Refused as error:
             refused = error.within(name)
-            raise self.error(refused.key, refused.problem, refused.known) from None
+            if refused.known:
+                self.refuse_unknown(dict.fromkeys((refused.key, *refused.more), refused.known))
+            raise self.error(refused.key, refused.problem) from None
 
     def check_tables(self, tables: Mapping[str, Any]) -> None:
         """Refuse values that the classes of the tables do not take.
@@ -82,12 +113,12 @@ class ParameterFile:
                 Material.of_part(table)
 
     def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-        """The reference's table, its values replaced by the user's.
+        """The reference's table, its values replaced by the user's; unknown keys are left to `refuse_unknown`.
 
         Raises
         ------
         ValueError
-            An unknown key, no table where one is needed, a table of a list that cannot be; what the classes of the
+            No table where one is needed, a table of a list that cannot be; what the classes of the
         tables check is left to `check_tables`.
         """
         result = dict(base)
@@ -100,8 +131,8 @@ class ParameterFile:
             like = base[key] if key in base else self._model(name, key, prefix, base)
             if like is None and key not in added:
                 known = dict.fromkeys([*base, *sorted(added), *([REPLACE] if _named(base) else [])])
-                raise self.error(name, known_keys=known)
-            if isinstance(like, dict):
+                self._unknown[name] = known
+            elif isinstance(like, dict):
                 if not isinstance(value, dict):
                     raise self.error(name, f"must be a table, got {value!r}")
                 result[key] = self.merged(like, value, f"{name}.")
@@ -143,8 +174,10 @@ class ParameterFile:
             stated = item.get("name")
             merged = dict(item) if replaced or not isinstance(stated, str) else {**by_name.get(stated, {}), **item}
             merged = without_alternatives(merged, item)
+            if self.note_unknown(f"{name}[{i}]", item, kind.SETTINGS):
+                continue
             with self.refusals(f"{name}[{i}]"):
-                kind.of_table(merged)
+                kind.of_part(merged)
             if stated in named and not replaced:
                 raise self.error(f"{name}[{i}].name", f"must be given once, got {stated!r} twice")
             named.add(stated)
