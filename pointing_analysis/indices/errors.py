@@ -13,6 +13,7 @@ from pointing_analysis.indices.live_rows import (
     Hold,
     coarse_quantum,
     hold_of,
+    interpolated_rows,
     samples_behind,
     saturated_rows,
     stuck_rows,
@@ -125,6 +126,8 @@ def _drop(
             f"each sample is held or interpolated over {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no "
             f"motion above {rate / 2:.4g} Hz"
         )
+        if hold.between_rows:
+            blind = ((f"interpolated between samples of {rate:.4g} Hz that are at no row", 1.0),)
         dt *= hold.rows
         moving = rows
     elif hold is not None:
@@ -133,8 +136,9 @@ def _drop(
         remarks.append(f"{blind[0][0]}: requirements on one axis are judged by its samples, those on both are not")
         at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
         moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
-    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
+    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving), "interpolated": interpolated_rows(moving)}
     dead["stuck"] &= ~dead["saturated"]
+    dead["interpolated"] &= ~(dead["saturated"] | dead["stuck"])
     for column, name in enumerate(AXES):
         if judged[column] and _is_constant(rows[:, column]):
             remarks.append(f"{name} has the same value in all samples")
@@ -145,7 +149,7 @@ def _drop(
     unseen = tuple((f"{what}: {percent(share)} of the samples", share) for what, share in shares.items())
     blind += unseen
     if unseen:
-        rows = np.where((dead["saturated"] | dead["stuck"])[:, None], np.nan, rows)
+        rows = np.where(np.any([*dead.values()], axis=0)[:, None], np.nan, rows)
         remarks += [f"{what}, which count as missing" for what, _ in unseen]
     missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
     if quantum := coarse_quantum(rows):

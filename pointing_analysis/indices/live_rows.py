@@ -1,6 +1,6 @@
 """Rows of a record that tell something of the motion: not held, not interpolated, not stuck, not saturated.
 
-A record may have more rows than its sensor had samples, and rows in which the sensor saw nothing. Three signs are in
+A record may have more rows than its sensor had samples, and rows in which the sensor saw nothing. Four signs are in
 the values themselves:
 
 - **held or interpolated**: each value is repeated, or the rows between two samples lie on a line or on a polynomial of
@@ -9,6 +9,9 @@ the values themselves:
 - **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
   a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart. A motion
   without noise comes to rest: where it began, at zero without a jump, elsewhere without a jump of the velocity.
+- **interpolated** at irregular places: rows on a line, or on a polynomial of third order, through their neighbours, to
+  the digits of the file, between rows that are not. A motion with noise has none; one without has them everywhere, at
+  the same phase of each period, or between corners of one size.
 - **saturated**: more rows at one extreme value than a smooth distribution has there.
 
 An axis that is constant in the whole record is a motion that does not change.
@@ -20,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +60,9 @@ class LiveRowSettings:
     same : part by which the rows for a sample may differ in the two axes
     decimated : rows that are taken together where rounding hides a polynomial between single ones
     coarse : part of a limit up to which the values may be rounded
+    off_row : part of a row by which the rows for an interpolated sample may miss a whole number
+    digits : largest rounding of a value to the digits of a file, a part of it: seven digits, or single precision
+    clear : times the rounding beyond which a difference is one of the motion
     """
 
     fewest: int = 32
@@ -81,6 +87,9 @@ class LiveRowSettings:
     same: float = 0.02
     decimated: int = 4
     coarse: float = 0.5
+    off_row: float = 0.03
+    digits: float = 5e-7
+    clear: float = 10.0
 
 
 SETTINGS = LiveRowSettings()
@@ -97,11 +106,18 @@ class Hold:
     rows : of the record for each sample
     starts : (m,) row at which each run begins
     repeats : (m,) samples that a run stands for: two samples with equal values make one run
+    held : whether the rows of a run have the value of its sample; otherwise they are interpolated
     """
 
     rows: float
     starts: IntArray
     repeats: IntArray
+    held: bool = False
+
+    @property
+    def between_rows(self) -> bool:
+        """Whether the samples are at no rows, so that the record does not have their values."""
+        return not self.held and abs(self.rows - round(self.rows)) > SETTINGS.off_row
 
 
 def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | tuple[float, float] | None:
@@ -136,7 +152,7 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     if len(e) < settings.fewest:
         return None
     if e.shape[1] == 1 and np.isnan(e[:PART, 0]).any() and (hold := _regular(~np.isnan(e[:, 0]), settings)):
-        return hold  # rows between the samples are empty
+        return replace(hold, held=True)  # rows between the samples are empty
     changed = _marks(e, _moves)
     begins = np.flatnonzero(changed[:PART])[1:]
     if not changed[1:].any():
@@ -144,7 +160,7 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     if _of_quantisation(e[begins] - e[begins - 1], settings):
         return None
     if hold := _regular(changed, settings):
-        return hold
+        return replace(hold, held=True)
     # A corner of a piecewise linear motion is where the step changes. Neighbours of missing rows count as corners.
     steps = np.diff(e[:PART], axis=0)
     if not np.isfinite(steps).any(axis=0).all() or not np.nansum(np.abs(steps)):
@@ -323,6 +339,60 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     begun = (x[starts] == x[0]) & (lengths[0] > settings.margin)  # a motion that begins at rest comes back to it
     rests = (change <= settings.smooth * typical) & (begun | ~(into > allowed))
     return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
+
+
+def interpolated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
+    """Which rows (n,) of a record (n, 2) are interpolated between others, in either axis, more often than by chance.
+
+    Examples
+    --------
+    >>> e = np.random.default_rng(1).standard_normal((1000, 2))
+    >>> e[301:500, 0] = np.interp(np.arange(301, 500), [300, 500], e[[300, 500], 0])
+    >>> int(interpolated_rows(e).sum()), int(interpolated_rows(e[500:]).sum())
+    (199, 0)
+    """
+    interpolated = np.zeros(len(e), bool)
+    if len(e) >= settings.fewest:
+        for x in e.T:
+            for order in (1, 3):
+                interpolated |= _on_polynomial(x, order, settings)
+    return interpolated
+
+
+def _on_polynomial(x: FloatArray, order: int, settings: LiveRowSettings) -> BoolArray:
+    """Rows (n,) on a polynomial through their neighbours, of this order and of no lower one."""
+    quantum = float(_quantum(np.diff(x[:PART])[:, None], settings)[0])
+    beside = (order + 1) // 2
+
+    def rounding(rows: FloatArray) -> FloatArray:
+        """Largest difference of so many rows that is one of their rounding."""
+        sizes = np.abs(rows)
+        largest = np.maximum(np.maximum(sizes[: -2 * beside], sizes[beside:-beside]), sizes[2 * beside :])
+        return np.asarray(2.0**order * (settings.digits * largest + 1.001 * quantum))
+
+    def leaves(rows: FloatArray) -> BoolArray:
+        allowed, rows = rounding(rows[:, 0]), rows[:, 0]
+        lower = np.abs(np.diff(rows, n=order)[:-1])
+        return np.asarray(~((np.abs(np.diff(rows, n=order + 1)) <= allowed) & (lower > allowed)))
+
+    def bends(rows: FloatArray) -> BoolArray:
+        allowed = settings.clear * rounding(rows[:, 0])
+        return np.asarray(~(np.abs(np.diff(rows[:, 0], n=order + 1)) <= allowed))
+
+    on, clear = ~_marks(x[:, None], leaves, beside), _marks(x[:, None], bends, beside)
+    on[-beside:] = False
+    starts, ends = np.flatnonzero(on[1:] & ~on[:-1]) + 1, np.flatnonzero(on[:-1] & ~on[1:]) + 1
+    between = clear[starts - 1] & clear[ends]
+    by_chance = np.count_nonzero(~on & ~clear) / (settings.clear - 1.0)
+    if (ends - starts)[between].sum() <= settings.margin + settings.beside * by_chance:
+        return np.zeros(len(x), bool)
+    corners = np.diff(x[:PART], n=order + 1)[clear[beside : len(x[:PART]) - beside]]
+    if _of_quantisation(corners[:, None], settings) or period(x, float(np.nanstd(x))) < len(x):
+        return np.zeros(len(x), bool)
+    edges = np.zeros(len(x) + 1, np.int8)
+    edges[starts[between]] = 1
+    edges[ends[between]] = -1
+    return np.asarray(np.cumsum(edges, dtype=np.int8)[:-1] > 0)
 
 
 def coarse_quantum(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> float:

@@ -11,8 +11,15 @@ import pytest
 from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolator
 from scipy.signal import lfilter, resample
 
-from pointing_analysis.arrays import FloatArray
-from pointing_analysis.indices.live_rows import Hold, hold_of, samples_behind, saturated_rows, stuck_rows
+from pointing_analysis.arrays import BoolArray, FloatArray
+from pointing_analysis.indices.live_rows import (
+    Hold,
+    hold_of,
+    interpolated_rows,
+    samples_behind,
+    saturated_rows,
+    stuck_rows,
+)
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.series_verdict import judge_series
@@ -380,3 +387,57 @@ def test_an_axis_that_dies_in_the_start_up_is_not_judged(dies_at: float) -> None
     found = judge_series(TIME, e, unit="mas", requirements=texts, transient=5.0)
     assert [verdict.status for verdict in found.verdicts] == ["not judged", "not judged", "compliant"]
     assert "x has the same value in all samples" in found.problems
+
+
+@pytest.mark.parametrize("digits", [3, 12])
+@pytest.mark.parametrize("lost", ["a gap of 2 s", "gaps of 50 rows", "every second row", "a row in two", "300 Hz"])
+def test_gaps_that_were_filled_by_lines_are_missing(lost: str, digits: int) -> None:
+    """As numpy.interp and fillmissing do: the rows of the motion between are not known."""
+    e, rows, rng = white(10.0), np.arange(N), np.random.default_rng(7)
+    kept: BoolArray = np.ones(N, bool)
+    if lost == "300 Hz":
+        kept = rows < 0.3 * N + 1
+    elif lost == "a gap of 2 s":
+        kept[20_001:22_000] = False
+    elif lost == "gaps of 50 rows":
+        for start in rng.integers(100, N - 100, 700):
+            kept[start : start + 50] = False
+    else:
+        kept = rows % 2 == 0 if lost == "every second row" else rng.random(N) < 0.5
+    kept[-1] |= lost != "300 Hz"
+    times = np.flatnonzero(kept) * (10.0 / 3.0 if lost == "300 Hz" else 1.0)
+    filled = np.column_stack([np.interp(rows, times, axis) for axis in e[kept].T])
+    filled = np.round(filled, digits)
+    interpolated = interpolated_rows(filled)
+    assert interpolated.mean() == pytest.approx(1.0 - kept.mean(), rel=0.02)
+    assert not interpolated_rows(np.round(e, digits)).any()
+    (verdict,) = judge_series(
+        TIME, filled, unit="mas", requirements="prob(|APE| < 1000 mas) >= 0.99 at 95 % confidence", transient=0.0
+    ).verdicts
+    assert verdict.status == "not judged" and "interpolated: " in verdict.note
+
+
+def test_motions_without_noise_are_not_interpolated() -> None:
+    t = TIME
+    ringing = np.exp(-t / 2.0) * np.cos(70.0 * t)
+    motions = {
+        "triangle": np.abs(7e-3 * np.arange(N) % 2 - 1),
+        "a slew that rings": 3.0 * t + ringing,
+        "an offset that rings": 100.0 + 500.0 * ringing,
+        "a tone of 20 rows": np.sin(2 * np.pi * 50.0 * t),
+        "a slow tone": 900.0 * np.sin(0.06 * t),
+        "a force held for 20 ms": np.cumsum(np.cumsum(np.repeat(white(1.0, N // 20)[:, 0], 20))),
+        "rare bursts": white(0.01)[:, 0] + np.where(np.arange(N) % 6000 < 20, white(40.0)[:, 1], 0.0),
+        "slow noise": lfilter([1.0], np.poly([0.999, 0.99, 0.98]), white(1.0)[:, 0]),
+    }
+    shares = {name: interpolated_rows(np.column_stack([x, 0.0 * x])).mean() for name, x in motions.items()}
+    assert shares == dict.fromkeys(motions, 0.0)
+
+
+@pytest.mark.parametrize("rate", [240.0, 123.4])
+def test_samples_at_no_row_are_not_judged(rate: float) -> None:
+    """Between them the interpolated rows are smaller than the motion."""
+    times = np.arange(0.0, 60.1, 1.0 / rate)
+    e = np.column_stack([np.interp(TIME, times, axis) for axis in white(300.0, len(times)).T])
+    assert {verdict.status for verdict in judged(e).verdicts} == {"not judged"}
+    assert "at no row" in judged(e).verdicts[1].note
