@@ -196,12 +196,12 @@ def performance_error(run: Recording, transient: float | None = None, axis: str 
     """
     if on_camera(run):
         values, dt = _gridded(run, CAMERA, OFF_PHASE)
-        left_out = transient_of(run, transient, dt * (len(values) - run[CAMERA].lost_after))
+        left_out = transient_of(run, transient, dt * (len(values) - run[CAMERA].absent_after))
         return _drop(values, dt, left_out, run.path, axis, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = _gridded(run, "truth/los")
-    left_out = transient_of(run, transient, dt * (len(values) - run["truth/los"].lost_after))
+    left_out = transient_of(run, transient, dt * (len(values) - run["truth/los"].absent_after))
     return _drop(values, dt, left_out, run.path, axis, run["truth/los"].open_end)
 
 
@@ -257,5 +257,5 @@ def knowledge_error_of(
         fits = (rest == 0) & (index >= 0) & (index < len(grid))
         index, rows, columns = index[fits], rows[fits], columns[fits]
         full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
-    left_out = transient_of(run, transient, dt * (len(grid) - truth.lost_after))
+    left_out = transient_of(run, transient, dt * (len(grid) - truth.absent_after))
     return _drop(full, dt, left_out, run.path, axis, truth.open_end)

@@ -26,7 +26,7 @@ from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, File
 from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
 from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN, Column, decode_block
 from pointing_analysis.read.recorded_sensors import sensors_of
-from pointing_analysis.read.run_end import AFTER, count_of, run_end, statistics_of
+from pointing_analysis.read.run_end import run_end
 from pointing_analysis.read.topic import NANO, Topic
 from pointing_analysis.read.unsent import OF_EVERY_TICK
 
@@ -150,8 +150,8 @@ class Run:
         if self._window[1] == math.inf and expected is not None:
             after = max(expected - before - topic.span, after, 0)
         whole = name == "truth/los" and self._window == WHOLE and not self._read.cut
-        unsent = count_of(statistics_of(self.parameters, "plant").get(AFTER)) if whole else None
-        topic = replace(topic, lost_before=before, lost_after=after, unsent_after=unsent or 0)
+        unsent = run_end(self.parameters).unsent if whole else 0
+        topic = replace(topic, lost_before=before, lost_after=after, unsent_after=unsent)
         return replace(topic, open_end=unfinished and expected is None)
 
     def _unit(self, name: str, schema: str) -> str:

@@ -36,6 +36,8 @@ class RunEnd:
     sent : of these, from the first to the last one of which the plant has sent samples
     covered : from the first to the last one of which the recording has samples, those that are known to be lost counted
     unreported : whether the plant must have reported and has not
+    unsent : after the last one of which the plant has sent samples: periods that a loop in real time has lost, and of a
+        run that failed those up to its planned end
     """
 
     planned: int | None
@@ -43,6 +45,7 @@ class RunEnd:
     sent: int | None
     covered: int | None
     unreported: bool = False
+    unsent: int = 0
 
     @property
     def text(self) -> str:
@@ -112,7 +115,10 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
     if done is None:
         ours = planned is not None and parameters.get("mode") in BY_NODES
         return RunEnd(planned, None, None, covered, unreported=ours)
-    return RunEnd(planned, done, done - (count_of(counts.get(OUTSIDE)) or 0), covered)
+    unsent = count_of(counts.get(AFTER)) or 0
+    if FAILURE in counts and planned is not None:
+        unsent += max(planned - done, 0)
+    return RunEnd(planned, done, done - (count_of(counts.get(OUTSIDE)) or 0), covered, unsent=unsent)
 
 
 def missed_share(plant: Mapping[str, Any]) -> float:

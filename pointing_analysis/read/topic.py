@@ -77,7 +77,7 @@ class Topic:
     integrity : gaps, duplicates and the like
     lost_before, lost_after : samples that were recorded, or were to be, before the first stamp and after the last one,
         and are not in the bag
-    unsent_after : periods behind them that a loop in real time has lost, and that are judged as missing
+    unsent_after : periods behind them without a sample, see :class:`pointing_analysis.read.run_end.RunEnd`
     open_end : whether the recording is truncated and the missing part at its end is unknown
     """
 
@@ -108,6 +108,11 @@ class Topic:
         """Periods from the first stamp to the last one, both counted."""
         steps = (int(self.stamp[-1]) - int(self.stamp[0])) / (self.period * NANO) if self.period > 0 else 0.0
         return round(steps) + 1 if len(self) else 0
+
+    @property
+    def absent_after(self) -> int:
+        """Rows of `on_grid` behind the last sample."""
+        return self.lost_after + self.unsent_after
 
     @property
     def grid_start(self) -> int:
@@ -302,7 +307,7 @@ def on_grid(topic: Topic, off_grid: float = OFF_GRID) -> tuple[FloatArray, float
             f"{counted(state.irregular, 'interval')} off it "
             "(with a known sampling rate, --rate HZ moves them to its grid)"
         )
-    rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.lost_after + topic.unsent_after
+    rows = int(_grid_index(topic, topic.stamp[-1:])[0]) + 1 + topic.lost_before + topic.absent_after
     if rows > 4 * len(topic) + 100_000:
         raise BagError(
             f"{topic.name}: recording must be continuous, got {len(topic)} samples in {rows * topic.period:g} s: "

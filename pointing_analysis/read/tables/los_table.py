@@ -50,7 +50,8 @@ NO_TIME = "none"
 """Value of the option ``--time`` for samples at a fixed rate, regardless of the columns."""
 OTHER_RATE = 1e-3
 """Relative difference up to which a rate stated in the file and that of its time stamps are reported as equal."""
-X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"))
+X_NAMES = (("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"), ("x", "y"))
+"""Names of the columns of the line of sight; the first ones that a table has are taken."""
 
 
 def read_table(path: Path) -> Table:

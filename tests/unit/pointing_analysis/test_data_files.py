@@ -454,3 +454,11 @@ def test_a_rate_that_changes_more_than_a_clock_does_is_refused() -> None:
         InputError, match=r"one sampling rate, got one that changes by (0\.99|1) %, 995\.025 Hz on average"
     ):
         series(times, np.zeros((60_000, 2)), unit="mas")
+
+
+@pytest.mark.parametrize("names", ["los_x,los_y", "error_x,error_y"])
+def test_columns_of_the_line_of_sight_come_before_others_of_two_axes(tmp_path: Path, names: str) -> None:
+    rows = "".join(f"{0.001 * i:.3f},{i % 5},{i % 3},{i % 7},{i % 2}\n" for i in range(200))
+    (tmp_path / "a.csv").write_text(f"time,x,y,{names}\n{rows}")
+    values = open_los(tmp_path / "a.csv", unit="mas")["truth/los"].values / RAD_PER_MAS
+    assert values.max(axis=0).round(6).tolist() == [6.0, 1.0]

@@ -115,6 +115,17 @@ def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
     assert both.lost_by_topic == {"m1/accel": 3} and len(both.problems) == 2
 
 
+def test_a_run_that_failed_is_judged_to_its_planned_end(tmp_path: Path) -> None:
+    """What a loop does that has diverged was not seen; nothing was lost, and a run that was shortened is whole."""
+    texts = [parse("prob(|APE| < 100 arcsec) >= 0.9 at 90 % confidence")]
+    for failure, missing in (("the loop diverged", 2000.0), ("", 0.0)):
+        plant = {"ticks": "3000", "planned_ticks": "5000", **({"failure": failure} if failure else {})}
+        run = bag(tmp_path / f"failed{len(failure)}", transient_s=0, rate_hz=1000, statistics={"plant": plant})
+        found = summarise(run, requirements=texts)
+        assert found.verdicts[0].missing == missing and found.samples_lost == 0
+        assert (found.verdicts[0].status == "compliant") == (not failure)
+
+
 def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
     """Numbered messages, or the planned duration, say how many; they belong to the judged span."""
     made = series(None, NOISE, unit="rad", rate=1000.0)

@@ -19,6 +19,7 @@ from pointing_analysis.read.messages.cdr import NS_PER_S, STAMP, STAMP_OFFSET
 from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.messages.ros_definitions import HEADER, short_name
+from pointing_analysis.read.run_end import run_end
 from pointing_analysis.read.unsent import OF_EVERY_TICK
 
 
@@ -100,7 +101,8 @@ class Contents:
         if not spans:
             return lost
         first, last = max(first for first, _ in spans), min(last for _, last in spans)
-        return round((last - first) * rate / NS_PER_S) + 1 + lost
+        covered, sent = round((last - first) * rate / NS_PER_S) + 1, run_end(parameters).sent
+        return max(covered, min(covered + lost, sent)) if sent is not None else covered + lost  # some may lie between
 
 
 def _stamps(block: Block, rows: IntArray) -> IntArray:
