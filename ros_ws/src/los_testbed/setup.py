@@ -22,7 +22,6 @@ setup(
     package_data={
         NAME: [
             "nodes/support/transport/profiles/*.xml",
-            "config/*.yaml",
             "campaign/*.html.j2",
             "flight/templates/*.j2",
             "py.typed",

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table as ScreenTable
 
 from los_testbed.cli.options.options import TelescopeFile
-from los_testbed.config.members import CASES, check_ranges, named_cases
+from los_testbed.config.cases import named_cases, telescope_cases
+from los_testbed.config.members import check_ranges
 from pointing_analysis.command.options import Json
 from pointing_analysis.command.output import print_json
 from pointing_analysis.command.screen import Screen, on_screen
@@ -201,17 +202,22 @@ def export(
 
 @plant_app.command(help=CASES_EXAMPLES)
 def cases(
-    file: Annotated[Path, typer.Option(help="YAML file of cases of your own.")] = CASES,
+    parameters: TelescopeFile = None,
+    file: Annotated[Path | None, typer.Option(help="YAML file of cases of your own.")] = None,
 ) -> None:
     """See CASES_EXAMPLES."""
     from los_testbed.config.run_config import RunConfig
     from titop_plant.telescope.load import load_telescope
 
     rows = []
-    for name, settings in named_cases(file).items():
+    telescope = load_telescope(parameters)
+    for name, settings in (telescope_cases(telescope) if file is None else named_cases(file)).items():
+        if isinstance(settings, str):
+            rows.append((name, f"not of this telescope: {settings}"))
+            continue
         member_settings = {key: value for key, value in settings.items() if key != "description"}
-        member = RunConfig.from_mapping(member_settings)
-        check_ranges(member, load_telescope(member.parameters))
+        member = RunConfig.from_mapping({"loop": telescope.stages[-1], **member_settings})
+        check_ranges(member, load_telescope(member.parameters) if member.parameters else telescope)
         rows.append((name, str(settings.get("description", member_settings))))
     Screen().print(on_screen(TextTable.of(("case", "telescope"), rows)))
 

@@ -1,4 +1,4 @@
-"""Members of the telescope's uncertain family: ranges, named cases, random ones, the worst one of a stage.
+"""Members of the telescope's uncertain family: ranges, random ones, the worst one of a stage.
 
 What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the wheels
 (``wheel_speed`` [rad/s]), uncertain frequencies (``omega_1``, ``omega_2`` [rad/s] of the first array and those like
@@ -19,8 +19,7 @@ from lftkit.errors import InputError
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_design.files import WORST_POINTS
-from los_testbed.config.run_config import RunConfig, read_yaml
-from pointing_analysis.files.settings import proposal
+from los_testbed.config.run_config import RunConfig
 from titop_plant.physical_settings import ANGLE
 from titop_plant.simulation.plant_config import start_speeds, stated_values
 from titop_plant.telescope.layout import speed_names
@@ -32,48 +31,11 @@ if TYPE_CHECKING:
     from lftkit import RealParameter
     from titop_plant.telescope.telescope import Telescope
 
-CASES = Path(__file__).with_name("plant_cases.yaml")
-"""Named cases of the reference telescope."""
-
 MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies", "parameter_values")
 """Settings that choose a member of the family."""
 
 REFERENCE_FREQUENCIES = ("solar_array.omega_1", "solar_array.omega_2")
 """Parameters that are ``omega_1`` and ``omega_2`` in settings and data sets, as the options of a run."""
-
-
-def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:
-    """Cases of a file: name to a table of run parameters, with an optional ``description``.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be read or is not a table of tables.
-    """
-    content = read_yaml(path)
-    for name, settings in content.items():
-        if not isinstance(settings, dict):
-            raise InputError(f"{path}: case {name!r} must be a table of parameters, got {settings!r}")
-    return content
-
-
-def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
-    """Settings of one named case.
-
-    Raises
-    ------
-    ValueError
-        No such case; the nearest one is proposed.
-
-    Examples
-    --------
-    >>> case_settings("arrays_half_turn")
-    {'tau': 1.0}
-    """
-    cases = named_cases(path)
-    if name not in cases:
-        raise InputError(f"{path.name} has no case {name!r}{proposal(name, cases)}")
-    return {key: value for key, value in cases[name].items() if key != "description"}
 
 
 def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from lftkit.errors import InputError
 from los_design.files import CONTROLLERS, TELESCOPE
-from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
+from los_testbed.config.cases import case_settings
+from los_testbed.config.members import MEMBER, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import NO_SCENARIO, SCENARIOS
 from titop_plant.physical_settings import PROFILES, PhysicalSettings
@@ -147,7 +148,8 @@ def chosen_member(
     """
     if cases is not None and case is None:
         raise InputError(f"--case must be given with --cases {cases}, got none")
-    named = {} if case is None else case_settings(case, cases or CASES)
+    parameters = layered(before, after).get("parameters")
+    named = {} if case is None else case_settings(case, cases, parameters)
     if sample is None:
         return named, {}
     try:
