@@ -42,6 +42,7 @@ from typing import Any
 
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
+from pointing_analysis.indices import metrics
 from pointing_analysis.units import ANGLES
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
@@ -78,7 +79,7 @@ INDICES |= dict.fromkeys(IMAGE_INDICES, 1)
 INTERPRETATIONS = ("temporal", "ensemble", "mixed")
 _FREQUENCY = re.compile(r"\s*(?P<value>[\d.eE+-]*)\s*(?:(?P<nyquist>nyquist)|cycles\s*/\s*(?P<unit>[a-z]+))\s*", re.I)
 _TEXT = re.compile(
-    r"prob\s*\(\s*(?P<sign>\||rms\s|)\s*(?P<index>[A-Za-z]+\d*)(?:_(?P<axis>[xy]))?\s*(?:\((?P<times>[^)]*)\))?\s*"
+    r"prob\s*\(\s*(?P<sign>\||rms\s|)\s*(?P<index>[A-Za-z]+\d*)(?:_(?P<axis>[A-Za-z]\w*))?\s*(?:\((?P<times>[^)]*)\))?\s*"
     r"(?P<end>\|?)\s*(?P<relation>[<>])=?\s*"
     r"(?P<limit>[\d.eE+-]+)\s*(?P<unit>[a-z]*)\s*\)\s*>=?\s*(?P<p>[\d.]+)\s*(?P<pp>%?)\s*"
     r"at\s+(?P<c>[\d.]+)\s*(?P<cp>%?)\s*confidence\s*(?:,\s*(?P<kind>[a-z]+))?\s*"
@@ -242,6 +243,8 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
         _member("index", index, INDICES)
         raise InputError(f"requirement must read like '{EXAMPLE}', got {text!r}")
     _member("index", index, INDICES)
+    if m["axis"]:
+        _member("axis", m["axis"], metrics.AXES)
     _check_relation(m, index, text)
     of_windows = m["sign"].startswith("rms")
     if of_windows:

@@ -64,6 +64,7 @@ def test_text_form_of_requirements_on_images(text: str, shown: str) -> None:
         ("prob(MTF(20 ms, Nyquist) > 0) ", "limit must be positive, got 0"),
         ("prob(EE85(20 ms) < 40 mas) ", "index must be one of APE.*got 'EE85'"),
         ("prob(|XPE(20 ms)| < 40 mas) ", "index must be one of APE.*got 'XPE'"),
+        ("prob(|RPE_z(20 ms)| < 40 mas) ", "axis must be one of x, y, got 'z'"),
         ("prob(|APE| < 40 parsec) ", "unit must be one of"),
         ("RPE below 40 mas", "requirement must read like"),
         (f"prob(|APE| < 40 mas) {TAIL}, hopeful", "interpretation must be one of"),
