@@ -120,14 +120,15 @@ def _drop(
     remarks = []
     blind: tuple[tuple[str, float], ...] = ()
     moving, hold = rows, hold_of(rows)
-    if isinstance(hold, Hold):
+    if isinstance(hold, Hold) and hold.between_rows:
+        blind = ((f"interpolated between samples of {1.0 / (hold.rows * dt):.4g} Hz that are not at its rows", 1.0),)
+        remarks.append(f"{blind[0][0]}: it does not show their values")
+    elif isinstance(hold, Hold):
         rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)
         remarks.append(
             f"each sample is held or interpolated over {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no "
             f"motion above {rate / 2:.4g} Hz"
         )
-        if hold.between_rows:
-            blind = ((f"interpolated between samples of {rate:.4g} Hz that are at no row", 1.0),)
         dt *= hold.rows
         moving = rows
     elif hold is not None:

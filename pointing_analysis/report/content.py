@@ -36,7 +36,7 @@ from pointing_analysis.requirements.rows import (
     verdict_table,
 )
 from pointing_analysis.requirements.summary import UNKNOWN, Summary
-from pointing_analysis.spectra.line_search import FALSE_LINES
+from pointing_analysis.spectra.line_search import SETTINGS as LINE_SEARCH
 from pointing_analysis.spectra.spectra import CLEAR
 
 LEADING = ("time", "psd", "rpe-over-exposure")
@@ -243,8 +243,8 @@ def _about_lines(view: RunView) -> Iterator[str]:
     if any(line.found for line in view.tones):
         yield (
             "Known from the spectrum: sinusoids that stand out of the noise beside them, although the recording does "
-            f"not name them. In a record of noise alone {FALSE_LINES:g} lines are expected. Amplitudes have bounds at "
-            "95 % confidence; the level is that of the peak in the power density (resolution 0.375 Hz)."
+            f"not name them. In a record of noise alone {LINE_SEARCH.false_lines:g} lines are expected. Amplitudes "
+            "have bounds at 95 % confidence; the level is that of the peak in the power density (resolution 0.375 Hz)."
         )
 
 

@@ -1,7 +1,7 @@
 """Length of the start-up of a run that does not begin in its steady state, measured in its record.
 
-For each requirement the level of its index (the square of its samples, in `BLOCKS` blocks) is fitted by a constant and
-one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
+For each requirement the level of its index (the square of its samples, in blocks) is fitted by a constant and
+one decaying exponential, the slowest decay that is seen. Until the exponential is below a part of the level that is
 left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
 half of the record, or a tone still changes, the requirement is not judged: a longer run, or a start in the steady
@@ -28,22 +28,36 @@ from pointing_analysis.requirements.requirement import Requirement, parse, time_
 from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged, series_of
 from pointing_analysis.spectra.tone_budget import named_tones
 
-BLOCKS = 60
-"""Into which the samples of an index are cut."""
-PART = 0.1
-"""Part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude."""
-SIGNIFICANT = 4.0
-"""Standard errors at which an exponential, or a change of a tone, is one."""
-DECAYS: FloatArray = np.asarray(np.geomspace(1.0 / BLOCKS, 3.0, 33), dtype=float)
-"""Time constants that are tried, parts of the record."""
-SHORTEST = 4.0
-"""[s] In a shorter record no start-up is measured."""
-SEGMENTS = 8
-"""Parts of the record, in each of which the amplitude of a tone is found."""
-PERIODS = 2.0
-"""Fewest periods of a tone in a segment; slower ones are not compared."""
-OFFSETS = (-5, -4, -3, 3, 4, 5)
-"""Bins of a segment beside a tone at which the noise of its amplitude is found."""
+
+@dataclass(frozen=True)
+class SettlingSettings:
+    """What is a start-up, and how it is measured.
+
+    Attributes
+    ----------
+    blocks : into which the samples of an index are cut
+    left : part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude
+    significant : standard errors at which an exponential, or a change of a tone, is one
+    shortest, longest, decays : time constants that are tried, parts of the record, and their number
+    shortest_record : in a shorter one no start-up is measured [s]
+    segments : parts of the record, in each of which the amplitude of a tone is found
+    periods : fewest periods of a tone in a segment; slower ones are not compared
+    offsets : bins of a segment beside a tone at which the noise of its amplitude is found
+    """
+
+    blocks: int = 60
+    left: float = 0.1
+    significant: float = 4.0
+    shortest: float = 1.0 / 60
+    longest: float = 3.0
+    decays: int = 33
+    shortest_record: float = 4.0
+    segments: int = 8
+    periods: float = 2.0
+    offsets: tuple[int, ...] = (-5, -4, -3, 3, 4, 5)
+
+
+SETTINGS = SettlingSettings()
 
 
 @dataclass(frozen=True)
@@ -91,7 +105,12 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
     return Settled(judge(requirement, [run], float(left)), remark)
 
 
-def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[float] | FloatArray = ()) -> float:
+def start_up(
+    series: ErrorSeries,
+    requirement: Requirement,
+    tones: Sequence[float] | FloatArray = (),
+    settings: SettlingSettings = SETTINGS,
+) -> float:
     """Seconds from the begin of a series until it is settled; infinite where a tone of the disturbance still changes.
 
     Parameters
@@ -101,16 +120,17 @@ def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[floa
         Of an index of one run.
     tones : sequence of float
         Frequencies of the disturbance [rad/s].
+    settings : SettlingSettings
     """
-    if series.duration < SHORTEST:
+    if series.duration < settings.shortest_record:
         return 0.0
     squares = _squares(series, requirement)
-    if len(squares) < 2 * BLOCKS or not squares.any():
+    if len(squares) < 2 * settings.blocks or not squares.any():
         return 0.0
     level = math.sqrt(float(squares[len(squares) // 2 :].mean()))
-    if _tone_changes(series, requirement, np.asarray(tones, dtype=float), level):
+    if _tone_changes(series, requirement, np.asarray(tones, dtype=float), level, settings):
         return math.inf
-    return decay(squares, series.duration)
+    return decay(squares, series.duration, settings)
 
 
 def _squares(series: ErrorSeries, requirement: Requirement) -> FloatArray:
@@ -130,8 +150,8 @@ def is_settled(series: ErrorSeries, window: float, tones: Sequence[float] | Floa
     return all(start_up(series, requirement, tones) <= half for requirement in requirements)
 
 
-def decay(squares: FloatArray, seconds: float) -> float:
-    """Seconds until an exponential in a level is below `PART` of what is left of it; 0 where there is none.
+def decay(squares: FloatArray, seconds: float, settings: SettlingSettings = SETTINGS) -> float:
+    """Seconds until an exponential in a level is below a part of what is left of it; 0 where there is none.
 
     Infinite for a level that rises through the whole record: how far, it does not tell.
 
@@ -141,6 +161,7 @@ def decay(squares: FloatArray, seconds: float) -> float:
         Squares of the samples of an index, in the order of time.
     seconds : float
         That they take.
+    settings : SettlingSettings
 
     Examples
     --------
@@ -148,15 +169,16 @@ def decay(squares: FloatArray, seconds: float) -> float:
     >>> round(decay(1.0 + 3.0 * np.exp(-t / 5.0), 60.0)), decay(np.ones(6000), 60.0)  # 5 s ln(3 / 0.1)
     (17, 0.0)
     """
-    n = len(squares) // BLOCKS * BLOCKS
-    blocks = squares[:n].reshape(BLOCKS, -1).mean(axis=1)
-    time = (np.arange(BLOCKS) + 0.5) * seconds / BLOCKS
-    best = min((_fit(blocks, time, tau * seconds) for tau in DECAYS), key=lambda fit: fit[0])
+    n = len(squares) // settings.blocks * settings.blocks
+    blocks = squares[:n].reshape(settings.blocks, -1).mean(axis=1)
+    time = (np.arange(settings.blocks) + 0.5) * seconds / settings.blocks
+    time_constants = np.geomspace(settings.shortest, settings.longest, settings.decays)
+    best = min((_fit(blocks, time, tau * seconds) for tau in time_constants), key=lambda fit: fit[0])
     _, tau, size, error = best
-    left = float(blocks[-BLOCKS // 4 :].mean())
-    if abs(size) <= SIGNIFICANT * error or abs(size) <= PART * left:
+    left = float(blocks[-settings.blocks // 4 :].mean())
+    if abs(size) <= settings.significant * error or abs(size) <= settings.left * left:
         return 0.0
-    seconds_to_settle = max(0.0, tau * math.log(abs(size) / (PART * left)))
+    seconds_to_settle = max(0.0, tau * math.log(abs(size) / (settings.left * left)))
     return seconds_to_settle if size > 0.0 or seconds_to_settle < 0.5 * seconds else math.inf
 
 
@@ -172,12 +194,14 @@ def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float
     return total, tau, float(size[1]), math.sqrt(variance)
 
 
-def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArray, level: float) -> bool:
+def _tone_changes(
+    series: ErrorSeries, requirement: Requirement, tones: FloatArray, level: float, settings: SettlingSettings
+) -> bool:
     """Whether the amplitude of a tone differs between the halves of a series by more than 5 % of the level."""
     e, dt = series.values, series.dt
-    n = len(e) // SEGMENTS
+    n = len(e) // settings.segments
     seconds = n * dt
-    slowest = PERIODS * 2.0 * math.pi / seconds
+    slowest = settings.periods * 2.0 * math.pi / seconds
     for omega in tones[(tones > slowest) & (tones < math.pi / dt)]:
         near = np.abs(tones - omega)
         if (near[near > 0] < 2.0 * slowest).any():
@@ -185,26 +209,31 @@ def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArr
         weight = 1.0
         if requirement.of_windows or requirement.of_image or requirement.index in ("RPE", "RKE"):
             weight = float(rpe_discrete(np.array([omega]), metrics.samples_or_one(requirement.times[0], dt), dt)[0])
-        amplitudes = _amplitudes(e, dt, n, omega)
-        beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds) for k in OFFSETS]
+        amplitudes = _amplitudes(e, dt, n, omega, settings.segments)
+        beside = [
+            _amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds, settings.segments) for k in settings.offsets
+        ]
         noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
         # of sizes: the phase of a cooler wanders; their scatter in each half is an error, too
         halves = np.sqrt(np.square(np.abs(amplitudes)).sum(axis=1)).reshape(2, -1)
         change = abs(float(np.diff(halves.mean(axis=1))[0]))
         scatter = math.sqrt(float(halves.var(axis=1, ddof=1).sum()))
-        error = max(noise * math.sqrt(2.0), scatter) / math.sqrt(SEGMENTS / 2)
-        if weight * change > math.sqrt(PART) / 3.0 * level * math.sqrt(2.0) and change > SIGNIFICANT * error:
+        error = max(noise * math.sqrt(2.0), scatter) / math.sqrt(settings.segments / 2)
+        if (
+            weight * change > math.sqrt(settings.left) / 3.0 * level * math.sqrt(2.0)
+            and change > settings.significant * error
+        ):
             return True
     return False
 
 
-def _amplitudes(e: FloatArray, dt: float, n: int, omega: float) -> FloatArray:
+def _amplitudes(e: FloatArray, dt: float, n: int, omega: float, segments: int) -> FloatArray:
     """Complex amplitudes (segments, 2) of a frequency in each segment of n samples, Hann weights, one phase for all."""
     window = np.hanning(n + 2)[1:-1]
-    parts = np.nan_to_num(e[: SEGMENTS * n]).reshape(SEGMENTS, n, 2)
+    parts = np.nan_to_num(e[: segments * n]).reshape(segments, n, 2)
     parts = parts - np.einsum("skc,k->sc", parts, window / window.sum())[:, None, :]
-    turn = np.exp(-1j * omega * dt * np.arange(SEGMENTS * n)).reshape(SEGMENTS, n)
+    turn = np.exp(-1j * omega * dt * np.arange(segments * n)).reshape(segments, n)
     return np.asarray(2.0 * np.einsum("skc,sk->sc", parts, turn * window / window.sum()))
 
 
-__all__ = ["Settled", "decay", "is_settled", "judge_settled", "start_up"]
+__all__ = ["Settled", "SettlingSettings", "decay", "is_settled", "judge_settled", "start_up"]

@@ -12,14 +12,14 @@ F-test of Thomson, Proc. IEEE 70, 1982, section XIII, is the one of one axis wit
 holds where the density of the noise changes little over the neighbours, whatever it is elsewhere.
 
 **What is a line.** Two sets of neighbours are asked. The wide one has many degrees of freedom and decides: among all
-frequencies of a record of noise the expected number of false lines is at most `FALSE_LINES`. The narrow one refuses
+frequencies of a record of noise the expected number of false lines is at most `false_lines`. The narrow one refuses
 noise of a narrow band, for instance of a resonance: noise whose band is wider than some 10 / T is not taken for a line
 in a record of length T; noise of a narrower band is coherent as long as the record is, and nothing tells it from one.
 Where the noise on both sides differs, the larger one counts (the noise of a drift falls with frequency).
 
 **What is found.** A line is L dB above the noise where its power, both axes, is 10^(L/10) times the power that the
-noise has in a band of :data:`BAND`, the resolution bandwidth of the report's spectrum (Hann, 4 s): there its peak is
-L dB above the noise. Strong lines are fitted and taken away, so that weaker ones beside them come out.
+noise has in a band of `LineSearchSettings.band`, the resolution bandwidth of the report's spectrum (Hann, 4 s): there
+its peak is L dB above the noise. Strong lines are fitted and taken away, so that weaker ones beside them come out.
 
 **Sidebands** of a tone that moves name their carrier (:mod:`pointing_analysis.spectra.sidebands`).
 
@@ -43,49 +43,60 @@ from pointing_analysis.arrays import ComplexArray, FloatArray, IntArray
 from pointing_analysis.spectra.sidebands import FittedRecord, FoundLine, with_carriers
 from pointing_analysis.spectra.sinusoid_fit import Sinusoids, fit_sinusoids
 
-FALSE_LINES = 2e-3
-"""Expected number of false lines in a record of noise."""
-
-BAND = 1.5 / 4.0
-"""Resolution bandwidth [Hz] of the report's spectrum."""
-
-CORE, NARROW, WIDE = 1.5, 7.0, 32.0
-"""Neighbours are from `CORE` to `NARROW` or `WIDE` times 1 / T away."""
-
-NARROW_CHANCE = 1e-4
-"""Probability in noise of a statistic as large as one that passes the narrow neighbours."""
-
-LOOSE = 10.0
-"""Factor of both chances for candidates: between two frequencies of the spectrum a line is seen less than it is."""
-
-FEWEST_PERIODS = 7.0
-"""Of a line in the record: below, there are not enough neighbours."""
-
-STEEP = 1.5
-"""Ratio of the noise on both sides from which that on the larger side counts."""
-
-CAP = 6.0
-"""Neighbours count with at most so many times the level beside each: another line among them hides nothing."""
-
-EDGES = 0.25
-"""Part of the record over which the taper rises and falls (Tukey)."""
-
-EXACT, ADDED = 1e-15, 1e-6
-"""Median density over the largest one below which a record is one without noise, and noise that is added to it then,
-a part of its root mean square: without any, a line has only what the taper leaves of it to stand out of."""
-
-MOST_LINES, MOST_ASKED, PASSES = 60, 2000, 8
-BLOCK = 1 << 16
-"""Frequencies of the spectrum at a time."""
-
-MOST_MISSING = 0.25
-FEWEST_SAMPLES = 64
-
 EULER = 0.5772156649015329
+"""The mean of the logarithm of an exponentially distributed power is lower than that of its mean by so much."""
+
+
+@dataclass(frozen=True)
+class LineSearchSettings:
+    """What is a line, and how it is looked for.
+
+    Attributes
+    ----------
+    false_lines : expected number of false lines in a record of noise
+    band : resolution bandwidth of the report's spectrum [Hz]
+    core, narrow, wide : neighbours are from `core` to `narrow`, or `wide`, times 1 / T away
+    narrow_chance : probability in noise of a statistic as large as one that passes the narrow neighbours
+    loose : factor of both chances for candidates: a line between two frequencies of the spectrum is seen less
+    fewest_periods : of a line in the record: below, there are not enough neighbours
+    steep : ratio of the noise on both sides from which that on the larger side counts
+    cap : neighbours count with at most so many times the level beside each: another line among them hides nothing
+    edges : part of the record over which the taper rises and falls (Tukey)
+    exact : median density over the largest one below which a record is one without noise
+    added : noise that is added to it then, a part of its root mean square: without any, a line has only what the taper
+        leaves of it to stand out of
+    most_lines, most_asked, passes : lines, candidates of one pass that are compared, and passes
+    block : frequencies of the spectrum at a time
+    most_missing : part of the samples that may be missing
+    fewest_samples : of a record
+    """
+
+    false_lines: float = 2e-3
+    band: float = 1.5 / 4.0
+    core: float = 1.5
+    narrow: float = 7.0
+    wide: float = 32.0
+    narrow_chance: float = 1e-4
+    loose: float = 10.0
+    fewest_periods: float = 7.0
+    steep: float = 1.5
+    cap: float = 6.0
+    edges: float = 0.25
+    exact: float = 1e-15
+    added: float = 1e-6
+    most_lines: int = 60
+    most_asked: int = 2000
+    passes: int = 8
+    block: int = 1 << 16
+    most_missing: float = 0.25
+    fewest_samples: int = 64
+
+
+SETTINGS = LineSearchSettings()
 
 
 def find_lines(
-    error: ArrayLike, dt: float, false_lines: float = FALSE_LINES, confidence: float = 0.95
+    error: ArrayLike, dt: float, confidence: float = 0.95, settings: LineSearchSettings = SETTINGS
 ) -> tuple[FoundLine, ...]:
     """Lines of a record, the lowest frequency first.
 
@@ -93,12 +104,12 @@ def find_lines(
     ----------
     error : (n, 2), NaN where a sample is missing
     dt : [s]
-    false_lines : expected number of false lines in a record of noise
     confidence : of the bounds of the amplitudes
+    settings : of the search
 
     Returns
     -------
-    Lines; none for a record with fewer than `FEWEST_SAMPLES` samples or more than `MOST_MISSING` of them missing
+    Lines; none for a record with fewer samples than the settings ask, or more of them missing
 
     Examples
     --------
@@ -111,7 +122,7 @@ def find_lines(
     e = np.asarray(error, dtype=float)
     present = np.isfinite(e).all(axis=1)
     n = len(e)
-    if n < FEWEST_SAMPLES or present.sum() < (1.0 - MOST_MISSING) * n:
+    if n < settings.fewest_samples or present.sum() < (1.0 - settings.most_missing) * n:
         return ()
     largest = float(np.abs(e[present]).max())
     if not largest > 0.0:
@@ -119,29 +130,29 @@ def find_lines(
     unit = 2.0 ** math.floor(math.log2(largest))  # squares of all values are numbers then, and no value is rounded
     e = e / unit
     # Tukey's taper: ones with cosine edges
-    edge = max(round(0.5 * EDGES * n), 1)
+    edge = max(round(0.5 * settings.edges * n), 1)
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(edge) + 0.5) / edge)
     weight = np.where(present, np.concatenate([rise, np.ones(n - 2 * edge), rise[::-1]]), 0.0)
     fitted = fit_sinusoids(e, weight, dt, np.empty(0))
     if not np.abs(fitted.rest).max() > 0.0:
         return ()
-    density = _Background.of(fitted.rest, weight, dt).power[:, :2].sum(axis=1)
-    if np.median(density) < EXACT * density.max():
+    density = _Background.of(fitted.rest, weight, dt, settings).power[:, :2].sum(axis=1)
+    if np.median(density) < settings.exact * density.max():
         rms = float(np.sqrt(np.mean(np.square(fitted.rest[present]))))
-        e = e + ADDED * rms * np.random.default_rng(0).standard_normal(e.shape)
+        e = e + settings.added * rms * np.random.default_rng(0).standard_normal(e.shape)
         fitted = fit_sinusoids(e, weight, dt, np.empty(0))
-    for _ in range(PASSES):
-        background = _Background.of(fitted.rest, weight, dt)
-        more = background.candidates(fitted.omega, false_lines)[: MOST_LINES - fitted.omega.size]
+    for _ in range(settings.passes):
+        background = _Background.of(fitted.rest, weight, dt, settings)
+        more = background.candidates(fitted.omega)[: settings.most_lines - fitted.omega.size]
         if not more.size:
             break
         before = fitted.omega.size
         fitted = fit_sinusoids(e, weight, dt, np.concatenate([fitted.omega, more]))
-        fitted = _significant(fitted, e, weight, dt, false_lines)
+        fitted = _significant(fitted, e, weight, dt, settings)
         if fitted.omega.size <= before:
             break
-    lines = _lines(fitted, dt, confidence, weight)
-    noise_of = _Background.of(fitted.rest, weight, dt).noise_of
+    lines = _lines(fitted, dt, confidence, weight, settings)
+    noise_of = _Background.of(fitted.rest, weight, dt, settings).noise_of
     lines = with_carriers(lines, FittedRecord(e, weight, dt, fitted, noise_of))
     return tuple(line.times(unit) for line in lines)
 
@@ -156,6 +167,7 @@ class _Background:
     power : (m, 4) of x, of y, real and imaginary cross power: one-sided density [unit^2/Hz]
     resolution : frequencies of the spectrum for one 1 / T
     each : independent transforms for each frequency of the spectrum
+    settings : of the search
     duration : of a record without taper in which the phasor of a line has the scatter that it has in this one [s]
     """
 
@@ -164,9 +176,10 @@ class _Background:
     resolution: float
     each: float
     duration: float
+    settings: LineSearchSettings
 
     @classmethod
-    def of(cls, rest: FloatArray, weight: FloatArray, dt: float) -> _Background:
+    def of(cls, rest: FloatArray, weight: FloatArray, dt: float, settings: LineSearchSettings) -> _Background:
         n = len(rest)
         size = int(fft.next_fast_len(2 * n, real=True))
         X = fft.rfft(rest.T * weight, size)
@@ -177,7 +190,7 @@ class _Background:
         each = squares.sum() ** 2 / (size * np.square(squares).sum())
         step = 2.0 * np.pi / (size * dt)
         matrix = np.stack([*powers, cross.real, cross.imag], axis=1)
-        return cls(step, matrix, size / n, float(each), float(dt * weight.sum() ** 2 / squares.sum()))
+        return cls(step, matrix, size / n, float(each), float(dt * weight.sum() ** 2 / squares.sum()), settings)
 
     @property
     def lowest(self) -> int:
@@ -192,7 +205,7 @@ class _Background:
     @property
     def first(self) -> int:
         """Index of the lowest frequency that is asked."""
-        return math.ceil(FEWEST_PERIODS * self.resolution)
+        return math.ceil(self.settings.fewest_periods * self.resolution)
 
     @property
     def end(self) -> int:
@@ -212,17 +225,17 @@ class _Background:
         begin, end : of the frequencies
         width : of the neighbours [1/T]
         """
-        near, far = round(CORE * self.resolution), round(width * self.resolution)
+        near, far = round(self.settings.core * self.resolution), round(width * self.resolution)
         first, last = max(begin - far, self.lowest), min(end + far, len(self.power))
         power, places = self.power[first:last], _places_beside(np.arange(begin, end), near, far, first, last)
-        around = self._level(first, last, NARROW)
-        weight = np.minimum(1.0, 2.0 * CAP / np.maximum((power[:, :2] / around).sum(axis=1), 1e-300))
+        around = self._level(first, last, self.settings.narrow)
+        weight = np.minimum(1.0, 2.0 * self.settings.cap / np.maximum((power[:, :2] / around).sum(axis=1), 1e-300))
         level = self._level(begin, end, width)
         sides, counts = _sums(power * weight[:, None], places)
         means = [side / np.maximum(count, 1)[:, None] for side, count in zip(sides, counts)]
         sizes = [(mean[:, :2] / level).sum(axis=1) for mean in means]
         both = (sides[0] + sides[1]) / np.maximum(counts.sum(axis=0), 1)[:, None]
-        steep = np.maximum(sizes[0], sizes[1]) > STEEP * np.minimum(sizes[0], sizes[1])
+        steep = np.maximum(sizes[0], sizes[1]) > self.settings.steep * np.minimum(sizes[0], sizes[1])
         density = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
         return density, np.maximum(self.each * counts.sum(axis=0), 2.0)
 
@@ -231,7 +244,7 @@ class _Background:
 
         A line among the neighbours hardly changes it.
         """
-        near, far = round(CORE * self.resolution), round(width * self.resolution)
+        near, far = round(self.settings.core * self.resolution), round(width * self.resolution)
         first, last = max(begin - far, self.lowest), min(end + far, len(self.power))
         logarithm = np.log(self.power[first:last, :2] + self.tiny)
         sides, counts = _sums(logarithm, _places_beside(np.arange(begin, end), near, far, first, last))
@@ -240,29 +253,34 @@ class _Background:
     def noise_of(self, line: FoundLine) -> tuple[ComplexArray, float]:
         """Covariance (2, 2) that the phasor of a line has from the noise beside it, and its transforms."""
         index = min(round(line.omega / self.step), len(self.power) - 1)
-        noise, number = self.noise(index, index + 1, WIDE)
+        noise, number = self.noise(index, index + 1, self.settings.wide)
         x, y, re, im = noise[0]
         matrix = np.array([[x, re + 1j * im], [re - 1j * im, y]]) + 1e-12 * (x + y) * np.eye(2) + 1e-60 * np.eye(2)
         return 2.0 * matrix / self.duration, float(number[0])
 
-    def candidates(self, known: FloatArray, false_lines: float) -> FloatArray:
+    def candidates(self, known: FloatArray) -> FloatArray:
         """Frequencies [rad/s] of new lines, the clearest first."""
-        chance = np.concatenate([self._chances(begin) for begin in range(self.first, self.end, BLOCK)] or [np.empty(0)])
-        at = np.flatnonzero(chance * self.asked < LOOSE * false_lines)
+        chance = np.concatenate(
+            [self._chances(begin) for begin in range(self.first, self.end, self.settings.block)] or [np.empty(0)]
+        )
+        at = np.flatnonzero(chance * self.asked < self.settings.loose * self.settings.false_lines)
         indices: list[int] = []
         taken = sorted(map(float, known / self.step))
-        for index in at[np.argsort(chance[at], kind="stable")][:MOST_ASKED] + self.first:
+        for index in at[np.argsort(chance[at], kind="stable")][: self.settings.most_asked] + self.first:
             place = bisect_left(taken, float(index))
             if all(abs(index - other) >= self.resolution for other in taken[max(place - 1, 0) : place + 1]):
                 taken.insert(place, float(index))
-                if float(self.chance(self.power[index], int(index), NARROW)[0]) < LOOSE * NARROW_CHANCE:
+                if (
+                    float(self.chance(self.power[index], int(index), self.settings.narrow)[0])
+                    < self.settings.loose * self.settings.narrow_chance
+                ):
                     indices.append(int(index))
-        return np.array(indices[:MOST_LINES], dtype=float) * self.step
+        return np.array(indices[: self.settings.most_lines], dtype=float) * self.step
 
     def _chances(self, begin: int) -> FloatArray:
         """Probabilities by the wide neighbours for a block of frequencies."""
-        end = min(begin + BLOCK, self.end)
-        return _chance(self.power[begin:end], *self.noise(begin, end, WIDE))
+        end = min(begin + self.settings.block, self.end)
+        return _chance(self.power[begin:end], *self.noise(begin, end, self.settings.wide))
 
     def chance(self, power: FloatArray, index: int, width: float) -> FloatArray:
         """Probability that noise has such a power (4,) at a frequency."""
@@ -294,14 +312,18 @@ def _chance(power: FloatArray, noise: FloatArray, d: FloatArray) -> FloatArray:
     return np.asarray(np.exp((d - 1.0) * np.log(u)) * (1.0 + (d - 1.0) * (1.0 - u)))
 
 
-def _significant(fitted: Sinusoids, e: FloatArray, weight: FloatArray, dt: float, false_lines: float) -> Sinusoids:
+def _significant(
+    fitted: Sinusoids, e: FloatArray, weight: FloatArray, dt: float, settings: LineSearchSettings
+) -> Sinusoids:
     """The fit without those lines that do not stand out of what all of them leave."""
-    background = _Background.of(fitted.rest, weight, dt)
+    background = _Background.of(fitted.rest, weight, dt, settings)
     stays = np.zeros(fitted.omega.size, dtype=bool)
     for i, (index, power) in enumerate(_places(fitted, background)):
         if background.first <= index < background.end:
-            wide, narrow = (float(background.chance(power, index, width)[0]) for width in (WIDE, NARROW))
-            stays[i] = wide * background.asked < false_lines and narrow < NARROW_CHANCE
+            wide, narrow = (
+                float(background.chance(power, index, width)[0]) for width in (settings.wide, settings.narrow)
+            )
+            stays[i] = wide * background.asked < settings.false_lines and narrow < settings.narrow_chance
     return fitted if stays.all() else fit_sinusoids(e, weight, dt, fitted.omega[stays], moves=False)
 
 
@@ -314,16 +336,18 @@ def _places(fitted: Sinusoids, background: _Background) -> list[tuple[int, Float
     return list(zip(index.tolist(), power))
 
 
-def _lines(fitted: Sinusoids, dt: float, confidence: float, weight: FloatArray) -> tuple[FoundLine, ...]:
+def _lines(
+    fitted: Sinusoids, dt: float, confidence: float, weight: FloatArray, settings: LineSearchSettings
+) -> tuple[FoundLine, ...]:
     if not fitted.omega.size:
         return ()
-    background = _Background.of(fitted.rest, weight, dt)
+    background = _Background.of(fitted.rest, weight, dt, settings)
     places = _places(fitted, background)
-    beside = [background.noise(index, index + 1, WIDE) for index, _ in places]
+    beside = [background.noise(index, index + 1, settings.wide) for index, _ in places]
     density = np.array([noise[0, :2] for noise, _ in beside])
     number = np.array([d[0] for _, d in beside])
-    chance = [float(background.chance(power, index, WIDE)[0]) * background.asked for index, power in places]
-    level = np.sum(np.abs(fitted.phasor) ** 2, axis=1) / 2.0 / np.maximum(density.sum(axis=1) * BAND, 1e-300)
+    chance = [float(background.chance(power, index, settings.wide)[0]) * background.asked for index, power in places]
+    level = np.sum(np.abs(fitted.phasor) ** 2, axis=1) / 2.0 / np.maximum(density.sum(axis=1) * settings.band, 1e-300)
     spread = np.sqrt(density / background.duration)
     lower, upper = amplitude_bounds(np.abs(fitted.phasor), spread, number[:, None], confidence)
     decibels = 10.0 * np.log10(np.maximum(level, 1e-30))

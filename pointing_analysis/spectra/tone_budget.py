@@ -27,7 +27,7 @@ from pointing_analysis.read.mapped_arrays import by_parts
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra import spectra
-from pointing_analysis.spectra.line_search import MOST_MISSING
+from pointing_analysis.spectra.line_search import SETTINGS
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 
@@ -128,7 +128,7 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), series.values, dtype=bool)
     values = series.values[: len(present) - int(np.argmax(present[::-1]))]  # without the lost end of a recording
     named = spectra.lines(values, series.dt, named_tones(run), window)
-    if not named and np.count_nonzero(present) < (1.0 - MOST_MISSING) * len(values):  # no line is looked for
+    if not named and np.count_nonzero(present) < (1.0 - SETTINGS.most_missing) * len(values):  # no line is looked for
         return ToneBudget(math.nan, math.nan, math.nan, total, allowed, part=part, unresolved=GAPS)
     unnamed, rest = unnamed_lines(values, series.dt, named)
     samples = metrics.samples_or_one(window, series.dt)

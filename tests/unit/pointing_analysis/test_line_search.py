@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pointing_analysis.spectra.line_search import BAND, FALSE_LINES, amplitude_bounds, find_lines
+from pointing_analysis.spectra.line_search import SETTINGS, amplitude_bounds, find_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.spectra import psd
 
@@ -82,7 +82,7 @@ def record(seed: int, apart: float = 3.0, pairs: bool = False) -> Known:
     amplitudes = np.zeros((count, 2))
     for k, (f, dB) in enumerate(zip(hertz, level)):
         beside = float(np.interp(f, grid, density)) * own
-        power = 10.0 ** (dB / 10.0) * BAND * beside.sum()
+        power = 10.0 ** (dB / 10.0) * SETTINGS.band * beside.sum()
         turn = rng.uniform(0.0, 0.5 * np.pi)
         amplitudes[k] = math.sqrt(2.0 * power) * np.array([math.cos(turn), math.sin(turn)])
         phases = rng.uniform(0.0, 2.0 * np.pi, 2)
@@ -129,8 +129,8 @@ def scored(seeds: range, apart: float = 3.0, pairs: bool = False) -> Score:
 
 def judge(seeds: range) -> Score:
     score = scored(seeds)
-    assert score.false <= max(0.01 * score.found, binom.isf(1e-4, len(seeds), FALSE_LINES)), score
-    assert score.records_with_false <= binom.isf(1e-4, len(seeds), FALSE_LINES), score
+    assert score.false <= max(0.01 * score.found, binom.isf(1e-4, len(seeds), SETTINGS.false_lines)), score
+    assert score.records_with_false <= binom.isf(1e-4, len(seeds), SETTINGS.false_lines), score
     assert score.detected >= 0.95 * score.lines, score
     assert score.inside >= binom.isf(0.999, score.bounds, 0.95), score
     return score
@@ -184,7 +184,7 @@ def test_false_lines_of_settling_and_of_gaps() -> None:
         for begin in rng.integers(0, len(values) - long, max(len(values) // (10 * long), 1)):
             values[begin : begin + long] = np.nan
         false["gaps"] += bool(find_lines(values, DT))
-    assert max(false.values()) <= binom.isf(1e-4, 400, FALSE_LINES), false
+    assert max(false.values()) <= binom.isf(1e-4, 400, SETTINGS.false_lines), false
 
 
 def test_gaps_take_from_the_evidence_of_a_line_what_they_take_of_its_power() -> None:
@@ -204,7 +204,7 @@ def test_gaps_take_from_the_evidence_of_a_line_what_they_take_of_its_power() -> 
 def test_level_is_that_of_the_peak_over_the_noise_in_the_spectrum_of_the_report() -> None:
     rng = np.random.default_rng(5)
     t = DT * np.arange(240_000)
-    amplitude = math.sqrt(2.0 * 100.0 * BAND * 2.0 * 2.0 * DT)
+    amplitude = math.sqrt(2.0 * 100.0 * SETTINGS.band * 2.0 * 2.0 * DT)
     values = rng.standard_normal((t.size, 2))
     values[:, 0] += amplitude * np.sin(2.0 * np.pi * 40.0 * t)
     (line,) = find_lines(values, DT)

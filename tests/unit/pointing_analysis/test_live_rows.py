@@ -435,9 +435,9 @@ def test_motions_without_noise_are_not_interpolated() -> None:
 
 
 @pytest.mark.parametrize("rate", [240.0, 123.4])
-def test_samples_at_no_row_are_not_judged(rate: float) -> None:
+def test_samples_between_the_rows_are_not_judged(rate: float) -> None:
     """Between them the interpolated rows are smaller than the motion."""
     times = np.arange(0.0, 60.1, 1.0 / rate)
     e = np.column_stack([np.interp(TIME, times, axis) for axis in white(300.0, len(times)).T])
     assert {verdict.status for verdict in judged(e).verdicts} == {"not judged"}
-    assert "at no row" in judged(e).verdicts[1].note
+    assert "not at its rows" in judged(e).verdicts[1].note
