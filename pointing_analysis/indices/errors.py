@@ -137,9 +137,10 @@ def _drop(
         remarks.append(f"{blind[0][0]}: requirements on one axis are judged by its samples, those on both are not")
         at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
         moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
-    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving), "interpolated": interpolated_rows(moving)}
+    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
     dead["stuck"] &= ~dead["saturated"]
-    dead["interpolated"] &= ~(dead["saturated"] | dead["stuck"])
+    if not blind:
+        dead["interpolated"] = interpolated_rows(moving) & ~(dead["saturated"] | dead["stuck"])
     for column, name in enumerate(AXES):
         if judged[column] and _is_constant(rows[:, column]):
             remarks.append(f"{name} has the same value in all samples")
