@@ -13,11 +13,11 @@ With B samples in a block the variance of its sum is :math:`F B` times that of a
 as long as the correlation, and :math:`n = N / F`. The largest F counts. An estimate of a variance is uncertain itself:
 it has d degrees of freedom, from the number and the kurtosis of the blocks (Satterthwaite), and F is taken
 :math:`(t_d / z)^2` times as large, with the quantiles of Student's and of the normal distribution (Korn and Graubard,
-Survey Methodology 24, 1998). A record has few long blocks, whose F scatters: fewer than `SURE` blocks count only where
-F is larger than the correlation of the values explains, by more than chance at `DOUBT`. From one length of these and
+Survey Methodology 24, 1998). A record has few long blocks, whose F scatters: fewer than `sure` blocks count only where
+F is larger than the correlation of the values explains, by more than chance at `doubt`. From one length of these and
 to the next F has come half of the way that is left (what is missing falls as 1 / B): as much is added again.
 
-Of fewer than `TYPICAL` exceedances the largest `TYPICAL` values are asked as well: a burst of which two samples are
+Of fewer than `typical` exceedances as many of the largest values are asked as well: a burst of which two samples are
 above the limit has more that are just below it. The few themselves count as they are.
 
 A record that repeats itself exactly (a tone without noise whose period is a whole number of samples) has no more than
@@ -54,23 +54,25 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices.confidence import EffectiveSamples, effective_number
 from pointing_analysis.read.mapped_arrays import PART, SortedValues, by_parts, parts, present
 
-SURE = 128
-"""Blocks from which an estimate always counts."""
 
-FEWEST = 4
-"""Fewest blocks that are asked."""
+@dataclass(frozen=True)
+class BlockSettings:
+    """Estimates of a scatter over blocks of samples.
 
-DOUBT = 0.005
-"""Chance of a scatter of fewer than `SURE` blocks that counts."""
+    Attributes
+    ----------
+    sure : blocks from which an estimate always counts
+    fewest : fewest blocks that are asked
+    doubt : chance of a scatter of fewer than `sure` blocks that counts
+    tail : probability of the quantiles by which an uncertain variance is taken larger
+    typical : exceedances that tell how long a burst is
+    """
 
-TAIL = 0.95
-"""Probability of the quantiles by which an uncertain variance is taken larger."""
-
-TYPICAL = 32
-"""Exceedances that tell how long a burst is; samples that tell a record that repeats itself."""
-
-SAME = 1e-6
-"""Of the scatter of a record: values that are as near as this are one."""
+    sure: int = 128
+    fewest: int = 4
+    doubt: float = 0.005
+    tail: float = 0.95
+    typical: int = 32
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,16 @@ class PersistenceSettings:
     least_of_long: float = 0.42
 
 
-CLUSTERS, PERSISTENCE = ClusterSettings(), PersistenceSettings()
+@dataclass(frozen=True)
+class ExceedanceSettings:
+    """Settings of all estimates of independent samples."""
+
+    blocks: BlockSettings = BlockSettings()
+    clusters: ClusterSettings = ClusterSettings()
+    persistence: PersistenceSettings = PersistenceSettings()
+
+
+SETTINGS = ExceedanceSettings()
 
 
 @dataclass(frozen=True)
@@ -129,15 +140,23 @@ class IndependentSamples:
     correlated : those that the correlation of the values leaves
     most : no more than this many are independent, whatever the limit
     explained : factor by which the correlation of the usual values makes the sums of blocks scatter more
+    settings : of the estimates
     """
 
     values: FloatArray
     correlated: float
     most: float
     explained: float = 1.0
+    settings: ExceedanceSettings = SETTINGS
 
     @classmethod
-    def of(cls, values: ArrayLike, cap: float = math.inf, components: ArrayLike | None = None) -> IndependentSamples:
+    def of(
+        cls,
+        values: ArrayLike,
+        cap: float = math.inf,
+        components: ArrayLike | None = None,
+        settings: ExceedanceSettings = SETTINGS,
+    ) -> IndependentSamples:
         """Of samples (N,).
 
         Parameters
@@ -145,6 +164,7 @@ class IndependentSamples:
         values : (N,) in the order of time, NaN where one is missing
         cap : a number of independent samples that is known to be the most
         components : (n, k) signed motion of which the values are the size; a persistent one is recognised in it
+        settings : of the estimates
 
         Examples
         --------
@@ -159,21 +179,22 @@ class IndependentSamples:
         x = present(everything)
         n = len(x)
         if not n:
-            return cls(everything, 0.0, 0.0)
+            return cls(everything, 0.0, 0.0, settings=settings)
         correlated = effective_number(x)
         mean = sum(float(x[part].sum()) for part in parts(n)) / n
         power = sum(float(np.square(x[part] - mean).sum()) for part in parts(n)) / n
-        known = correlated / float(inflation(correlated - 1.0))
+        known = correlated / float(inflation(correlated - 1.0, settings.blocks.tail))
         unit = math.sqrt(power) or 1.0
-        factor = BlockSums.of(lambda part: (x[part] - mean) / unit, n).factor(1.0, n / correlated, math.inf)
+        sums = BlockSums.of(lambda part: (x[part] - mean) / unit, n, settings.blocks)
+        factor = sums.factor(1.0, n / correlated, math.inf)
         once = period(x, unit)
         most = min(known, n / factor if factor else n, cap * min(once / len(x), 1.0), once)
-        if components is not None and (beta := persistence(components)):
+        if components is not None and (beta := persistence(components, settings)):
             most = min(most, n ** (1.0 - beta))
         usual = SortedValues(x)
-        low, high = (usual.quantile(part) for part in CLUSTERS.usual)
+        low, high = (usual.quantile(part) for part in settings.clusters.usual)
         explained = n / effective_number(by_parts(lambda rows: np.clip(rows, low, high), x)) if high > low else 1.0
-        return cls(everything, correlated, max(most, 1.0), explained)
+        return cls(everything, correlated, max(most, 1.0), explained, settings)
 
     def above(self, limit: float, lower: bool = False) -> EffectiveSamples:
         """Weight of the exceedances of a limit: each number is at least one and at most `most`.
@@ -183,21 +204,25 @@ class IndependentSamples:
         limit : samples at or above it exceed it
         lower : whether the limit is a lower one, which samples at or below it violate
         """
-        x, sign = present(self.values), -1.0 if lower else 1.0
+        x, sign, clusters = present(self.values), -1.0 if lower else 1.0, self.settings.clusters
         n = len(x)
         if not n:
             return EffectiveSamples(0.0, 0.0)
-        few = sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n)) < TYPICAL < n
+        few = (
+            sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n))
+            < self.settings.blocks.typical
+            < n
+        )
         seen = [self._exceedances(x, sign, sign * limit, certain=few)]
         if few:
-            seen.append(self._exceedances(x, sign, _ranked(x, sign)))
+            seen.append(self._exceedances(x, sign, _ranked(x, sign, self.settings.blocks.typical)))
         number = self._number(n, seen)
-        unseen = max(one.largest * max(1.0, CLUSTERS.few / one.clusters) for one in seen)
+        unseen = max(one.largest * max(1.0, clusters.few / one.clusters) for one in seen)
         with_missing = number
         if n < len(self.values):
             lost = [self._exceedances(self.values, sign, sign * limit, certain=True)]
             with_missing = min(number, self._number(len(self.values), lost))
-        return EffectiveSamples(number, with_missing, CLUSTERS.largest * unseen)
+        return EffectiveSamples(number, with_missing, clusters.largest * unseen)
 
     def _number(self, n: int, seen: Sequence[_Exceedances]) -> float:
         return max(min([self.most, *(n / one.factor for one in seen if one.factor)]), 1.0)
@@ -210,11 +235,13 @@ class IndependentSamples:
             return np.asarray(~(sign * x[part] < level), dtype=float)
 
         share = sum(float(beyond(part).sum()) for part in parts(n)) / n
-        sums = BlockSums.of(lambda part: beyond(part) - share, n)
+        sums = BlockSums.of(lambda part: beyond(part) - share, n, self.settings.blocks)
         variance = share * (1.0 - share)
         factor = sums.factor(variance, n / self.correlated, certain=certain)
-        clusters = share * n / factor if factor > CLUSTERS.beyond * self.explained else math.inf
-        return _Exceedances(factor, sums.largest_cluster(variance, self.explained), clusters)
+        clusters = share * n / factor if factor > self.settings.clusters.beyond * self.explained else math.inf
+        return _Exceedances(
+            factor, sums.largest_cluster(variance, self.explained, self.settings.clusters.fewest), clusters
+        )
 
 
 @dataclass(frozen=True)
@@ -236,6 +263,7 @@ class BlockSums:
     blocks : (m,) number of them
     squares, fourth : (m,) sums over the blocks of the squares, and of the fourth powers, of their sums
     largest : (m,) largest of their sums
+    settings : of the estimates
     """
 
     samples: FloatArray
@@ -243,10 +271,13 @@ class BlockSums:
     squares: FloatArray
     fourth: FloatArray
     largest: FloatArray
+    settings: BlockSettings = SETTINGS.blocks
 
     @classmethod
-    def of(cls, deviation: Callable[[slice], FloatArray], n: int) -> BlockSums:
-        """Of n samples less their mean, of which `deviation` gives a slice; lengths with at least `FEWEST` blocks."""
+    def of(
+        cls, deviation: Callable[[slice], FloatArray], n: int, settings: BlockSettings = SETTINGS.blocks
+    ) -> BlockSums:
+        """Of n samples less their mean, of which `deviation` gives a slice; lengths with enough blocks."""
         levels = max(n.bit_length(), 1)
         blocks, squares, fourth = np.zeros((3, levels))
         largest = np.full(levels, -math.inf)
@@ -266,18 +297,18 @@ class BlockSums:
         long = [add(deviation(part), 0, min(within, levels)) for part in parts(n)]
         if levels > within:
             add(np.concatenate(long), within, levels)
-        enough = (blocks >= FEWEST) & (squares > 0.0)
+        enough = (blocks >= settings.fewest) & (squares > 0.0)
         samples = np.power(2.0, np.flatnonzero(enough), dtype=np.float64)
-        return cls(samples, blocks[enough], squares[enough], fourth[enough], largest[enough])
+        return cls(samples, blocks[enough], squares[enough], fourth[enough], largest[enough], settings)
 
-    def factor(self, variance: float, explained: float, sure: float = SURE, certain: bool = False) -> float:
+    def factor(self, variance: float, explained: float, sure: float | None = None, certain: bool = False) -> float:
         """Largest factor F by which blocks scatter more than independent samples do; zero if it is unknown.
 
         Parameters
         ----------
         variance : of an independent sample
         explained : factor that is known of the values: fewer than `sure` blocks count only above it
-        sure : blocks from which the factor always counts
+        sure : blocks from which the factor always counts; default: those of the settings
         certain : whether it is taken as it is, not larger for its own uncertainty
         """
         from scipy import special
@@ -288,18 +319,19 @@ class BlockSums:
         factor = self.squares / (blocks - 1.0) / (self.samples * variance)
         kurtosis = blocks * self.fourth / self.squares**2
         free = np.clip(2.0 * blocks / np.maximum(kurtosis - 1.0, 1e-12), 1.0, blocks - 1.0)
-        beyond = factor > explained * special.chdtri(blocks - 1.0, DOUBT) / (blocks - 1.0)
+        beyond = factor > explained * special.chdtri(blocks - 1.0, self.settings.doubt) / (blocks - 1.0)
         growth = np.maximum(np.diff(factor, prepend=factor[:1]), 0.0)
-        factor += np.where(blocks < 2 * SURE, growth, 0.0)
-        counts = (blocks >= sure) | beyond
-        return float((factor * (1.0 if certain else inflation(free)))[counts].max(initial=0.0))
+        factor += np.where(blocks < 2 * self.settings.sure, growth, 0.0)
+        counts = (blocks >= (self.settings.sure if sure is None else sure)) | beyond
+        return float((factor * (1.0 if certain else inflation(free, self.settings.tail)))[counts].max(initial=0.0))
 
-    def largest_cluster(self, variance: float, explained: float) -> float:
+    def largest_cluster(self, variance: float, explained: float, fewest: int) -> float:
         """Samples of the largest cluster: beyond the largest sum that is expected of correlated samples.
 
         The expected one is that of a normal distribution with the correction for its skewness (Cornish and Fisher).
+        `fewest` are the blocks of the longest length in which one is sought.
         """
-        chosen = self.blocks >= CLUSTERS.fewest
+        chosen = self.blocks >= fewest
         z = np.sqrt(2.0 * np.log(self.blocks[chosen]))
         expected = z * np.sqrt(explained * variance * self.samples[chosen]) + explained * ((z**2 - 1.0) / 6.0 + 1.0)
         return float(np.max(self.largest[chosen] - expected, initial=0.0))
@@ -318,7 +350,7 @@ class BlockSums:
         return float(np.sum(blocks * length * scatter) / np.sum(blocks * length**2))
 
 
-def persistence(components: ArrayLike) -> float:
+def persistence(components: ArrayLike, settings: ExceedanceSettings = SETTINGS) -> float:
     """Power of a persistent motion (n, k), NaN where a sample is missing, the mean over its components; else zero.
 
     Examples
@@ -327,25 +359,25 @@ def persistence(components: ArrayLike) -> float:
     >>> persistence(white)
     0.0
     """
-    powers = []
+    powers, power_law = [], settings.persistence
     for column in np.asarray(components, dtype=float).T:
         x = present(column)
-        if len(x) < PERSISTENCE.samples:
+        if len(x) < power_law.samples:
             continue
         mean = sum(float(x[part].sum()) for part in parts(len(x))) / len(x)
         rest = by_parts(lambda rows, mean=mean: rows - mean, x)
-        sums = BlockSums.of(rest.__getitem__, len(rest))
+        sums = BlockSums.of(rest.__getitem__, len(rest), settings.blocks)
         if len(sums.blocks):  # else it is a constant
-            of_short = sums.power(PERSISTENCE.long + 1, len(x))
-            powers.append((of_short, sums.power(0, PERSISTENCE.long), sums.power(0, PERSISTENCE.most)))
+            of_short = sums.power(power_law.long + 1, len(x))
+            powers.append((of_short, sums.power(0, power_law.long), sums.power(0, power_law.most)))
     if not powers:
         return 0.0
     of_short, of_long, power = np.mean(powers, axis=0).tolist()
-    straight = PERSISTENCE.least < of_short < PERSISTENCE.largest and of_long > PERSISTENCE.least_of_long
+    straight = power_law.least < of_short < power_law.largest and of_long > power_law.least_of_long
     return min(power, 1.0) if straight else 0.0
 
 
-def inflation(free: ArrayLike) -> FloatArray:
+def inflation(free: ArrayLike, tail: float = SETTINGS.blocks.tail) -> FloatArray:
     """Factor by which a variance of so many degrees of freedom is taken larger: :math:`(t_d / z)^2`.
 
     Examples
@@ -356,13 +388,20 @@ def inflation(free: ArrayLike) -> FloatArray:
     from scipy import special
 
     d = np.maximum(np.asarray(free, dtype=float), 1.0)
-    return np.asarray((special.stdtrit(d, TAIL) / special.ndtri(TAIL)) ** 2)
+    return np.asarray((special.stdtrit(d, tail) / special.ndtri(tail)) ** 2)
 
 
-def period(values: FloatArray, size: float) -> int:
-    """Samples after which a record repeats itself to 1e-6 of its size; all of them where it does not.
+def period(values: FloatArray, size: float, same: float = 1e-6, compared: int = 32) -> int:
+    """Samples after which a record repeats itself; all of them where it does not.
 
     A tone without noise whose period is so many samples is seen at so many phases, however often.
+
+    Parameters
+    ----------
+    values : (n,)
+    size : scatter of the record
+    same : part of its size by which equal values may differ
+    compared : samples in which a repetition is sought
 
     Examples
     --------
@@ -370,27 +409,27 @@ def period(values: FloatArray, size: float) -> int:
     >>> period(tone, 0.7), period(tone + 1e-3 * np.sin(np.arange(20_000) ** 2), 0.7)
     (10000, 20000)
     """
-    n, allowed = len(values), SAME * size
-    if n < 2 * TYPICAL:
+    n, allowed = len(values), same * size
+    if n < 2 * compared:
         return n
     near = [np.flatnonzero(np.abs(values[part] - values[0]) <= allowed) + part.start for part in parts(n)]
     lags: IntArray = np.concatenate(near)
     lags = lags[(lags > 0) & (lags <= n // 2)]
-    for k in range(1, TYPICAL):
+    for k in range(1, compared):
         lags = lags[np.abs(values[lags + k] - values[k]) <= allowed]
-    for lag in lags[:TYPICAL].tolist():
+    for lag in lags[:compared].tolist():
         if all(np.abs(values[lag:][part] - values[:-lag][part]).max() <= 4.0 * allowed for part in parts(n - lag)):
             return int(lag)
     return n
 
 
-def _ranked(values: FloatArray, sign: float) -> float:
-    """The `TYPICAL`-th largest value, signed."""
+def _ranked(values: FloatArray, sign: float, rank: int) -> float:
+    """The largest value but so many, signed."""
     top: FloatArray = np.empty(0)
     for part in parts(len(values)):
         top = np.concatenate([top, sign * values[part]])
-        if len(top) > TYPICAL:
-            top = np.partition(top, len(top) - TYPICAL)[-TYPICAL:]
+        if len(top) > rank:
+            top = np.partition(top, len(top) - rank)[-rank:]
     return float(top.min())
 
 
