@@ -60,7 +60,8 @@ class LiveRowSettings:
     same : part by which the rows for a sample may differ in the two axes
     decimated : rows that are taken together where rounding hides a polynomial between single ones
     coarse : part of a limit up to which the values may be rounded
-    off_row : part of a row by which the rows for an interpolated sample may miss a whole number
+    at_rows : share of interpolated samples that are a whole number of rows apart, if they are at rows
+    long : rows of a sample from which a corner may be seen a row late
     digits : largest rounding of a value to the digits of a file, a part of it: seven digits, or single precision
     clear : times the rounding beyond which a difference is one of the motion
     """
@@ -87,7 +88,8 @@ class LiveRowSettings:
     same: float = 0.02
     decimated: int = 4
     coarse: float = 0.5
-    off_row: float = 0.03
+    at_rows: float = 0.95
+    long: int = 8
     digits: float = 5e-7
     clear: float = 10.0
 
@@ -117,7 +119,11 @@ class Hold:
     @property
     def between_rows(self) -> bool:
         """Whether the samples are at no rows, so that the record does not have their values."""
-        return not self.held and abs(self.rows - round(self.rows)) > SETTINGS.off_row
+        length = round(self.rows)
+        places = np.bincount(self.starts[1:] % length, minlength=length)
+        beside = 1 if length >= SETTINGS.long else 0  # a corner of a spline may be seen a row late
+        near = sum(np.roll(places, k) for k in range(-beside, beside + 1))
+        return not self.held and bool(np.max(near) < SETTINGS.at_rows * places.sum())
 
 
 def hold_of(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> Hold | tuple[float, float] | None:

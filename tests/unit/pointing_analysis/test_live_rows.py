@@ -434,7 +434,7 @@ def test_motions_without_noise_are_not_interpolated() -> None:
     assert shares == dict.fromkeys(motions, 0.0)
 
 
-@pytest.mark.parametrize("rate", [240.0, 123.4])
+@pytest.mark.parametrize("rate", [240.0, 123.4, 333.0, 199.98, 250.05, 99.9, 49.9])
 def test_samples_between_the_rows_are_not_judged(rate: float) -> None:
     """Between them the interpolated rows are smaller than the motion."""
     times = np.arange(0.0, 60.1, 1.0 / rate)
