@@ -22,21 +22,35 @@ from pointing_analysis.image.star_camera import StarCamera
 SATURATED, NO_STAR, TWO_STARS, NOT_A_STAR = "saturated", "no_star", "two_stars", "not_a_star"
 REASONS = (SATURATED, NO_STAR, TWO_STARS, NOT_A_STAR)
 """Why a frame gives no angles."""
-DETECTION = 5.0
-"""Sigma of 3 x 3 pixels without light that a star must have."""
-APART = 2.5
-"""[wavelength over aperture] A second star is searched for farther away than this from the first."""
-SECOND = 0.15
-"""Part of the brightest 3 x 3 pixels that a second star has at least: the first ring has a third of it."""
-SHARPEST = 0.6
-"""Part of 3 x 3 pixels that the brightest of them holds at most: a hit of a cosmic particle holds all."""
-MOMENT_PIXELS = 3
-"""The moments are of the pixels so many to each side of the brightest."""
-MOMENT_THRESHOLD = 3.0
-"""Sigma above which a pixel counts."""
-STEPS = 12
-TOLERANCE = 1e-3
-"""Of a pixel: a smaller step ends the search of the maximum."""
+
+
+@dataclass(frozen=True)
+class CentroidSettings:
+    """What is a star, and how its place is found.
+
+    Attributes
+    ----------
+    detection : sigma of 3 x 3 pixels without light that a star must have
+    apart : a second star is searched for farther away than this from the first [wavelength over aperture]
+    second : part of the brightest 3 x 3 pixels that a second star has at least: the first ring has a third of it
+    sharpest : part of 3 x 3 pixels that the brightest of them holds at most: a hit of a cosmic particle holds all
+    moment_pixels : the moments are of the pixels so many to each side of the brightest
+    moment_threshold : sigma above which a pixel counts in them
+    steps : largest number of steps to the maximum of the likelihood
+    tolerance : a smaller step ends them [pixel]
+    """
+
+    detection: float = 5.0
+    apart: float = 2.5
+    second: float = 0.15
+    sharpest: float = 0.6
+    moment_pixels: int = 3
+    moment_threshold: float = 3.0
+    steps: int = 12
+    tolerance: float = 1e-3
+
+
+SETTINGS = CentroidSettings()
 
 
 @dataclass(frozen=True)
@@ -59,7 +73,7 @@ def _missing(reason: str) -> Centroid:
     return Centroid(np.full(2, np.nan), reason)
 
 
-def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
+def centroid(frame: FloatArray, camera: StarCamera, settings: CentroidSettings = SETTINGS) -> Centroid:
     """Place of the star in a frame.
 
     Parameters
@@ -67,6 +81,7 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
     frame : ndarray, shape (n, n)
         Counts, as :meth:`StarCamera.read_out` gives them.
     camera : StarCamera
+    settings : CentroidSettings
     """
     data = frame - OFFSET
     if float(data.max()) >= camera.camera.full_well - 5.0 * camera.camera.read_noise:
@@ -79,23 +94,28 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
     boxes = np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
     row, column = np.unravel_index(int(np.argmax(boxes)), boxes.shape)
     brightest, sigma = float(boxes[row, column]), np.sqrt(camera.camera.floor_variance)
-    if brightest < DETECTION * 3.0 * sigma:
+    if brightest < settings.detection * 3.0 * sigma:
         return _missing(NO_STAR)
     near = data[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-    if float(near.max()) > SHARPEST * brightest + DETECTION * sigma:
+    if float(near.max()) > settings.sharpest * brightest + settings.detection * sigma:
         return _missing(NOT_A_STAR)
     rows, columns = (np.arange(size) - at for size, at in zip(data.shape, (row, column)))
-    far = np.hypot(rows[:, None], columns) * camera.optics.pixel > APART * camera.optics.resolution
-    if far.any() and float(boxes[far].max()) > DETECTION * 3.0 * sigma + SECOND * brightest:
+    far = np.hypot(rows[:, None], columns) * camera.optics.pixel > settings.apart * camera.optics.resolution
+    if far.any() and float(boxes[far].max()) > settings.detection * 3.0 * sigma + settings.second * brightest:
         return _missing(TWO_STARS)
-    start = _moments(data, int(row), int(column), MOMENT_THRESHOLD * sigma, camera)
-    return Centroid(start) if camera.camera.centroid == "moments" else _most_likely(data, start, brightest, camera)
+    start = _moments(data, int(row), int(column), camera, settings)
+    return (
+        Centroid(start)
+        if camera.camera.centroid == "moments"
+        else _most_likely(data, start, brightest, camera, settings)
+    )
 
 
-def _moments(data: FloatArray, row: int, column: int, threshold: float, camera: StarCamera) -> FloatArray:
+def _moments(data: FloatArray, row: int, column: int, camera: StarCamera, settings: CentroidSettings) -> FloatArray:
     """Centre of what is above the threshold in the pixels about the brightest."""
-    first_row, first_column = max(row - MOMENT_PIXELS, 0), max(column - MOMENT_PIXELS, 0)
-    part = data[first_row : row + MOMENT_PIXELS + 1, first_column : column + MOMENT_PIXELS + 1]
+    reach, threshold = settings.moment_pixels, settings.moment_threshold * np.sqrt(camera.camera.floor_variance)
+    first_row, first_column = max(row - reach, 0), max(column - reach, 0)
+    part = data[first_row : row + reach + 1, first_column : column + reach + 1]
     weight = np.where(part > threshold, part, 0.0)
     total = float(weight.sum())
     if not total > 0.0:  # all of the light is in pixels below the threshold
@@ -105,12 +125,14 @@ def _moments(data: FloatArray, row: int, column: int, threshold: float, camera: 
     return np.array([float(weight.sum(axis=0) @ x), float(weight.sum(axis=1) @ y)]) / total
 
 
-def _most_likely(data: FloatArray, start: FloatArray, brightest: float, camera: StarCamera) -> Centroid:
+def _most_likely(
+    data: FloatArray, start: FloatArray, brightest: float, camera: StarCamera, settings: CentroidSettings
+) -> Centroid:
     """Maximum of the likelihood over place and flux by Fisher scoring."""
     pixel, floor, edge = camera.optics.pixel, camera.camera.floor_variance, float(camera.line[-1]) / camera.optics.pixel
     x, y, flux = float(start[0]) / pixel, float(start[1]) / pixel, brightest
     flat = data.ravel()
-    for _ in range(STEPS):
+    for _ in range(settings.steps):
         image, by_x, by_y = camera.still(np.array([pixel * x, pixel * y]))
         derivatives = np.concatenate((by_x, by_y, image), axis=None).reshape(3, -1)
         mean = flux * derivatives[2]
@@ -122,7 +144,7 @@ def _most_likely(data: FloatArray, start: FloatArray, brightest: float, camera: 
         x, y, flux = x + move[0], y + move[1], max(flux + flux * step[2], 0.1 * flux)
         if max(abs(x), abs(y)) > edge:
             return _missing(NO_STAR)
-        if max(map(abs, move)) < TOLERANCE:
+        if max(map(abs, move)) < settings.tolerance:
             return Centroid(np.array([pixel * x, pixel * y]))
     return _missing(NOT_A_STAR)
 

@@ -11,11 +11,10 @@ import pytest
 from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.centroid import (
-    MOMENT_PIXELS,
-    MOMENT_THRESHOLD,
     NO_STAR,
     NOT_A_STAR,
     SATURATED,
+    SETTINGS,
     TWO_STARS,
     bound,
     centroid,
@@ -154,10 +153,11 @@ def test_moments_are_those_of_photutils() -> None:
         row, column = (int(k) for k in np.unravel_index(data.argmax(), data.shape))
         boxes = sum(np.roll(data, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
         row, column = (int(k) for k in np.unravel_index(np.asarray(boxes).argmax(), data.shape))
-        near = np.s_[row - MOMENT_PIXELS : row + MOMENT_PIXELS + 1, column - MOMENT_PIXELS : column + MOMENT_PIXELS + 1]
-        kept = data[near] > MOMENT_THRESHOLD * math.sqrt(made.camera.floor_variance)
+        reach = SETTINGS.moment_pixels
+        near = np.s_[row - reach : row + reach + 1, column - reach : column + reach + 1]
+        kept = data[near] > SETTINGS.moment_threshold * math.sqrt(made.camera.floor_variance)
         x, y = centroids.centroid_com(np.where(kept, data[near], 0.0))
-        theirs = OPTICS.pixel * (np.array([x + column, y + row]) - MOMENT_PIXELS - 7)
+        theirs = OPTICS.pixel * (np.array([x + column, y + row]) - reach - 7)
         np.testing.assert_allclose(centroid(frame, made).place, theirs, atol=1e-9 * OPTICS.pixel)
 
 
