@@ -29,18 +29,32 @@ from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
 Kind = Literal["gap", "stall", "clock step"]
 KINDS: tuple[Kind, ...] = ("gap", "stall", "clock step")
 NANO = 1e9
-FEWEST = 10
-"""Fewest messages whose times are judged."""
-REGULAR = 0.8
-"""Least share of the steps within half a period of the period, of a topic that has one."""
-GAP = 1.5
-"""Step in periods above which messages are missing."""
-STEP, STALL = 0.01, 0.1
-"""Least clock step and least stall [s], or `GAP` and twice `GAP` periods where these are longer."""
-BEFORE = 50
-"""Messages whose least delay is the level before and after."""
-USUAL = 0.9
-"""Part of the messages whose delays above the least one are the jitter."""
+
+
+@dataclass(frozen=True)
+class ArrivalSettings:
+    """What is a gap, a stall and a step of a clock.
+
+    Attributes
+    ----------
+    fewest : fewest messages whose times are judged
+    regular : least share of the steps within half a period of the period, of a topic that has one
+    gap : step above which messages are missing [periods]
+    step, stall : least clock step and least stall [s], or `gap` and twice `gap` periods where these are longer
+    before : messages whose least delay is the level before and after
+    usual : part of the messages whose delays above the least one are the jitter
+    """
+
+    fewest: int = 10
+    regular: float = 0.8
+    gap: float = 1.5
+    step: float = 0.01
+    stall: float = 0.1
+    before: int = 50
+    usual: float = 0.9
+
+
+SETTINGS = ArrivalSettings()
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ class Arrivals:
     ----------
     messages : number
     stamped : whether they have stamps
-    period : median step [s]; None with fewer than `FEWEST` messages, or where the steps have none
+    period : median step [s]; None with too few messages, or where the steps have none
     events : in the order of the recording
     """
 
@@ -92,13 +106,14 @@ class Arrivals:
 NO_STAMPS: IntArray = np.zeros(0, np.int64)
 
 
-def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
+def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS, settings: ArrivalSettings = SETTINGS) -> Arrivals:
     """What the times of the messages of a topic show.
 
     Parameters
     ----------
     logged : (n,) times of recording [ns], in the order of the file
     stamps : (n,) of the headers [ns]; empty where there are none
+    settings : ArrivalSettings
 
     Examples
     --------
@@ -113,18 +128,20 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
     """
     stamped = stamps.size == logged.size > 0
     if stamped:
-        back, stamps_back = (_where(_steps(one), lambda steps: steps < -STEP * NANO) for one in (logged, stamps))
+        back, stamps_back = (
+            _where(_steps(one), lambda steps: steps < -settings.step * NANO) for one in (logged, stamps)
+        )
         if back.size and np.array_equal(back, stamps_back):  # parts of the file changed places; no clock stepped
             order = np.argsort(logged, kind="stable")
             logged, stamps = logged[order], stamps[order]
-    if logged.size < FEWEST:
+    if logged.size < settings.fewest:
         return Arrivals(logged.size, stamped, None)
     steps = _steps(stamps if stamped else logged)
     ahead = SortedValues(by_parts(lambda part: np.where(part > 0, part, np.nan), steps))
     period = ahead.quantile(0.5) if ahead.size else 0.0
     near = sum(int((np.abs(steps[part] - period) <= 0.5 * period).sum()) for part in parts(len(steps)))
-    regular = period > 0 and near >= REGULAR * len(steps)
-    jumps = _delays(logged, stamps, period if regular else 0.0) if stamped else _backwards(logged)
+    regular = period > 0 and near >= settings.regular * len(steps)
+    jumps = _delays(logged, stamps, period if regular else 0.0, settings) if stamped else _backwards(logged, settings)
 
     def since(i: int) -> float:
         return float((logged[i] - logged[0]) / NANO)
@@ -133,10 +150,10 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS) -> Arrivals:
     if regular:
         for i, (kind, _) in jumps.items():
             if kind == "clock step":  # the clock that did not step counts what is missing: the shorter of the two
-                both = [step for step in (steps[i], logged[i + 1] - logged[i]) if step > -STEP * NANO]
+                both = [step for step in (steps[i], logged[i + 1] - logged[i]) if step > -settings.step * NANO]
                 shorter = min(both, default=period)  # with the jitter of the recorder
-                steps[i] = shorter if shorter > max(GAP * period, STEP * NANO) else period
-        least = GAP * period if stamped else max(2.0 * GAP * period, STALL * NANO)
+                steps[i] = shorter if shorter > max(settings.gap * period, settings.step * NANO) else period
+        least = settings.gap * period if stamped else max(2.0 * settings.gap * period, settings.stall * NANO)
         for i in _where(steps, lambda part: part > least).tolist():
             lost = round(float(steps[i]) / period) - 1 if stamped else 0
             events.append(Event("gap", since(i), float(steps[i]) / NANO, lost))
@@ -154,16 +171,21 @@ def _where(values: IntArray, holds: Callable[[IntArray], BoolArray]) -> IntArray
     return np.flatnonzero(by_parts(holds, values, dtype=bool))
 
 
-def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, tuple[Kind, float]]:
+def _delays(
+    logged: IntArray, stamps: IntArray, period: float, settings: ArrivalSettings
+) -> Mapping[int, tuple[Kind, float]]:
     """Stalls and clock steps by the message before them, sizes [ns]."""
     delay = np.asarray(by_parts(np.subtract, logged, stamps, dtype=np.int64))
-    least, longest = max(STEP * NANO, GAP * period), max(STALL * NANO, 2.0 * GAP * period)
+    least, longest = (
+        max(settings.step * NANO, settings.gap * period),
+        max(settings.stall * NANO, 2.0 * settings.gap * period),
+    )
     delays: dict[int, tuple[Kind, float]] = {}
     start = caught_up = 0  # of the present level; end of a stall
     for i in _where(_steps(delay), lambda steps: np.abs(steps) > least).tolist():
         if i < caught_up:
             continue
-        level = int(delay[max(start, i + 1 - BEFORE) : i + 1].min())
+        level = int(delay[max(start, i + 1 - settings.before) : i + 1].min())
         rise = float(delay[i + 1] - level)
         if abs(rise) <= least:
             continue
@@ -174,21 +196,21 @@ def _delays(logged: IntArray, stamps: IntArray, period: float) -> Mapping[int, t
             if back.any():
                 end = i + 1 + part.start + int(back.argmax())
                 break
-        if rise > 0 and (end < logged.size or after.size < BEFORE):
+        if rise > 0 and (end < logged.size or after.size < settings.before):
             if rise > longest:
                 delays[i] = ("stall", rise)
             falls = end < logged.size and level - delay[end] > least  # below the level: a step
             caught_up = end - 1 if falls else end
         elif period > 0:  # of a topic without one, several nodes may send, each with its own delay
-            change = float(after[:BEFORE].min() - level)
-            jitter = float(np.quantile(after[:BEFORE], USUAL) - after[:BEFORE].min())
+            change = float(after[: settings.before].min() - level)
+            jitter = float(np.quantile(after[: settings.before], settings.usual) - after[: settings.before].min())
             if change > least or change < -least - jitter:  # the few messages before may all have come late
                 start = i + 1
                 delays[i] = ("clock step", change)
     return MappingProxyType(delays)
 
 
-def _backwards(logged: IntArray) -> Mapping[int, tuple[Kind, float]]:
+def _backwards(logged: IntArray, settings: ArrivalSettings) -> Mapping[int, tuple[Kind, float]]:
     """Steps of the recorder's clock that are seen without stamps: those to earlier times."""
     steps = _steps(logged)
-    return {int(i): ("clock step", float(steps[i])) for i in _where(steps, lambda part: part < -STEP * NANO)}
+    return {int(i): ("clock step", float(steps[i])) for i in _where(steps, lambda part: part < -settings.step * NANO)}
