@@ -68,13 +68,10 @@ class Job:
         return hashlib.sha256(json.dumps(self.content, sort_keys=True).encode()).hexdigest()
 
     def difference(self, there: Mapping[str, Any]) -> str:
-        """First entry in which the content of a record differs from this job; empty if it is of the same job.
-
-        Records without a kind are from before they had one.
-        """
+        """First entry in which the content of a record differs from this job; empty if it is of the same job."""
         for key in dict.fromkeys([*self.content, *there]):
             here, other = self.content.get(key), there.get(key)
-            if key == STATE or here == other or (key == KIND and key not in there):
+            if key == STATE or here == other:
                 continue
             while isinstance(here, dict) and isinstance(other, dict):  # of a table, the first entry that differs
                 key = next(name for name in (*here, *other) if here.get(name) != other.get(name))

@@ -17,7 +17,6 @@ from lftkit.proofs.trusted.digests import digest
 from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
-from titop_plant.physical_settings import PROFILES
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
@@ -157,11 +156,6 @@ class PlantFamily:
         settings["theta"] = config.array_angle
         settings["camera_rate"] = config.camera_rate or self.telescope.camera_rate
         settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.telescope)
-        for name in ("frequencies", "parameter_values"):  # nor did these exist
-            if settings[name] is None:
-                del settings[name]
-        if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
-            del settings["profile"]
         content: list[Any] = [self.telescope.parameters_hash, settings]
         if config.motion_from_file:
             content.append(motion(config, self.telescope).table())

@@ -25,7 +25,7 @@ from functools import cache
 import numpy as np
 
 from titop_plant.telescope.requirements import instant_probability, window_probability
-from titop_plant.telescope.telescope import FIRST_PROBABILITY, Telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.window_noise import combined_level
 
 NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.5
@@ -143,8 +143,8 @@ def error_budget(telescope: Telescope) -> ErrorBudget:
 
 @cache
 def _tone_share(noise: float, known: float, probability: float) -> float:
-    """:func:`largest_tone` beside `noise`; `known` is that of the first probability."""
-    return known if probability == FIRST_PROBABILITY else largest_tone(noise, 1.0, probability)
+    """:func:`largest_tone` beside `noise`; `known` is that of the probability of the reference."""
+    return known if probability == 0.997 else largest_tone(noise, 1.0, probability)
 
 
 def band_edge(telescope: Telescope) -> float:

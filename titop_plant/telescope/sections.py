@@ -39,9 +39,6 @@ Matrix = tuple[Vector, ...]
 LOOP_FREQUENCIES = (1e-2, 3000.0)
 """Frequencies [rad/s] at which figures of the loop are looked for; the edge of the bands is among them."""
 
-FIRST_BAND_EDGE, FIRST_CAMERA_RATE = 85.0, 50.0
-"""Edge between slow and fast tones [rad/s] and frames per second of stored tables that do not state them."""
-
 PMA_AZIMUTHS = 3
 """Azimuths of the proof-mass actuators, two at each: a command holds six forces."""
 

@@ -37,8 +37,6 @@ from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.plant_file import FILE, PLANT, plant_parameters, plant_system
 from titop_plant.telescope.sections import (
-    FIRST_BAND_EDGE,
-    FIRST_CAMERA_RATE,
     AttitudeTable,
     BodyTable,
     DesignScenarioTable,
@@ -69,13 +67,6 @@ if TYPE_CHECKING:
 
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
-FIRST_PROBABILITY = 0.997
-"""Fraction of the windows, and of the instants, within the limit, for designs that do not state it."""
-FIRST_VALUES: Mapping[str, Mapping[str, float]] = {
-    "weights": {"band_edge": FIRST_BAND_EDGE},
-    "sensors": {"camera_rate": FIRST_CAMERA_RATE},
-}
-"""Values of designs that do not state them."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 
@@ -89,7 +80,7 @@ class Telescope:
     Parameters
     ----------
     tables : mapping
-        All tables of a parameter file, checked and complete but for :data:`FIRST_VALUES`. They are copied.
+        All tables of a parameter file, checked and complete. They are copied.
 
     Examples
     --------
@@ -102,10 +93,7 @@ class Telescope:
     _tables: dict[str, Any]
 
     def __init__(self, tables: Mapping[str, Any]) -> None:
-        whole = copy.deepcopy(dict(tables))
-        for name, values in FIRST_VALUES.items():
-            whole[name] = {**values, **whole[name]} if name in whole else dict(values)
-        object.__setattr__(self, "_tables", whole)
+        object.__setattr__(self, "_tables", copy.deepcopy(dict(tables)))
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a telescope is immutable, use Telescope.changed, got a value for {name}")
@@ -129,10 +117,6 @@ class Telescope:
     def to_mapping(self) -> dict[str, Any]:
         """All values as plain tables, as a parameter file has them; a copy."""
         return copy.deepcopy(self._tables)
-
-    def named_values(self) -> dict[str, Any]:
-        """All values that tell telescopes apart: those of :data:`FIRST_VALUES` only where they are others."""
-        return without_first_values(self.to_mapping())
 
     def changed(self, values: Mapping[str, Any]) -> Telescope:
         """A telescope with other values.
@@ -563,17 +547,16 @@ class Telescope:
     def digest(self) -> str:
         """128 bits, as hexadecimal digits, that name the values; of a modal data file the content counts.
 
-        Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
-        that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
-        optics those of images do not count, nor does the table of the guide camera, of which the low-pass and the noise
-        under ``sensors`` count where they follow from it, nor do sources of disturbance and further sensors, which a
-        telescope has beside its loop: a design that reads one is not told apart by its noise and rate.
+        Of the requirements only the limits in ``weights`` and the probabilities of windows and instants count: nothing
+        else of them is in a plant or a design. Of the optics those of images do not count, nor does the table of the
+        guide camera, of which the low-pass and the noise under ``sensors`` count where they follow from it, nor do
+        sources of disturbance and further sensors, which a telescope has beside its loop: a design that reads one is
+        not told apart by its noise and rate.
         """
         known = layout.without_sources(self.without_images())
         content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
-        content = without_first_values(content)
-        parts = {"window_probability": self.window_probability, "instant_probability": self.instant_probability}
-        content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
+        content["window_probability"] = self.window_probability
+        content["instant_probability"] = self.instant_probability
         for name in OWN_BODIES:
             content[name] = _with_digest(content[name])
         if PLANT in content:
@@ -582,17 +565,6 @@ class Telescope:
             if isinstance(content.get(name), list):
                 content[name] = [_with_digest(table) for table in content[name]]
         return digest(content)
-
-
-def without_first_values(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables without values that are those of :data:`FIRST_VALUES`."""
-    first = {(table, key): value for table, values in FIRST_VALUES.items() for key, value in values.items()}
-    return {
-        name: {key: value for key, value in table.items() if first.get((name, key)) != value}
-        if name in FIRST_VALUES
-        else table
-        for name, table in tables.items()
-    }
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

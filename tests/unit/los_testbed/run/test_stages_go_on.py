@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run import stages
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.stages import PLAN, Plan, StageRun, finish, perform
 
 from los_design.synthesis.store import load_designs
+from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.run_end import run_end
 
 PLANNED = Plan(RunConfig(duration=1.1, mode="inprocess"), Path(), ("imbalance",), 1, ("all",))
 
@@ -88,3 +92,18 @@ def test_a_run_that_diverged_is_none_that_is_finished(tmp_path: Path, monkeypatc
     results, whole = perform(plan), perform(replace(plan, folder=tmp_path / "whole"))
     assert [(r.note, repr(r.as_dict())) for r in results] == [(r.note, repr(r.as_dict())) for r in whole]
     assert "diverged" in results[2].note
+
+
+def test_a_run_that_was_interrupted_ends_early_and_is_judged_by_what_it_has(tmp_path: Path) -> None:
+    """With the ticks of its messages, also where the signal came behind a block that was written already."""
+
+    def progress(ticks: int) -> None:
+        if ticks:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_in_process(RunConfig(duration=600.0, mode="inprocess", start="rest"), tmp_path / "bag", progress=progress)
+    run = Run.open(tmp_path / "bag")
+    end = run_end(run.parameters, run.covered_ticks)
+    assert end.done == end.covered == len(run["truth/los"]) and end.text.startswith("the run ended early: after ")
+    assert not performance_error(run, 0.0).missing

@@ -102,9 +102,7 @@ def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
     """All that the plant of a run is built from; code counts by its name."""
     config, plain = parts.config, parts.config.to_plain()
     names = {*PhysicalSettings.SETTINGS, "nonlinear", *(("disturbance_source",) if config.disturbance else ())}
-    left_out = {"parameters", "tau", "theta", "profile"}
-    left_out |= set() if config.parameter_values else {"parameter_values"}  # which did not always exist
-    settings = {name: plain[name] for name in sorted(names - left_out)}
+    settings = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
     settings |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
     settings |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
     settings["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile
@@ -122,7 +120,7 @@ def telescope_digest(telescope: Telescope) -> str:
     ValueError
         A file that cannot be read.
     """
-    return digest(map_files(telescope.named_values(), content_digest))
+    return digest(map_files(telescope.to_mapping(), content_digest))
 
 
 def content_digest(path: Path) -> str:

@@ -32,7 +32,7 @@ from los_testbed.run.metadata import run_metadata
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import FAILURE, statistics_of
+from pointing_analysis.read.run_end import FAILURE, run_end, statistics_of
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 
@@ -281,10 +281,10 @@ def _begin(plan: Plan) -> None:
 def _finished(bag: Path) -> bool:
     """Whether a bag is that of a run that came to its end."""
     try:
-        plant = statistics_of(Run.open(bag).parameters, "plant")
+        run = Run.open(bag)
     except (ValueError, OSError):
         return False
-    return bool(plant) and FAILURE not in plant
+    return FAILURE not in statistics_of(run.parameters, "plant") and run_end(run.parameters, run.covered_ticks).by_plan
 
 
 def finish(plan: Plan) -> None:

@@ -112,12 +112,13 @@ def record(
     try:
         with one_thread():
             loop.run(parts.config.ticks, write)
-    except BaseException as error:
-        statistics["plant"][FAILURE] = str(error) or f"interrupted at tick {done}"
+    except Exception as error:  # one that was interrupted ends early, and has not failed
+        statistics["plant"][FAILURE] = str(error) or type(error).__name__
         raise
     finally:
-        statistics["plant"] |= {"ticks": str(done), **frame_counts(plant)}
-        statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
+        messages = bag.counts().values()
+        statistics["plant"] |= {"ticks": str(max(messages, default=0)), **frame_counts(plant)}
+        statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(messages))}
         # Complete the bag; without a tick in it, it is removed
         metadata = {METADATA_NAME: final_metadata(parts, statistics, start)}
         try:
