@@ -31,9 +31,6 @@ from lftkit.systems.system import System
 from lftkit.uncertainty.elements import RealParameter
 
 sl_optimize: Any = optimize
-RAISED = 2.0
-"""Factor between two levels until one is proven; after :data:`TRIES` of them the bound is infinite."""
-TRIES = 40
 
 
 @dataclass(frozen=True)
@@ -127,6 +124,7 @@ def gain_profile(
     rtol: float = 1e-3,
     samples: int = 20,
     seed: int = 0,
+    tries: int = 40,
 ) -> Profile:
     """Worst-case gain over frequency.
 
@@ -144,6 +142,8 @@ def gain_profile(
         Relative precision of the upper bound.
     samples, seed : int
         Random members from which the gain is climbed.
+    tries : int
+        Levels, each twice the one before, until one is proven; after them the bound is infinite.
 
     Returns
     -------
@@ -185,7 +185,7 @@ def gain_profile(
                 gain, point = _worst_at(M, sizes, rng, samples)
                 values = [p.from_normalised(v) for p, v in zip(chosen.parameters, point)]
             lower.append(gain)
-            upper.append(_upper_at(M, unit, gain, rtol))
+            upper.append(_upper_at(M, unit, gain, rtol, tries))
             points.append({p.name: float(value) for p, value in zip(chosen.parameters, values)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
@@ -244,7 +244,7 @@ def _worst_at(
     return best, where
 
 
-def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float) -> float:
+def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float, tries: int) -> float:
     """Least level that scalings prove at one frequency, for the response `M` of a normalised system."""
     q = len(system.channels)
     rows, columns, structure = structure_of(system)
@@ -261,10 +261,10 @@ def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float) -> flo
         return 0.0
     no = max(lower, 1e-12 * float(linalg.norm(M, 2)), 1e-300)
     level = no * (1.0 + rtol)
-    for _ in range(TRIES):
+    for _ in range(tries):
         if proves(level):
             break
-        no, level = level, RAISED * level
+        no, level = level, 2.0 * level
     else:
         return np.inf
     while level > (1.0 + rtol) * no:

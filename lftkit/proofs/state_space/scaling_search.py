@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.settings import CELLS, CellSettings
 from lftkit.proofs.state_space.barrier import (
     FULL,
     BarrierBlock,
@@ -24,13 +25,6 @@ from lftkit.proofs.state_space.barrier import (
     positive_inverse,
     products,
 )
-
-GROWTH = 8.0
-"""Factor by which the weight of the objective grows from one centre to the next."""
-CENTRED = 0.3
-"""Newton decrement at which a point counts as centred."""
-DENSE = 20_000
-"""Most entries of all forms with which they are kept as matrices."""
 
 
 class ScalarBarrierProblem(BarrierProblem):
@@ -182,10 +176,12 @@ class DenseBarrierProblem(BarrierProblem):
         return slope + self.penalty * y, np.asarray(curvature)
 
 
-def barrier_problem(blocks: Sequence[BarrierBlock], penalty: float = 0.0) -> BarrierProblem:
+def barrier_problem(
+    blocks: Sequence[BarrierBlock], penalty: float = 0.0, settings: CellSettings = CELLS
+) -> BarrierProblem:
     """The barrier problem of some blocks, in the form that is fastest for their sizes."""
-    problem = BarrierProblem(blocks, penalty)
-    if problem.count * problem.N**2 <= DENSE:
+    problem = BarrierProblem(blocks, penalty, settings.small)
+    if problem.count * problem.N**2 <= settings.dense:
         return DenseBarrierProblem(blocks, penalty)
     single = all(block.kind == FULL or len(block.Z) == 1 for block in blocks)
     return ScalarBarrierProblem(blocks, penalty) if single else problem
@@ -198,6 +194,7 @@ def find_scalings(
     until: float = np.inf,
     precision: float = 1e-7,
     penalty: float = 0.0,
+    settings: CellSettings = CELLS,
 ) -> Scalings:
     """Scalings of trace one with a margin as large as it gets, or as soon as the sign of it is certain.
 
@@ -213,10 +210,12 @@ def find_scalings(
         Smallest distance to the optimal margin that is worth a step.
     penalty : float
         Of :class:`lftkit.proofs.state_space.barrier.BarrierProblem`.
+    settings : CellSettings
+        Of these `growth`, `centred`, `dense` and `small`.
     """
     if not blocks:  # are members of a system without elements well posed: no signal is left to show it for
         return Scalings(1.0, (), (), np.zeros(0))
-    problem = barrier_problem(blocks, penalty)
+    problem = barrier_problem(blocks, penalty, settings)
     y = problem.start()
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):
@@ -229,9 +228,9 @@ def find_scalings(
         gap = problem.degree / weight
         if y[0] < 0.0 and gap < 0.5 * -y[0]:
             break
-        if decrement > CENTRED:
+        if decrement > settings.centred:
             continue
         if y[0] - 2.0 * gap > 0.0 or gap < precision:
             break
-        weight *= GROWTH
+        weight *= settings.growth
     return problem.result(y)
