@@ -54,14 +54,9 @@ from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import required_period
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
-LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
-OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
 NEAR_BOUND = "the largest soft value is {:.2g} % above what any controller of any order can reach"
 IMPOSSIBLE = "no controller of any order brings {} below {:.4g} times its bound: relax it, or make it soft"
-FEW_ITERATIONS = 20  # of the one random start where hard requirements cannot be met
-SHOWN = 1e-2  # excess of a lower bound over 1 from which on a hard requirement counts as one that cannot be met
-WITHIN_GAP = 0.9  # part of the gap at which a descent ends
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
@@ -143,13 +138,13 @@ def tune(
     problem.least = least
     impossible = _impossible(problem, bounds)
     known = options.gap > 0.0 and least > 0.0
-    within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, WITHIN_GAP))
+    within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, 0.9))
     met = max(options.met, within)
     # a little below, so that the upper side of the certificate is not above
     target = max(options.target, options.met * (1.0 - AGREEMENT))
     options = replace(options, target=max(target, near))
     if impossible:
-        options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
+        options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, 20))
     if (fixed := slow_fixed_pole(problem.models, structure, problem.min_decay)) is not None:
         first = replace(only_point(problem, next(iter(starting), None)), status=TuningStatus.NOT_STABILISED)
         certified = result_of(problem, [first], time.monotonic() - start_time)
@@ -201,7 +196,7 @@ def _gone_on(
 def _impossible(problem: Problem, bounds: FloatArray) -> str:
     """What is to be said of a hard requirement that no controller meets; empty where there is none."""
     for requirement, row in zip(problem.given, bounds):
-        if requirement.hard and (least := float(row.max(initial=-np.inf))) > 1.0 + SHOWN:
+        if requirement.hard and (least := float(row.max(initial=-np.inf))) > 1.01:
             return IMPOSSIBLE.format(requirement.name, least)
     return ""
 
@@ -276,7 +271,7 @@ def _from_lower_order(
         return [], True
     smaller.limit = limits_from(options, start_sizes(smaller, [], options.seed))
     now = time.monotonic()
-    batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
+    batches = 1 if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
     search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches, asked=False)
     if search.best.rank[0] == 2:
         return [], search.complete
@@ -291,7 +286,8 @@ def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:
 
 def limits_from(options: TuningOptions, sizes: FloatArray) -> FloatArray:
     """Largest magnitudes of the parameters (size,) for the sizes of their starts."""
-    return np.asarray(np.maximum(options.parameter_limit, OVER_STARTS * sizes))
+    # parameters that have to be large have a higher limit
+    return np.asarray(np.maximum(options.parameter_limit, 1e3 * sizes))
 
 
 def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:

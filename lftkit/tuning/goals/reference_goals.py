@@ -14,8 +14,6 @@ from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 
-GAP_LEAK = 1e-3  # of the integrator in the weight of a step, relative to the speed of the reference model
-
 
 @dataclass(frozen=True)
 class _FromReference:
@@ -136,7 +134,7 @@ class StepTracking(_FromReference):
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One H2 norm, of the step through the plant and through the reference model."""
         size, dt, tau = len(model.input_indices([self.reference])), model.dt, self.time_constant
-        one, leak = np.eye(size), GAP_LEAK / tau
+        one, leak = np.eye(size), 1e-3 / tau  # of the integrator in the weight of a step
         # states: integral, reference model; outputs: integral, what the model makes of it
         A, B = np.array([[-leak, 0.0], [1.0 / tau, -1.0 / tau]]), np.array([[1.0], [0.0]])
         C, D = np.diag([1.0, 1.0]), np.array([[0.0], [0.0]])

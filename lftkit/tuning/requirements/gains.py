@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 G = TypeVar("G", bound="Gain")
 H = TypeVar("H", bound="HinfGain")
-ROUNDING = 1e-12
-"""Feedthrough of a weighted loop without one, relative to its output matrix."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +207,8 @@ class H2Gain(Gain):
         if weighted.dt:
             value = h2_norm(A, B, C, D, dt=weighted.dt) / float(np.sqrt(weighted.dt)) / self.bound
         else:  # feedthrough is zero by construction; what rounding leaves of it must not make the norm infinite
-            D = np.where(np.abs(D) <= ROUNDING * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
+            # of a loop without a feedthrough it is rounding
+            D = np.where(np.abs(D) <= 1e-12 * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
             value = h2_norm(A, B, C, D) / self.bound
         return CertifiedValue(value, value)
 

@@ -100,19 +100,15 @@ class ClosedLoopEvaluator:
     def _peak(self, r: HinfGain, grid: FloatArray, T: ComplexArray) -> tuple[float, float]:
         gains = largest_gains(self._weighted(r, grid, T))
         best, peak = -np.inf, 0.0
-        for i in np.argsort(-gains)[:1].tolist() + self._next_peaks(gains):
+        inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:])) + 1
+        high = inner[gains[inner] > 0.6 * gains.max()]
+        for i in [*np.argsort(-gains)[:1].tolist(), *high[np.argsort(-gains[high])][1:3].tolist()]:
             value, omega = float(gains[i]), float(grid[i])
             if 0 < i < len(grid) - 2:
                 value, omega = self._refined(r, grid[i - 1], grid[i + 1], value, omega)
             if value > best:
                 best, peak = value, omega
         return best / r.bound, peak
-
-    @staticmethod
-    def _next_peaks(gains: FloatArray) -> list[int]:
-        inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:])) + 1
-        high = inner[gains[inner] > 0.6 * gains.max()]
-        return [int(i) for i in high[np.argsort(-gains[high])][1:3]]
 
     def _refined(self, r: HinfGain, low: float, high: float, best: float, peak: float) -> tuple[float, float]:
         for _ in range(8):

@@ -41,9 +41,6 @@ from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import Structure
 from lftkit.tuning.tuner import ALL_MET, all_met, limits_from, limits_of, result_of, tune
 
-LEAST_SHARE = 1.0  # [s], of the wall limit, for any tuning
-SAME = 1e-4  # relative difference below which two ends of the first round are one
-
 
 @checked
 @dataclass(frozen=True)
@@ -255,7 +252,7 @@ class _Design:
         return runs
 
     def _started(self, starting: Sequence[FloatArray], options: TuningOptions) -> TuningResult:
-        left = max(min(options.wall_limit, self.deadline - time.monotonic()), LEAST_SHARE)
+        left = max(min(options.wall_limit, self.deadline - time.monotonic()), 1.0)
         common: Any = {"loop_delay": self.loop_delay, "options": replace(options, wall_limit=left)}
         return self._judged(tune(self.problem.models, self.requirements, self.structure, initial=starting, **common))
 
@@ -263,7 +260,7 @@ class _Design:
         """A tuning gone on with, on all models that are active, in its share of the time left."""
         tuning_options, problem, start_time = self.options.tuning, self.problem, time.monotonic()
         seed, band = tuning_options.seed, tuning_options.band
-        share = max(self.options.round_share * (self.deadline - start_time), LEAST_SHARE)
+        share = max(self.options.round_share * (self.deadline - start_time), 1.0)
         limits = limits_of(tuning_options, start_time + share)
         runs = [tune_from(problem, tuning.x, seed, limits, band)]
         runs += feasibility_runs(problem, runs, seed, limits, band)
@@ -362,7 +359,7 @@ def _rank(tuning: TuningResult) -> tuple[int, float]:
 def _another(tuning: TuningResult, best: TuningResult) -> bool:
     """Worth being searched beside the best: as feasible as it, and not the same."""
     (kind, value), (least, lowest) = _rank(tuning), _rank(best)
-    return kind == least < 2 and abs(value - lowest) > SAME * abs(lowest)
+    return kind == least < 2 and abs(value - lowest) > 1e-4 * abs(lowest)
 
 
 def _enough(tuning: TuningResult) -> bool:
