@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from lftkit.errors import InputError
 from lftkit.proofs.settings import BOUNDS, CELLS, SEARCH, BoundSettings, CellSettings, SearchSettings
+from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 
 METHODS = ("cells", "axis")
@@ -56,8 +57,7 @@ class BoundOptions:
     settings: BoundSettings = BOUNDS
 
     def __post_init__(self) -> None:
-        if not self.gap > 0.0:
-            raise InputError(f"gap must be positive, got {self.gap}")
+        as_positive(self.gap, "gap")
         if not self.wall_limit > 0.0:
             raise InputError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if self.max_tests < 0:

@@ -30,6 +30,7 @@ from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first
 from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
+from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
@@ -156,7 +157,7 @@ def robust_stability(
     >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
     (True, 2.0, True)
     """
-    _check_largest(largest)
+    as_positive(largest, "largest")
     options = options or BoundOptions()
     chosen = real_first(as_system(system).select(inputs=(), outputs=()))
     ends = intervals_of(chosen, box)
@@ -173,11 +174,6 @@ def robust_stability(
             return bounds
         rest = replace(options, wall_limit=max(cells.until - time.monotonic(), 1e-3))
         return stability_over_axis(chosen, ends, largest, rest, (cells.factor, cells.worst))
-
-
-def _check_largest(largest: float) -> None:
-    if not largest > 0.0:
-        raise InputError(f"largest must be positive, got {largest}")
 
 
 @checked
@@ -229,7 +225,7 @@ def robust_performance(
     True
     """
     checked_band(WHOLE, level)
-    _check_largest(largest)
+    as_positive(largest, "largest")
     options = options or BoundOptions()
     system = as_system(system)
     if not (system.inputs and system.outputs):

@@ -363,7 +363,22 @@ class _Problem:
         k = int(np.argmin(norms))
         proof = None
         if options is not None:
-            loop = _with_performance(continuous(closed))
+            # With dynamics of bound 1 from the outputs to the inputs, the block of the performance
+            loop = continuous(closed)
+            (p, m), q = loop.D.shape, len(loop.channels)
+            size = max(p, m) - q
+            name = _free("performance", {e.name for e in loop.elements})
+            loop = System(
+                loop.A,
+                np.pad(loop.B, ((0, 0), (0, size + q - m))),
+                np.pad(loop.C, ((0, size + q - p), (0, 0))),
+                np.pad(loop.D, ((0, size + q - p), (0, size + q - m))),
+                (),
+                (),
+                loop.name,
+                channels=(*loop.channels, *[name] * size),
+                elements=(*loop.elements, DynamicElement(name, m - q, p - q)),
+            )
             proof = robust_stability(loop, largest=1.0 / norms[k], options=options)
         return MuDesign(law, closed, best.lower, norms[k], peaks, status, tried[k], proof)
 
@@ -400,19 +415,4 @@ def _diagonal(first: list[System], ports: tuple[Port, ...]) -> System:
         ports,
         ports,
         "scaling",
-    )
-
-
-def _with_performance(closed: System) -> System:
-    """The loop with dynamics of bound 1 from its outputs to its inputs, the block of the performance."""
-    q, (p, m) = len(closed.channels), closed.D.shape
-    nz, nw = p - q, m - q
-    size = max(nz, nw)
-    name = _free("performance", {e.name for e in closed.elements})
-    B = np.hstack([closed.B, np.zeros((closed.order, size - nw))])
-    C = np.vstack([closed.C, np.zeros((size - nz, closed.order))])
-    D = np.pad(closed.D, ((0, size - nz), (0, size - nw)))
-    block = DynamicElement(name, nw, nz)
-    return System(
-        closed.A, B, C, D, (), (), closed.name, 0.0, (*closed.channels, *[name] * size), (*closed.elements, block)
     )

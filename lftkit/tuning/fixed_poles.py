@@ -36,16 +36,13 @@ class FixedPole:
 
     def advice(self, min_decay: float) -> str:
         """What to do about it."""
-        smaller = "give a smaller min_decay, " if self.stable else ""
+        smaller, value = "give a smaller min_decay, " if self.stable else "", self.value
+        shown = f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
         return (
-            f"no controller moves the pole {_shown(self.value)} rad/s of {self.model or 'the model'}: the "
+            f"no controller moves the pole {shown} rad/s of {self.model or 'the model'}: the "
             f"{self.missing} do not reach it; every pole must be faster than min_decay = {min_decay:g} rad/s: "
             f"{smaller}make the pole of the weight faster, or change the model"
         )
-
-
-def _shown(value: complex) -> str:
-    return f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
 
 
 def least_decay(model: System, structure: Structure) -> float:

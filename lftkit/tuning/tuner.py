@@ -136,7 +136,15 @@ def tune(
     bounds = full_order_bounds(problem)
     least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
     problem.least = least
-    impossible = _impossible(problem, bounds)
+    # A hard requirement that no controller meets
+    impossible = next(
+        (
+            IMPOSSIBLE.format(requirement.name, lowest)
+            for requirement, lowest in zip(problem.given, bounds.max(axis=1, initial=-np.inf).tolist())
+            if requirement.hard and lowest > 1.01
+        ),
+        "",
+    )
     known = options.gap > 0.0 and least > 0.0
     within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, 0.9))
     met = max(options.met, within)
@@ -191,14 +199,6 @@ def _gone_on(
     if all_met(problem.given, certificate, met):
         return []
     return [tune_from(problem, best.x, seed, replace(limits, target=target), band)]
-
-
-def _impossible(problem: Problem, bounds: FloatArray) -> str:
-    """What is to be said of a hard requirement that no controller meets; empty where there is none."""
-    for requirement, row in zip(problem.given, bounds):
-        if requirement.hard and (least := float(row.max(initial=-np.inf))) > 1.01:
-            return IMPOSSIBLE.format(requirement.name, least)
-    return ""
 
 
 def _search(
@@ -312,9 +312,11 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     names = getattr(problem.structure, "names", [f"x[{k}]" for k in range(len(x))])
     numbers = problem.at_limit(x) if problem.bounds is None else np.union1d(problem.at_limit(x), problem.bounds.at(x))
     at_bounds = tuple(names[k] for k in numbers)
+    failures = [run.failure for run in runs if run.failure]
+    failed = f"; {len(failures)} of {len(runs)} starts failed ({failures[0]})" if failures else ""
     return TuningResult(
         status,
-        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + _failures(runs),
+        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + failed,
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -341,12 +343,6 @@ def _found(problem: Problem, best: StartResult, status: TuningStatus) -> str:
     if not problem.structure.size:
         return NOTHING_FREE
     return NOTHING_SOFT if best.settled else ""
-
-
-def _failures(runs: Sequence[StartResult]) -> str:
-    """How many of the starts failed, and the first reason."""
-    texts = [run.failure for run in runs if run.failure]
-    return f"; {len(texts)} of {len(runs)} starts failed ({texts[0]})" if texts else ""
 
 
 def all_met(requirements: Sequence[TuningRequirement], certificate: Certificate | None, met: float) -> bool:

@@ -25,6 +25,7 @@ from lftkit.proofs.sampled_loop.settings import SETTINGS, LoopSettings
 from lftkit.proofs.trusted.proof import REAL, Interval, Strip
 from lftkit.proofs.trusted.sampled_loop import require_box
 from lftkit.proofs.trusted.strips import windows_of
+from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
 
 Box = tuple[Interval, ...]
@@ -58,8 +59,7 @@ class BisectionOptions:
     settings: LoopSettings = SETTINGS
 
     def __post_init__(self) -> None:
-        if not self.part > 0.0:
-            raise InputError(f"part must be positive, got {self.part}")
+        as_positive(self.part, "part")
         if self.deepest < 0 or self.samples < 1:
             raise InputError(f"deepest must be at least 0 and samples 1, got {self.deepest} and {self.samples}")
 

@@ -14,7 +14,7 @@ from lftkit.proofs.blocks.structure import balanced
 from lftkit.proofs.sampled_loop.model import SearchedResponses, from_middle
 from lftkit.proofs.sampled_loop.settings import SETTINGS, LoopSettings
 from lftkit.proofs.state_space.barrier import ANY_REAL, COMPLEX, FULL, REAL, BarrierBlock, newton_step
-from lftkit.proofs.state_space.scaling_search import barrier_problem
+from lftkit.proofs.state_space.scaling_search import barrier_problem, newton_path
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 
@@ -146,23 +146,15 @@ class ScalingTest:
     def feasible(self, before: FloatArray | None = None) -> tuple[FloatArray | None, FloatArray]:
         """Variables that prove the level, None if there are none; the variables reached. Begins at those `before`."""
         problem, settings = self.problem, self.settings
-        y = problem.start() if before is None else problem.raised(before, 1e-9)
-        weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
-        for _ in range(settings.newton_steps):
-            slope, curvature = problem.derivatives(y, weight)
-            step = newton_step(curvature, -slope, problem.trace)
-            decrement = math.sqrt(max(float(-slope @ step), 0.0))
-            y = problem.line_search(y, step, weight, decrement)
+        y = start = problem.start() if before is None else problem.raised(before, 1e-9)
+        steps = newton_path(problem, start, settings.newton_steps, growth=settings.growth, centred=settings.centred)
+        for y, gap, centre in steps:
             if y[0] < 0.0:
-                y = y.copy()
-                y[0] = 0.0
-                return y, y
-            if decrement > settings.centred:
-                continue
-            gap = problem.degree / weight
-            if y[0] - 2.0 * gap > 0.0 or gap < settings.precision:
+                proving = y.copy()
+                proving[0] = 0.0
+                return proving, proving
+            if centre and (y[0] - 2.0 * gap > 0.0 or gap < settings.precision):
                 break
-            weight *= settings.growth
         return None, y
 
     def centred(self, y: FloatArray, steps: int) -> FloatArray:

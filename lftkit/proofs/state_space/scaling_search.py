@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import linalg
@@ -216,21 +216,52 @@ def find_scalings(
     if not blocks:  # are members of a system without elements well posed: no signal is left to show it for
         return Scalings(1.0, (), (), np.zeros(0))
     problem = barrier_problem(blocks, penalty, settings)
-    y = problem.start()
+    y = start = problem.start()
+    steps = newton_path(problem, start, iterations, growth=settings.growth, centred=settings.centred, until=until)
+    for y, gap, centre in steps:
+        if y[0] < 0.0 and gap < 0.5 * -y[0]:
+            break
+        if centre and (y[0] - 2.0 * gap > 0.0 or gap < precision):
+            break
+    return problem.result(y)
+
+
+def newton_path(
+    problem: BarrierProblem, y: FloatArray, iterations: int, *, growth: float, centred: float, until: float = np.inf
+) -> Iterator[tuple[FloatArray, float, bool]]:
+    """Newton steps along the centres of a problem towards its optimum, from variables inside.
+
+    Parameters
+    ----------
+    problem : BarrierProblem
+    y : ndarray
+        Variables to begin with.
+    iterations : int
+        Most steps.
+    growth : float
+        Factor by which the weight of the objective grows from one centre to the next.
+    centred : float
+        Newton decrement at which a point counts as a centre.
+    until : float
+        ``time.monotonic()`` after which it stops.
+
+    Yields
+    ------
+    y : ndarray
+        The variables.
+    gap : float
+        Distance of a centre from the optimum.
+    centre : bool
+        Whether the point is one.
+    """
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):
         if time.monotonic() > until:
-            break
+            return
         slope, curvature = problem.derivatives(y, weight)
         step = newton_step(curvature, -slope, problem.trace)
         decrement = math.sqrt(max(float(-slope @ step), 0.0))
         y = problem.line_search(y, step, weight, decrement)
-        gap = problem.degree / weight
-        if y[0] < 0.0 and gap < 0.5 * -y[0]:
-            break
-        if decrement > settings.centred:
-            continue
-        if y[0] - 2.0 * gap > 0.0 or gap < precision:
-            break
-        weight *= settings.growth
-    return problem.result(y)
+        yield y, problem.degree / weight, decrement <= centred
+        if decrement <= centred:
+            weight *= growth

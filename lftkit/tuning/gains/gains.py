@@ -98,14 +98,23 @@ class LoopGains:
             maxima = np.flatnonzero(maximal)
             maxima = maxima[np.argsort(-gains[maxima], kind="stable")][:24]
             at, value = self._refined(w, gains, maxima, gain_matrix, order, i)
-            if gradients:
-                # Points of the grid beside the peaks are lower bounds of the norm in their own right (Apkarian and
-                # Noll's extended set of frequencies): a step sees a peak that would grow there, most at zero frequency
-                also = np.setdiff1d(np.flatnonzero(gains >= band * top), maxima)
-                if len(also) > 10:
-                    also = also[np.unique(np.linspace(0, len(also) - 1, 10).astype(int))]
-                at, value = np.concatenate([at, w[also]]), np.concatenate([value, gains[also]])
-            by_gain.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
+            if not gradients:
+                by_gain.append([GainPeak(float(v), float(peak), None) for v, peak in zip(value, at)])
+                continue
+            # Points of the grid beside the peaks are lower bounds of the norm in their own right (Apkarian and Noll's
+            # extended set of frequencies): a step sees a peak that would grow there, most of all at zero frequency
+            also = np.setdiff1d(np.flatnonzero(gains >= band * top), maxima)
+            if len(also) > 10:
+                also = also[np.unique(np.linspace(0, len(also) - 1, 10).astype(int))]
+            at = np.concatenate([at, w[also]])
+            s, rows, columns = singular_slopes(self.plant, self.plant.arrays(at, (i,)), gain_matrix, order, i)
+            peaks = (
+                GainPeak(float(s[j, k]), float(at[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
+                for j in range(len(at))
+                for k in range(s.shape[1])
+                if s[j, k] >= 0.98 * s[j, 0]  # those this close to the largest give subgradients of their own
+            )
+            by_gain.append(sorted(peaks, key=lambda peak: -peak.value))
         return by_gain
 
     def _split_high_cells(
@@ -144,22 +153,6 @@ class LoopGains:
                 break
         omega[act], value[act] = x[:, 1], y[:, 1]
         return omega, value
-
-    def _with_gradients(
-        self, K: FloatArray, order: int, i: int, omega: FloatArray, value: FloatArray, gradients: bool
-    ) -> list[GainPeak]:
-        if not gradients:
-            return [GainPeak(float(v), float(w), None) for v, w in zip(value, omega)]
-        s, rows, columns = singular_slopes(self.plant, self.plant.arrays(omega, (i,)), K, order, i)
-        return sorted(
-            (
-                GainPeak(float(s[j, k]), float(omega[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
-                for j in range(len(omega))
-                for k in range(s.shape[1])
-                if s[j, k] >= 0.98 * s[j, 0]  # those this close to the largest give subgradients of their own
-            ),
-            key=lambda peak: -peak.value,
-        )
 
 
 def singular_slopes(

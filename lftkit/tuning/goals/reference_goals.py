@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
@@ -74,8 +75,7 @@ class Tracking(_FromReference):
 
     def __post_init__(self) -> None:
         for name in ("response_time", "dc_error", "peak_error"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+            as_positive(getattr(self, name), name)
 
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
@@ -110,8 +110,7 @@ class StepTracking(_FromReference):
 
     def __post_init__(self) -> None:
         for name in ("time_constant", "relative_gap"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+            as_positive(getattr(self, name), name)
 
     def prepared(self, model: System) -> System:
         """The model with an input for what the reference model says, and the output's difference from it."""

@@ -162,7 +162,13 @@ class _Search:
         self._count, self._dt = 0, 0.0
 
     def run(self) -> tuple[WorstCase, ...]:
-        points = self._points()
+        n, rng = len(self._names), np.random.default_rng(self._options.seed)
+        points: list[FloatArray] = [np.full(n, 0.5)]
+        if 2**n <= self._options.corners:
+            points += [np.array([(k >> j) & 1 for j in range(n)], dtype=float) for k in range(2**n)]
+        else:
+            points += list(rng.integers(0, 2, (self._options.corners, n)).astype(float))
+        points += list(rng.uniform(size=(self._options.samples, n)))
         table = []
         for point in points:
             table.append(self._evaluate(point))
@@ -207,16 +213,6 @@ class _Search:
     def _apart(self, a: float, b: float) -> bool:
         """Whether two peak frequencies [rad/s], infinity allowed, belong to different peaks."""
         return bool(a != b and (np.isinf(a) or np.isinf(b) or abs(a - b) > self._options.apart * max(a, b)))
-
-    def _points(self) -> list[FloatArray]:
-        n = len(self._names)
-        rng = np.random.default_rng(self._options.seed)
-        points: list[FloatArray] = [np.full(n, 0.5)]
-        if 2**n <= self._options.corners:
-            points += [np.array([(k >> j) & 1 for j in range(n)], dtype=float) for k in range(2**n)]
-        else:
-            points += list(rng.integers(0, 2, (self._options.corners, n)).astype(float))
-        return points + list(rng.uniform(size=(self._options.samples, n)))
 
     def _parameters(self, point: FloatArray) -> dict[str, float]:
         return dict(zip(self._names, (self._low + point * self._width).tolist()))
