@@ -51,7 +51,6 @@ def frequency_grid(
     per_decade: int | None = None,
     offsets: Sequence[float] = (0.0, 1.0, 2.0, 3.0),
     light: float = 0.3,
-    undamped: float = 1e-10,
     clearance: float = 1e-6,
 ) -> FloatArray:
     """Logarithmic grid, refined around each lightly damped pole.
@@ -70,8 +69,8 @@ def frequency_grid(
         Distances of the points around a pole from its frequency, to both sides, as multiples of its decay rate (half
         of the half-power width). With ratios below about 2.5 the gain of that mode changes by less than this factor
         from point to point.
-    light, undamped : float
-        Damping ratios below which a pole is lightly damped, and below which it counts as undamped.
+    light : float
+        Damping ratio below which a pole is lightly damped.
     clearance : float
         Least distance of a point from an undamped pole, over its frequency.
 
@@ -98,7 +97,7 @@ def frequency_grid(
     size = np.abs(p)
     resonant = p[(p.imag > 0) & (np.abs(p.real) < light * size) & (size > low) & (size < high)]
     decay = np.abs(resonant.real)
-    on_axis = decay < undamped * resonant.imag
+    on_axis = decay < 1e-10 * resonant.imag  # undamped but for rounding
     decay[on_axis] = 2.0 * clearance * resonant.imag[on_axis]
     steps = np.array(sorted({s for offset in offsets for s in (float(offset), -float(offset))}))
     near = resonant.imag[:, None] + decay[:, None] * steps

@@ -29,14 +29,14 @@ from lftkit.analysis.eigenvectors import (
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems.matrices import frequencies
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
 
 
 @dataclass(frozen=True)
-class ResponseSettings(Settings):
+class ResponseSettings(AlgorithmSettings):
     """Numbers of the evaluation of frequency responses.
 
     Attributes

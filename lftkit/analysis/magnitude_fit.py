@@ -19,7 +19,7 @@ from scipy import linalg, optimize
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number, as_positive
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
@@ -33,7 +33,7 @@ sl_optimize: Any = optimize
 
 
 @dataclass(frozen=True)
-class FitSettings(Settings):
+class FitSettings(AlgorithmSettings):
     """Numbers of the fit of a gain.
 
     Attributes

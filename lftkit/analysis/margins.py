@@ -29,7 +29,7 @@ from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
 from lftkit.support.scalars import as_number
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
@@ -42,7 +42,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class CrossingSettings(Settings):
+class CrossingSettings(AlgorithmSettings):
     """Numbers of the search for the crossings of a loop.
 
     Attributes

@@ -201,7 +201,7 @@ def linf_norm(
     """
     (A, B, C, D), dt = given_system(A, B, C, D, dt)
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
-    return band_gain(A, B, C, D, (0.0, last), dt=dt, rtol=rtol, stable=False, settings=settings)
+    return _band_gain(_with_signals(checked_matrices(A, B, C, D)), (0.0, last), dt, rtol, False, settings)
 
 
 @checked
@@ -221,7 +221,6 @@ def band_gain(
     dt: float | None = None,
     rtol: float = 1e-6,
     stable: bool = True,
-    settings: NormSettings = SETTINGS,
 ) -> HInfNorm:
     """Largest singular value of ``C (jw I - A)^-1 B + D`` for w in a band.
 
@@ -238,8 +237,6 @@ def band_gain(
         Relative distance of the two sides.
     stable : bool
         Infinite for an unstable system; without, for poles on the imaginary axis or the unit circle only.
-    settings : NormSettings
-        Numbers of the algorithm.
 
     Raises
     ------
@@ -256,8 +253,14 @@ def band_gain(
     >>> round(found.value, 6), found.omega
     (0.332595, 2.0)
     """
+    return _band_gain(_with_signals(checked_matrices(A, B, C, D)), band, dt, rtol, stable, SETTINGS)
+
+
+def _band_gain(
+    system: Matrices, band: tuple[float, float], dt: float | None, rtol: float, stable: bool, settings: NormSettings
+) -> HInfNorm:
     as_positive(rtol, "rtol")
-    a, b, c, d = _with_signals(checked_matrices(A, B, C, D))
+    a, b, c, d = system
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     if not (0.0 <= band[0] < band[1] and band[0] < last):
         raise InputError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
@@ -265,13 +268,12 @@ def band_gain(
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
     if dt is not None and last < np.inf:
         # By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself
-        system = (a, b, c, d)
         try:
             mapped = to_continuous(*system, dt)
         except ValueError:
             return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
         low, high = (warped_frequency(omega, dt) for omega in band)
-        norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable, settings=settings)
+        norm = _band_gain(mapped, (low, high), None, rtol, stable, settings)
         omega = unwarped_frequency(norm.omega, dt)
         if not norm.value < np.inf:
             return replace(norm, omega=omega)

@@ -17,7 +17,7 @@ from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import band_gain, hinf_norm, linf_norm
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
@@ -26,7 +26,7 @@ Fraction = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class PassivitySettings(Settings):
+class PassivitySettings(AlgorithmSettings):
     """Numbers of the search for a passivity index.
 
     Attributes

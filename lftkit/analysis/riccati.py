@@ -15,13 +15,13 @@ from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 UNBOUNDED = "the discrete Riccati equation has no bounded solution"
 
 
 @dataclass(frozen=True)
-class RiccatiSettings(Settings):
+class RiccatiSettings(AlgorithmSettings):
     """Numbers of the solution of Riccati and Stein equations.
 
     Attributes

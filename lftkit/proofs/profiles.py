@@ -124,7 +124,6 @@ def gain_profile(
     rtol: float = 1e-3,
     samples: int = 20,
     seed: int = 0,
-    tries: int = 40,
 ) -> Profile:
     """Worst-case gain over frequency.
 
@@ -142,8 +141,6 @@ def gain_profile(
         Relative precision of the upper bound.
     samples, seed : int
         Random members from which the gain is climbed.
-    tries : int
-        Levels, each twice the one before, until one is proven; after them the bound is infinite.
 
     Returns
     -------
@@ -185,7 +182,7 @@ def gain_profile(
                 gain, point = _worst_at(M, sizes, rng, samples)
                 values = [p.from_normalised(v) for p, v in zip(chosen.parameters, point)]
             lower.append(gain)
-            upper.append(_upper_at(M, unit, gain, rtol, tries))
+            upper.append(_upper_at(M, unit, gain, rtol))
             points.append({p.name: float(value) for p, value in zip(chosen.parameters, values)})
     return Profile(frequencies, np.array(lower), np.array(upper), tuple(points))
 
@@ -244,7 +241,7 @@ def _worst_at(
     return best, where
 
 
-def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float, tries: int) -> float:
+def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float) -> float:
     """Least level that scalings prove at one frequency, for the response `M` of a normalised system."""
     q = len(system.channels)
     rows, columns, structure = structure_of(system)
@@ -261,7 +258,7 @@ def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float, tries:
         return 0.0
     no = max(lower, 1e-12 * float(linalg.norm(M, 2)), 1e-300)
     level = no * (1.0 + rtol)
-    for _ in range(tries):
+    for _ in range(40):  # levels, each twice the one before, until one is proven
         if proves(level):
             break
         no, level = level, 2.0 * level

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray
 from lftkit.errors import InputError
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
 from lftkit.proofs.options import BoundOptions
@@ -28,7 +28,7 @@ from lftkit.proofs.state_space.bounds import (
 )
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
-from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first
+from lftkit.proofs.state_space.disks import disks_of, real_first
 from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
 from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
@@ -261,14 +261,9 @@ class PerformanceProblem:
     over_axis: bool
 
     @cached_property
-    def nominal(self) -> FloatArray:
-        """Nominal values of the real elements (p,)."""
-        return np.array([p.nominal for p in self.system.parameters])
-
-    @cached_property
-    def disks(self) -> list[DiskChannels]:
-        """Complex and dynamic elements."""
-        return disks_of(self.system)
+    def search(self) -> DiskSearch:
+        """The search of members of the box, with the nominal values and the complex and dynamic elements."""
+        return DiskSearch(self.system, self.box, WHOLE, self.options.seed, self.options.search)
 
     def bounds(self, largest: float) -> ProvenBounds:
         """Bounds of the factor, up to `largest`.
@@ -280,9 +275,9 @@ class PerformanceProblem:
         """
         start, wall_limit, gap = time.monotonic(), self.options.wall_limit, self.options.gap
         until, settings = start + wall_limit, self.options.settings
-        if not all(low <= at <= high for at, (low, high) in zip(self.nominal, self.box)):
+        if not all(low <= at <= high for at, (low, high) in zip(self.search.nominal, self.box)):
             raise InputError("box must contain the nominal values, got another")
-        first = member_gain(self.system, self.nominal, WHOLE)
+        first = member_gain(self.system, self.search.nominal, WHOLE)
         if np.isinf(first.gain):
             raise InputError(f"{self.system.name}: the nominal member must be stable, got an unstable one")
         if first.gain >= self.level:
@@ -320,7 +315,7 @@ class PerformanceProblem:
         options = replace(self.options, wall_limit=seconds)
         if self.over_axis:
             return gain_over_axis(scaled, ends, WHOLE, self.level, options)
-        by_cells = DiskGainByCells if self.disks else GainByCells
+        by_cells = DiskGainByCells if self.search.disks else GainByCells
         cells = by_cells(scaled, ends, WHOLE, self.level, options)
         return cells.run(), cells.worst
 
@@ -334,7 +329,7 @@ class PerformanceProblem:
             if step and time.monotonic() > until:
                 break
             scaled, ends = self._scaled(factor)
-            if self.disks:
+            if self.search.disks:
                 member = DiskSearch(scaled, ends, WHOLE, options.seed, options.search).worst_member()
             else:
                 member = worst_member(scaled, ends, WHOLE, seed=options.seed, settings=options.search)
@@ -353,13 +348,13 @@ class PerformanceProblem:
         Where there are complex elements or dynamics, the gain is that at the member's frequency. None where the level
         is not reached.
         """
-        if not self.disks and member.gain < self.level:
+        if not self.search.disks and member.gain < self.level:
             return None
-        away = member.point - self.nominal
+        away = member.point - self.search.nominal
         at: Callable[[float], Member] = (
             self._way_of_disks(member)
-            if self.disks
-            else lambda part: member_gain(self.system, self.nominal + part * away, WHOLE)
+            if self.search.disks
+            else lambda part: member_gain(self.system, self.search.nominal + part * away, WHOLE)
         )
         settings = self.options.settings
         grid = np.linspace(0.0, 1.0, settings.ray + 1)[1:]
@@ -368,22 +363,21 @@ class PerformanceProblem:
 
     def _way_of_disks(self, member: Member) -> Callable[[float], DiskMember]:
         """The same, with their gain at its frequency."""
-        search = DiskSearch(self.system, self.box, WHOLE, self.options.seed, self.options.search)
-        M = search.response(member.frequency)
+        M = self.search.response(member.frequency)
         of_member: Mapping[str, ComplexArray] = member.disks if isinstance(member, DiskMember) else {}
-        disks = {d.name: of_member.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.disks}
+        disks = {d.name: of_member.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.search.disks}
 
         def at(part: float) -> DiskMember:
-            real = np.asarray(part * (member.point - self.nominal))
+            real = np.asarray(part * (member.point - self.search.nominal))
             values = {name: np.asarray(part * value, complex) for name, value in disks.items()}
-            return DiskMember(search.gain(M, real, values), self.nominal + real, member.frequency, values)
+            return DiskMember(self.search.gain(M, real, values), self.search.nominal + real, member.frequency, values)
 
         return at
 
     def _size(self, member: Member) -> float:
         """Factor of the uncertainty on whose surface a member is."""
         values = member.disks if isinstance(member, DiskMember) else {}
-        sizes = [float(linalg.norm(values[d.name], 2)) / d.radius for d in self.disks if d.name in values]
+        sizes = [float(linalg.norm(values[d.name], 2)) / d.radius for d in self.search.disks if d.name in values]
         return max([factor_of(self.system, self.box, member.point), *sizes])
 
 

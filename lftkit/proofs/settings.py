@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 
 @dataclass(frozen=True)
-class SearchSettings(Settings):
+class SearchSettings(AlgorithmSettings):
     """Numbers of the search for members with a large gain, and for unstable ones.
 
     Attributes
@@ -70,7 +70,7 @@ class SearchSettings(Settings):
 
 
 @dataclass(frozen=True)
-class CellSettings(Settings):
+class CellSettings(AlgorithmSettings):
     """Numbers of the proofs by cells, and of the scalings of a cell.
 
     Attributes
@@ -103,7 +103,7 @@ class CellSettings(Settings):
 
 
 @dataclass(frozen=True)
-class BoundSettings(Settings):
+class BoundSettings(AlgorithmSettings):
     """Numbers of the bounds: which levels and factors are tried, for how long, and by which method.
 
     Attributes

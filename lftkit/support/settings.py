@@ -11,7 +11,7 @@ from lftkit.support.scalars import as_integer, as_positive, is_number
 
 
 @dataclass(frozen=True)
-class Settings:
+class AlgorithmSettings:
     """Base of the settings of an algorithm.
 
     A field of one number must be positive and finite, an integer where its type is one; a field of several numbers must
@@ -25,7 +25,7 @@ class Settings:
     Examples
     --------
     >>> @dataclass(frozen=True)
-    ... class SearchSettings(Settings):
+    ... class SearchSettings(AlgorithmSettings):
     ...     steps: int = 20
     >>> SearchSettings(steps=0)
     Traceback (most recent call last):

@@ -25,7 +25,7 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.proofs.trusted.lower_bound import check_lower_bound, exact_constraints
 from lftkit.proofs.trusted.proof import ProofError
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.synthesis.noiseless import noiseless_combinations, undisturbed_states
 from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
 from lftkit.synthesis.standard_plant import Names, standard_plant
@@ -50,7 +50,7 @@ is what is left where the other says nothing, as all that it has are stable mode
 
 
 @dataclass(frozen=True)
-class LowerBoundSettings(Settings):
+class LowerBoundSettings(AlgorithmSettings):
     """Numbers of the search for a proof, and of the numerical bound.
 
     Attributes

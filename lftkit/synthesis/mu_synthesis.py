@@ -27,8 +27,8 @@ from lftkit.proofs.robustness import robust_stability
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.proofs.structured.bounds import MuBounds, mu
 from lftkit.proofs.trusted.structured import UncertaintyBlock
-from lftkit.support.scalars import as_integer, as_number
-from lftkit.support.settings import Settings
+from lftkit.support.scalars import as_integer
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.synthesis.full_order import controller_of_least_norm
 from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
 from lftkit.systems.arguments import checked
@@ -43,11 +43,12 @@ from lftkit.uncertainty.elements import DynamicElement, Element, width
 
 
 @dataclass(frozen=True)
-class MuSettings(Settings):
+class MuSettings(AlgorithmSettings):
     """Numbers of D-K iteration.
 
     Attributes
     ----------
+    tolerance : relative change of the least peak at which the iteration ends
     points : frequencies at which the scalings are computed, beside those of resonances of the plant, where none are
         asked for
     beyond : factor by which they go beyond its slowest and its fastest pole
@@ -59,6 +60,7 @@ class MuSettings(Settings):
     peaks : frequencies at which the lower bound is looked for
     """
 
+    tolerance: float = 0.002
     points: int = 60
     beyond: float = 10.0
     worse: float = 1.02
@@ -117,7 +119,6 @@ def musyn(
     *,
     iterations: int = 10,
     scaling_order: int = 4,
-    tolerance: float = 0.002,
     omega: ArrayLike | None = None,
     options: BoundOptions | None = None,
     settings: MuSettings = SETTINGS,
@@ -136,8 +137,6 @@ def musyn(
         Most controllers.
     scaling_order : int
         Largest order of the scaling of one channel.
-    tolerance : float
-        Relative change of the least peak at which the iteration ends.
     omega : array_like, optional
         Frequencies of the scalings [rad/s]; of a sampled plant below pi / dt.
     options : BoundOptions, optional
@@ -176,8 +175,6 @@ def musyn(
     for value, what, least in ((iterations, "iterations", 1), (scaling_order, "scaling_order", 0)):
         if as_integer(value, what) < least:
             raise InputError(f"{what} must be at least {least}, got {value}")
-    if not as_number(tolerance, "tolerance") >= 0.0:
-        raise InputError(f"tolerance must be zero or positive, got {tolerance}")
     problem = _Problem.of(as_system(plant), measured, commanded, settings)
     grid = problem.grid(omega)
     best = problem.candidate(problem.standard.system, grid)
@@ -193,7 +190,7 @@ def musyn(
         before = best.peak
         peaks.append(last.peak)
         best = last if last.peak < before else best
-        if abs(before - last.peak) <= tolerance * last.peak:
+        if abs(before - last.peak) <= settings.tolerance * last.peak:
             status = "converged"
             break
     return problem.design(best, tuple(peaks), status, scaling_order, options)

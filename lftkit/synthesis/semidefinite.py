@@ -15,14 +15,14 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 Point = tuple[FloatArray, list[FloatArray], list[FloatArray]]
 """Variables, slack and dual matrices."""
 
 
 @dataclass(frozen=True)
-class ProgramSettings(Settings):
+class ProgramSettings(AlgorithmSettings):
     """Numbers of the interior-point method.
 
     Attributes

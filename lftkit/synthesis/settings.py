@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 
 @dataclass(frozen=True)
-class SynthesisSettings(Settings):
+class SynthesisSettings(AlgorithmSettings):
     """Numbers of the H-infinity, H2 and loop shaping synthesis.
 
     Attributes

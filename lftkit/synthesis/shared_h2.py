@@ -22,11 +22,11 @@ from lftkit.analysis.riccati import discrete_riccati, stein
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 
 @dataclass(frozen=True)
-class SharedBoundSettings(Settings):
+class SharedBoundSettings(AlgorithmSettings):
     """Numbers of the search for the largest bound.
 
     Attributes

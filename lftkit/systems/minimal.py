@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.arguments import checked
 from lftkit.systems.delta import delta_response
@@ -39,7 +39,7 @@ Scaling = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
-class MinimalSettings(Settings):
+class MinimalSettings(AlgorithmSettings):
     """Numbers of the choice of a scaling.
 
     Attributes

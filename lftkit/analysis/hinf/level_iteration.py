@@ -24,11 +24,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 
 @dataclass(frozen=True)
-class NormSettings(Settings):
+class NormSettings(AlgorithmSettings):
     """Numbers of the H-infinity and H2 norms.
 
     Attributes

@@ -201,7 +201,14 @@ def gain_over_axis(
         closed = axis.prove(target, start + settings.first * wall_limit)
         if axis.worst is None or axis.worst.gain <= worst.gain:
             break
-        worst, before = _improved(system, box, band, options, axis.worst, worst), worst
+        # A member that was met in the proof, climbed
+        met, before = axis.worst, worst
+        if met.disks:
+            reached: Member = DiskSearch(system, box, band, options.seed, options.search).climbed(met)
+        else:
+            reached = member_gain(system, met.point, band)
+            reached = climbed(system, box, band, reached, settings=options.search)  # an unstable one as it is
+        worst = reached if reached.gain > worst.gain else worst
         if np.isinf(worst.gain):
             return bounds(np.inf, "unstable")
         if closed or worst.gain <= before.gain * (1.0 + 1e-6) or time.monotonic() - start > settings.first * wall_limit:
@@ -218,18 +225,6 @@ def gain_over_axis(
         return bounds(np.inf, "out_of_time")
     aim = max((1.0 + gap) * worst.gain, least_level(system, worst, settings)) if level is None else level
     return bounds(upper, "closed" if upper <= aim else "out_of_time")
-
-
-def _improved(
-    system: System, box: list[Interval], band: Interval, options: BoundOptions, met: DiskMember, worst: Member
-) -> Member:
-    """The better of the worst member and one that was met in a proof, climbed."""
-    if met.disks:
-        member: Member = DiskSearch(system, box, band, options.seed, options.search).climbed(met)
-    else:
-        member = member_gain(system, met.point, band)
-        member = climbed(system, box, band, member, settings=options.search)  # an unstable one as it is
-    return member if member.gain > worst.gain else worst
 
 
 def stability_over_axis(

@@ -18,7 +18,7 @@ from scipy import linalg, optimize
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 sl_optimize: Any = optimize
 TINY = 1e-300
@@ -27,7 +27,7 @@ Perturbation = tuple[float, ComplexArray]
 
 
 @dataclass(frozen=True)
-class PerturbationSettings(Settings):
+class PerturbationSettings(AlgorithmSettings):
     """Numbers of the bounds of a structured singular value.
 
     Attributes

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lftkit.support.settings import Settings
+from lftkit.support.settings import AlgorithmSettings
 
 
 @dataclass(frozen=True)
-class LoopSettings(Settings):
+class LoopSettings(AlgorithmSettings):
     """Numbers of the steps over a band, of the scalings at a frequency and of the choice of what to bisect.
 
     Attributes

@@ -24,8 +24,6 @@ def prefeedback(
     *,
     undamped: float = 1e-4,
     sufficient: float = 2e-3,
-    directions: int = 4,
-    condition: float = 1e3,
     largest: int = 100,
     most: int = 12,
 ) -> FloatArray:
@@ -36,10 +34,6 @@ def prefeedback(
     A, B2, C2, D22 : ndarray, shapes (n, n), (n, u), (y, n), (y, u)
     undamped, sufficient : float
         Damping ratios below which a pole counts as undamped, and which are enough for every pole.
-    directions : int
-        Random directions of F that are tried, of many sizes.
-    condition : float
-        Largest condition number of I - F D22.
     largest, most : int
         States up to which the poles are computed for every F; number of them for larger plants.
     """
@@ -54,7 +48,7 @@ def prefeedback(
     rng = np.random.default_rng(0)
     shifted = A - (scale + float(np.abs(poles.real).max())) * np.eye(len(A))
     gain = max(float(np.abs(C2 @ linalg.solve(shifted, B2)).max()) + float(np.abs(D22).max(initial=0.0)), 1e-300)
-    random = [rng.standard_normal(zero.shape) for _ in range(directions)]
+    random = [rng.standard_normal(zero.shape) for _ in range(4)]
     sizes = np.geomspace(1e-6, 1e6, 25)
     tried = [[sign * d * size / gain for d in random for sign in (1.0, -1.0)] for size in sizes]
     if len(A) > largest:
@@ -63,7 +57,7 @@ def prefeedback(
         for F in of_size:
             inner = np.eye(len(F)) - F @ D22
             values = linalg.svdvals(inner)
-            if values[0] > condition * values[-1]:
+            if values[0] > 1e3 * values[-1]:
                 continue
             damping = _least_damping(linalg.eigvals(A + B2 @ linalg.solve(inner, F @ C2)), scale)
             if damping > most_damped:

@@ -71,10 +71,6 @@ class Gain(TuningRequirement):
         """The hard requirement that is just met where this one has the value `level`, above 0."""
         return replace(self, bound=level * self.bound, hard=True)
 
-    def softened(self: G) -> G:
-        """The same gain, minimised."""
-        return replace(self, hard=False)
-
     def sampled(self: G, dt: float) -> G:
         """The gain with weights in continuous time as discrete ones of period `dt` [s]; 0: as it is."""
         weights = {name: getattr(self, name) for name in ("weight_in", "weight_out") if dt}

@@ -55,10 +55,6 @@ class Poles(TuningRequirement):
         """The hard requirement that is just met where this one has the value `level`, above 0."""
         return replace(self, level=level * self.level, hard=True)
 
-    def softened(self: P) -> P:
-        """The same requirement, minimised."""
-        return replace(self, hard=False)
-
     def on_image(self: P, model: System) -> P:
         """The requirement for poles of the image, which count as ``log(z) / T``."""
         return replace(self, period=float(model.dt))
