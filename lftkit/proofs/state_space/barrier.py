@@ -8,7 +8,7 @@ complex ones the same without G, full blocks ``d (z* z - w* w)``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -153,13 +153,17 @@ class BarrierProblem:
 
     def value(self, y: FloatArray, weight: float) -> float:
         """Objective with barrier; infinite outside."""
-        total = weight * y[0] + 0.5 * float(self.penalty @ y**2)
-        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *(D for _, D in self._positive(y))):
+        objective = weight * y[0] + 0.5 * float(self.penalty @ y**2)
+        return self.with_barrier(objective, y, (D for _, D in self._positive(y)))
+
+    def with_barrier(self, objective: float, y: FloatArray, scalings: Iterable[ComplexArray]) -> float:
+        """An objective less the logarithms of the determinants of ``s I - F(y)`` and of scalings; infinite outside."""
+        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *scalings):
             factor, info = linalg.lapack.zpotrf(matrix, lower=1)
             if info:
                 return np.inf
-            total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
-        return float(total)
+            objective -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
+        return float(objective)
 
     def _positive(self, y: FloatArray) -> list[tuple[slice, ComplexArray]]:
         """The matrices D with the slices of their variables."""

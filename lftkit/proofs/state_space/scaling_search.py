@@ -145,13 +145,8 @@ class DenseBarrierProblem(BarrierProblem):
         scales = y[self.single]
         if not np.all(scales > 0.0):
             return np.inf
-        total = weight * y[0] + 0.5 * float(self.penalty @ y**2) - float(np.sum(np.log(scales)))
-        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *self._repeated_scalings(y)):
-            factor, info = linalg.lapack.zpotrf(matrix, lower=1)
-            if info:
-                return np.inf
-            total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
-        return float(total)
+        objective = weight * y[0] + 0.5 * float(self.penalty @ y**2) - float(np.sum(np.log(scales)))
+        return self.with_barrier(objective, y, self._repeated_scalings(y))
 
     def _repeated_scalings(self, y: FloatArray) -> list[ComplexArray]:
         return [(hermitian_basis(k) @ y[part]).reshape(k, k) for part, k in self.repeated]

@@ -8,7 +8,6 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.errors import InputError
-from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import TuningRequirement
@@ -59,6 +58,11 @@ class _OfChannel:
                 "goal must have a band that ends before, or a sector with zero inside, got none"
             )
         return (index,)
+
+
+def _check_unit(unit: float) -> None:
+    if not (np.isfinite(unit) and unit > 0.0):
+        raise InputError(f"unit must be positive, got {unit}")
 
 
 @checked
@@ -113,7 +117,7 @@ class Passivity(_OfChannel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        as_positive(self.unit, "unit")
+        _check_unit(self.unit)
         if not (np.isfinite(self.input_index) and np.isfinite(self.output_index) and self.output_index >= 0.0):
             raise InputError(
                 "input_index must be finite and output_index finite and not negative, got "
@@ -174,7 +178,7 @@ class ConicSector(_OfChannel):
         super().__post_init__()
         if not self.low < self.high or (np.isinf(self.low) and np.isinf(self.high)):
             raise InputError(f"low must be below high, one of them finite, got {self.low} and {self.high}")
-        as_positive(self.unit, "unit")
+        _check_unit(self.unit)
 
     @property
     def fraction(self) -> Fraction:

@@ -11,7 +11,6 @@ import numpy as np
 from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, is_stable
 from lftkit.arrays import BoolArray, FloatArray
 from lftkit.errors import InputError
-from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
@@ -46,7 +45,8 @@ class Gain(TuningRequirement):
             if not ports:
                 raise InputError(f"a gain requirement needs at least one port among its {side}")
             object.__setattr__(self, side, ports)
-        as_positive(self.bound, "the bound of a gain requirement")
+        if not (np.isfinite(self.bound) and self.bound > 0):
+            raise InputError(f"the bound of a gain requirement must be positive, got {self.bound}")
         for side in ("weight_in", "weight_out"):
             object.__setattr__(self, side, as_weight(getattr(self, side), side))
         if not self.name:
