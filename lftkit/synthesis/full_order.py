@@ -141,7 +141,8 @@ def hinfsyn(
         changed = (generalised.weighted(w, states) for w in settings.regularised for states in (0.0, w))
         plants = itertools.chain([generalised] if all(generalised.full_rank) else [], changed)
         designs = (_design(standard, working, level) for working in plants)
-        reached = (one for one in designs if one is not None and one.value <= (1.0 + settings.reached) * level)
+        most = (1.0 + settings.reached) * level
+        reached = (design for design in designs if design is not None and design.value <= most)
         design = next(reached, None)
         if design is None:
             raise InputError(f"{standard.system.name}: level must be one that a controller reaches, got {level:g}")

@@ -329,8 +329,9 @@ class StabilityByCells:
         closed = cover.run(lambda: 1.0, unstable, 0.3 * time.monotonic() + 0.7 * self.until, tests, bar)
         left = tuple(cell for *_, cell in cover.open)
         stable = stable_member(self.system, claim, self.nominal) if closed and not members else None
-        posing = self.system, claim, ends, self.until, tests, self.options.cells
-        posed = posed_cells(*posing) if stable is not None else None
+        posed = (
+            posed_cells(self.system, claim, ends, self.until, tests, self.options.cells) if stable is not None else None
+        )
         proof = finished(claim, cover.proven, stable, posed) if stable is not None and posed is not None else None
         return proof, members[0] if members else None, left
 

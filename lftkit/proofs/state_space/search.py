@@ -96,7 +96,7 @@ def worst_member(
             return members[-1]
     members.sort(key=lambda member: -member.gain)
     starts = members[: 1 if size <= settings.all_corners else settings.climbs]
-    return max((climbed(system, box, band, start, settings=settings) for start in starts), key=lambda one: one.gain)
+    return max((climbed(system, box, band, start, settings=settings) for start in starts), key=lambda top: top.gain)
 
 
 def _unstable_shares(system: System, ends: FloatArray, seed: int, settings: SearchSettings) -> list[FloatArray]:
