@@ -12,7 +12,6 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 
-MAX_REFINEMENTS, REFINED = 8, 1e-9  # of a solution; relative correction at which the next would be rounding
 _SPLITTER = 134217729.0  # 2^27 + 1 (Dekker 1971)
 
 
@@ -68,18 +67,26 @@ def two_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def refined_solution(
-    A: FloatArray, omega: float, right: FloatArray, solved: Callable[[FloatArray], FloatArray], *, fine: bool = False
+    A: FloatArray,
+    omega: float,
+    right: FloatArray,
+    solved: Callable[[FloatArray], FloatArray],
+    *,
+    fine: bool = False,
+    steps: int = 8,
+    refined: float = 1e-9,
 ) -> tuple[FloatArray, FloatArray, bool]:
     """Solution of ``(j omega - A) X = right`` by refinement, what is to be added to it, and whether it settled.
 
     `right` and the solution have real parts beside imaginary parts; `solved` is a rough solution. Residuals are in
-    twice the working precision, `fine` ones have seven digits more.
+    twice the working precision, `fine` ones have seven digits more. There are so many `steps` at most; at a relative
+    correction of `refined` the next one would be rounding.
     """
     m = right.shape[1] // 2
     omega1, omega2 = halves(np.array(omega))
     X, last = np.zeros(right.shape), np.inf
     correction = solved(right)
-    for _ in range(MAX_REFINEMENTS):
+    for _ in range(steps):
         X = X + correction
         first, second = halves(np.hstack([X[:, m:], -X[:, :m]]))
         if fine:
@@ -95,8 +102,8 @@ def refined_solution(
         correction = solved(total + sum(rest, low))
         change, size = np.abs(correction).max(initial=0.0), np.abs(X).max(initial=0.0)
         if not change < 0.5 * last:  # rounding is all that is left
-            return X, np.zeros_like(X), bool(change <= REFINED * size)
-        if change <= REFINED * size:
+            return X, np.zeros_like(X), bool(change <= refined * size)
+        if change <= refined * size:
             return X, correction, True
         last = change
     return X, correction, False

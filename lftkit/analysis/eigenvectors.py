@@ -16,9 +16,6 @@ from lftkit.analysis.compensated import fine_product, halves, matrix_product, tw
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.support.state_units import in_balanced_units
 
-MAX_NEWTON_STEPS, FINE_STEPS = 3, 2
-NEWTON_CONVERGED = 1e-9
-APART = 1e-6  # relative distance of eigenvalues below which their eigenvectors are left as they are
 EPS = float(np.finfo(float).eps)
 
 
@@ -86,19 +83,21 @@ def modes(A: FloatArray) -> Modes:
     return Modes(real + 1j * imaginary, vectors, np.zeros_like(vectors), linalg.lapack.dgetrf(vectors)[:2])
 
 
-def corrected_modes(A: FloatArray, eigen: Modes, converged: float = NEWTON_CONVERGED) -> Modes:
+def corrected_modes(
+    A: FloatArray, eigen: Modes, converged: float = 1e-9, *, steps: int = 3, apart: float = 1e-6
+) -> Modes:
     """The modes `eigen` of `A` with all digits that the matrix holds.
 
     With poles from 0.01 to 1e5 rad/s the slow ones of the QR algorithm keep six digits. Newton steps on all pairs at
-    once, with residuals in twice the working precision, bring the others back; pairs closer than `APART` times
-    their size are left as they are. The steps end where the relative change of the eigenvectors is below `converged`;
-    its square is the error that is left. Where the eigenvectors are no basis, `eigen` is returned.
+    once, with residuals in twice the working precision, bring the others back; pairs closer than `apart` times
+    their size are left as they are. They end after so many `steps`, or where the relative change of the eigenvectors is
+    below `converged`; its square is the error that is left. Where the eigenvectors are no basis, `eigen` is returned.
     """
     if eigen.reciprocal_condition < EPS:
         return eigen
     A, best = np.asfortranarray(A), eigen
-    for _ in range(MAX_NEWTON_STEPS):
-        poles_step, vectors_step = _newton_step(A, best)
+    for _ in range(steps):
+        poles_step, vectors_step = _newton_step(A, best, apart)
         # a real pole stays real: an imaginary part of rounding would make half a pair of it
         poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))  # the columns have the norm 1 (a pair: together)
@@ -110,15 +109,15 @@ def corrected_modes(A: FloatArray, eigen: Modes, converged: float = NEWTON_CONVE
     return best
 
 
-def finely_corrected(A: FloatArray, eigen: Modes) -> Modes:
+def finely_corrected(A: FloatArray, eigen: Modes, *, steps: int = 2, apart: float = 1e-6) -> Modes:
     """The corrected modes `eigen` of `A`, with residuals that have seven digits more.
 
     For poles whose decay is below the error of :func:`corrected_modes`, about 2^-75 times the norm of A and the
     condition of the eigenvectors.
     """
     A, best = np.asfortranarray(A), eigen
-    for _ in range(FINE_STEPS):
-        poles_step, vectors_step = _newton_step(A, best, fine=True)
+    for _ in range(steps):
+        poles_step, vectors_step = _newton_step(A, best, apart, fine=True)
         poles_step = np.where(eigen.poles.imag == 0, poles_step.real, poles_step)
         change = float(np.abs(vectors_step).max(initial=0.0))
         if not (np.isfinite(change) and change < 0.01):
@@ -156,8 +155,11 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     return A, B / units[:, None], C * units
 
 
-def _newton_step(A: FloatArray, modes: Modes, fine: bool = False) -> tuple[ComplexArray, FloatArray]:
-    """Corrections of the eigenvalues (n,) and of the eigenvectors (n, n), the latter in the real form."""
+def _newton_step(A: FloatArray, modes: Modes, distance: float, fine: bool = False) -> tuple[ComplexArray, FloatArray]:
+    """Corrections of the eigenvalues (n,) and of the eigenvectors (n, n), the latter in the real form.
+
+    Eigenvectors of eigenvalues that are closer than `distance`, relative to their size, are left as they are.
+    """
     poles, W = modes.poles, modes.vectors
     n = len(poles)
     first = np.flatnonzero(poles.imag > 0)
@@ -169,11 +171,11 @@ def _newton_step(A: FloatArray, modes: Modes, fine: bool = False) -> tuple[Compl
     columns[first], columns[first + 1] = 0.5 * (x - 1j * y), 0.5 * (x + 1j * y)
     size = np.abs(poles)
     gap = poles[heads] - poles[:, None]
-    apart = np.abs(gap) > APART * np.maximum(size[heads], size[:, None])
+    apart = np.abs(gap) > distance * np.maximum(size[heads], size[:, None])
     turn = np.where(apart, columns / np.where(apart, gap, 1.0), 0.0)
     shift = np.zeros(n, dtype=complex)
     shift[heads] = columns[heads, np.arange(len(heads))]
-    shift[first[poles.imag[first] <= APART * size[first]]] = 0.0  # a pair must stay one
+    shift[first[poles.imag[first] <= distance * size[first]]] = 0.0  # a pair must stay one
     shift[first + 1] = shift[first].conj()
     x, y = turn[first], turn[first + 1]
     turn[first], turn[first + 1] = x + y, 1j * (x - y)

@@ -10,13 +10,8 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 
-LIGHT_DAMPING = 0.3  # poles of a smaller damping ratio get points of their own
-UNDAMPED = 1e-10  # damping ratio below which a pole counts as undamped
-CLEARANCE = 1e-6  # relative distance of the grid from an undamped pole
-ZERO = 1e-9  # magnitude over the largest one below which a pole counts as one at zero
 
-
-def pole_range(poles: ArrayLike, *, zero: float = ZERO) -> tuple[float, float]:
+def pole_range(poles: ArrayLike, *, zero: float = 1e-9) -> tuple[float, float]:
     """Smallest and largest magnitude of poles [rad/s] but those at zero; (1, 1) without any.
 
     Parameters
@@ -55,13 +50,15 @@ def frequency_grid(
     points: int = 400,
     per_decade: int | None = None,
     offsets: Sequence[float] = (0.0, 1.0, 2.0, 3.0),
+    light: float = 0.3,
+    clearance: float = 1e-6,
 ) -> FloatArray:
     """Logarithmic grid, refined around each lightly damped pole.
 
     Parameters
     ----------
     poles : array_like
-        Eigenvalues [rad/s]; the grid is refined at those between the ends with a damping ratio below 0.3.
+        Eigenvalues [rad/s]; the grid is refined at those between the ends that are lightly damped.
     low, high : float
         Ends [rad/s], both in the grid.
     points : int
@@ -72,11 +69,15 @@ def frequency_grid(
         Distances of the points around a pole from its frequency, to both sides, as multiples of its decay rate (half
         of the half-power width). With ratios below about 2.5 the gain of that mode changes by less than this factor
         from point to point.
+    light : float
+        Damping ratio below which a pole is lightly damped.
+    clearance : float
+        Least distance of a point from an undamped pole, over its frequency.
 
     Returns
     -------
     ndarray, sorted [rad/s]
-        No point is closer to an undamped pole than a millionth of its frequency: a response has no value there.
+        No point is closer to an undamped pole than its clearance: a response has no value there.
 
     Raises
     ------
@@ -94,14 +95,14 @@ def frequency_grid(
         points = max(2, int(np.ceil(np.log10(high / low) * per_decade)))
     p = np.ravel(np.asarray(poles, dtype=complex))
     size = np.abs(p)
-    light = p[(p.imag > 0) & (np.abs(p.real) < LIGHT_DAMPING * size) & (size > low) & (size < high)]
-    decay = np.abs(light.real)
-    undamped = decay < UNDAMPED * light.imag
-    decay[undamped] = 2.0 * CLEARANCE * light.imag[undamped]
+    resonant = p[(p.imag > 0) & (np.abs(p.real) < light * size) & (size > low) & (size < high)]
+    decay = np.abs(resonant.real)
+    on_axis = decay < 1e-10 * resonant.imag  # undamped but for rounding
+    decay[on_axis] = 2.0 * clearance * resonant.imag[on_axis]
     steps = np.array(sorted({s for offset in offsets for s in (float(offset), -float(offset))}))
-    near = light.imag[:, None] + decay[:, None] * steps
+    near = resonant.imag[:, None] + decay[:, None] * steps
     grid = np.unique(np.concatenate([np.geomspace(low, high, points), near.ravel()]))
     grid = grid[(grid >= low) & (grid <= high)]
-    for w in light.imag[undamped]:
-        grid = grid[np.abs(grid - w) >= CLEARANCE * w]
+    for w in resonant.imag[on_axis]:
+        grid = grid[np.abs(grid - w) >= clearance * w]
     return np.asarray(grid)

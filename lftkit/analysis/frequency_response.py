@@ -18,7 +18,6 @@ from scipy import linalg
 from lftkit.analysis.compensated import matrix_product, refined_solution
 from lftkit.analysis.eigenvectors import (
     EPS,
-    NEWTON_CONVERGED,
     Modes,
     balanced,
     complex_columns,
@@ -30,16 +29,39 @@ from lftkit.analysis.eigenvectors import (
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.errors import InputError
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems.matrices import frequencies
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
 
-MAX_CONDITION = 1e8
-AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
-SAMPLED_CONVERGED = 1e-7  # relative change of a sampled system's eigenvectors by the last correction
-MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
-BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
-FEW, LARGE = 3, 600_000  # frequencies, entries of the numerators: for fewer, or more, the factors are multiplied anew
+
+@dataclass(frozen=True)
+class ResponseSettings(AlgorithmSettings):
+    """Numbers of the evaluation of frequency responses.
+
+    Attributes
+    ----------
+    condition : largest condition number of the eigenvectors with which the modal form is used
+    agreement : largest relative difference from direct solutions, for the block of a pair of ports
+    converged : relative change of the eigenvectors by the last correction
+    sampled_converged : the same for a sampled system
+    entries : entries of the numerators that are held at once
+    block : entries of the arrays of one product, so that they stay in the cache
+    few : frequencies up to which the factors are multiplied anew
+    large : entries of the numerators above which they are multiplied anew
+    """
+
+    condition: float = 1e8
+    agreement: float = 1e-9
+    converged: float = 1e-9
+    sampled_converged: float = 1e-7
+    entries: int = 2_000_000
+    block: int = 15_000
+    few: int = 3
+    large: int = 600_000
+
+
+SETTINGS = ResponseSettings()
 
 
 class PoleError(InputError):
@@ -59,6 +81,7 @@ class FrequencyResponse:
     D : ndarray, shape (p, m)
     triangular : ndarray, shape (n, n), complex, or None
         Schur factor T where the modal form was refused.
+    settings : ResponseSettings
 
     Examples
     --------
@@ -74,6 +97,7 @@ class FrequencyResponse:
     right: ComplexArray
     D: FloatArray
     triangular: ComplexArray | None
+    settings: ResponseSettings = SETTINGS
 
     @classmethod
     def of(
@@ -86,6 +110,7 @@ class FrequencyResponse:
         rounding: float = 0.0,
         check: bool = True,
         fine: bool = False,
+        settings: ResponseSettings = SETTINGS,
     ) -> FrequencyResponse:
         """Bring (A, B, C, D), shapes (n, n), (n, m), (p, n), (p, m), to modal or Schur form.
 
@@ -100,28 +125,36 @@ class FrequencyResponse:
         fine : bool
             Correct eigenvectors and poles by residuals with seven digits more: for decays that are below the rounding
             of twice the precision.
+        settings : ResponseSettings
         """
         a, b, c, d = (np.asarray(x, dtype=float) for x in (A, B, C, D))
         if len(a) == 0:
             empty = np.zeros(0, dtype=complex)
-            return cls(empty, np.zeros((len(d), 0), complex), np.zeros((0, d.shape[1]), complex), d, None)
+            return cls(empty, np.zeros((len(d), 0), complex), np.zeros((0, d.shape[1]), complex), d, None, settings)
         a, b, c = balanced(a, b, c)
         eigen = modes(a)
         if EPS * np.abs(eigen.poles).max() > rounding * eigen.reciprocal_condition * np.abs(eigen.poles.real).min():
-            eigen = corrected_modes(a, eigen, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
+            eigen = corrected_modes(a, eigen, max(settings.converged, 0.01 * np.sqrt(rounding)))
         if fine:
             eigen = finely_corrected(a, eigen)
-        form = cls._with_modes(eigen, a, b, c, d)
-        if form.modal and check and not _reproduces(form, a, b, c, d):
-            return cls._with_schur(a, b, c, d)
-        return form
+        form = cls._with_modes(eigen, a, b, c, d, settings)
+        if not (form.modal and check):
+            return form
+        sizes = np.quantile(np.abs(form.poles), [0.1, 0.4, 0.8])
+        omega, tolerance = 1.01 * np.where(sizes > 0, sizes, 1.0), settings.agreement
+        exact = (refined_response(a, b, c, d, float(w))[None] for w in omega)
+        reproduced = all(_agree(direct, form.at(w), tolerance) for direct, w in zip(exact, omega))
+        return form if reproduced else cls._with_schur(a, b, c, d, settings)
 
     @classmethod
-    def of_sampled(cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> FrequencyResponse:
+    def of_sampled(
+        cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, settings: ResponseSettings = SETTINGS
+    ) -> FrequencyResponse:
         """As :meth:`of`, for a sampled system, whose poles are near the unit circle: for :meth:`at_points` alone."""
         a, b, c, d = (np.asarray(x, dtype=float) for x in (A, B, C, D))
         a, b, c = balanced(a, b, c)
-        return cls._with_modes(corrected_modes(a, modes(a), SAMPLED_CONVERGED), a, b, c, d)
+        eigen = corrected_modes(a, modes(a), settings.sampled_converged)
+        return cls._with_modes(eigen, a, b, c, d, settings)
 
     @classmethod
     def of_modal_form(
@@ -149,17 +182,21 @@ class FrequencyResponse:
         return cls(poles, left, right, D, None)
 
     @classmethod
-    def _with_modes(cls, eigen: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
+    def _with_modes(
+        cls, eigen: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, settings: ResponseSettings
+    ) -> FrequencyResponse:
         """Modal form where the eigenvectors are a good basis, else Schur form."""
-        if not eigen.reciprocal_condition * MAX_CONDITION >= 1.0:
-            return cls._with_schur(a, b, c, d)
+        if not eigen.reciprocal_condition * settings.condition >= 1.0:
+            return cls._with_schur(a, b, c, d, settings)
         left, right = complex_columns(eigen.poles, eigen.observed(c)), complex_rows(eigen.poles, eigen.excited(b))
-        return cls(eigen.poles, left, right, d, None)
+        return cls(eigen.poles, left, right, d, None, settings)
 
     @classmethod
-    def _with_schur(cls, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
+    def _with_schur(
+        cls, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, settings: ResponseSettings
+    ) -> FrequencyResponse:
         T, Q = linalg.schur(a.astype(complex), output="complex")
-        return cls(np.diag(T).copy(), c @ Q, Q.conj().T @ b, d, T)
+        return cls(np.diag(T).copy(), c @ Q, Q.conj().T @ b, d, T, settings)
 
     @property
     def modal(self) -> bool:
@@ -198,11 +235,11 @@ class FrequencyResponse:
                 raise PoleError(_at_pole(float(w[hit][0])))
         if self.triangular is not None:
             return self.at_points(1j * w)
-        if len(w) <= FEW or n * p * m > LARGE:
+        if len(w) <= self.settings.few or n * p * m > self.settings.large:
             for i, x in enumerate(w):
                 out[i] += (self.left / (1j * x - self.poles)) @ self.right
             return out
-        rows = max(1, MAX_ENTRIES // (n * m))
+        rows = max(1, self.settings.entries // (n * m))
         for start in range(0, p, rows):
             part = slice(start, start + rows)
             numerators = self._numerators if p <= rows else _numerators(self.poles, self.left[part], self.right)
@@ -214,7 +251,7 @@ class FrequencyResponse:
         out = np.empty((s.size, *self.D.shape), dtype=complex)
         out[:] = self.D
         if self.triangular is None:
-            flat, step = out.reshape(s.size, -1), max(1, BLOCK // max(len(self.poles), 1))
+            flat, step = out.reshape(s.size, -1), max(1, self.settings.block // max(len(self.poles), 1))
             for start in range(0, s.size, step):
                 part = slice(start, start + step)
                 flat[part] += (1.0 / (s[part, None] - self.poles)) @ self.residues
@@ -227,7 +264,9 @@ class FrequencyResponse:
     def part(self, outputs: slice | list[int], inputs: slice | list[int]) -> FrequencyResponse:
         """The same for some of the outputs and inputs."""
         D = self.D[outputs][:, inputs]
-        return FrequencyResponse(self.poles, self.left[outputs], self.right[:, inputs], D, self.triangular)
+        return FrequencyResponse(
+            self.poles, self.left[outputs], self.right[:, inputs], D, self.triangular, self.settings
+        )
 
     def between(self, omega: FloatArray, rows: ComplexArray, columns: ComplexArray) -> ComplexArray:
         """``row G(w) column`` at N finite frequencies [rad/s] without the responses G: shape (N,).
@@ -288,7 +327,7 @@ class FrequencyResponse:
         real, pairs = self.poles[self.poles.imag == 0].real, self.poles[self.poles.imag > 0]
         r, n = len(real), len(self.poles)
         k, shape = r + len(pairs), (-1, *out.shape[1:])
-        step = max(1, BLOCK // max(numerators.shape))
+        step = max(1, self.settings.block // max(numerators.shape))
         for start in range(0, len(w), step):
             x = w[start : start + step, None]
             cosine, sine = np.empty((len(x), n)), np.empty((len(x), n))  # parts of the weights of b, then of a
@@ -304,7 +343,7 @@ class FrequencyResponse:
             out.imag[start : start + step] += (sine @ numerators).reshape(shape)
 
 
-def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = AGREEMENT) -> ComplexArray:
+def frequency_response(system: System, omega: ArrayLike, *, tolerance: float = SETTINGS.agreement) -> ComplexArray:
     """Frequency response ``C (j omega - A)^-1 B + D``.
 
     Parameters
@@ -439,10 +478,3 @@ def _agree(exact: ComplexArray, other: ComplexArray, tolerance: float) -> bool:
     """Whether each matrix of the stack (k, p, m) agrees to `tolerance` times its norm."""
     difference, size = (np.sum(np.abs(x) ** 2, axis=(1, 2)) for x in (exact - other, exact))
     return bool(np.all(difference <= tolerance**2 * size))
-
-
-def _reproduces(form: FrequencyResponse, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
-    """Whether the modal form agrees with direct solutions at three frequencies."""
-    sizes = np.quantile(np.abs(form.poles), [0.1, 0.4, 0.8])
-    omega = 1.01 * np.where(sizes > 0, sizes, 1.0)
-    return all(_agree(refined_response(a, b, c, d, float(w))[None], form.at(w), AGREEMENT) for w in omega)

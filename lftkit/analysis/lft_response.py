@@ -27,15 +27,6 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import singular_triples, solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
-MANY = 40
-"""Values of Delta from which on the eigenvectors of the repeated channels take less time than they save."""
-
-MAX_CONDITION = 1e9
-"""Condition number (1-norm) of the eigenvectors of the repeated channels up to which they are used."""
-
-TOGETHER = 80
-"""Values of Delta whose matrices are in the cache at once."""
-
 
 @dataclass(frozen=True)
 class LftResponse:
@@ -72,7 +63,15 @@ class LftResponse:
         """At some of the frequencies."""
         return LftResponse(self.M[index], self.T12[index], self.T21[index], self.T11[index])
 
-    def closed(self, delta: ComplexArray, repeated: BoolArray | None = None) -> ComplexArray:
+    def closed(
+        self,
+        delta: ComplexArray,
+        repeated: BoolArray | None = None,
+        *,
+        many: int = 40,
+        condition: float = 1e9,
+        together: int = 80,
+    ) -> ComplexArray:
         """``F_u(diag(delta))`` for N diagonals of Delta.
 
         Parameters
@@ -80,9 +79,15 @@ class LftResponse:
         delta : ndarray, complex, shape (N, q)
             Values of Delta at the one frequency of the LFT, or one value for each of its N frequencies.
         repeated : ndarray of bool, shape (q,), optional
-            Channels that have the same entry as each other in every diagonal. From :data:`MANY` diagonals on, at one
+            Channels that have the same entry as each other in every diagonal. From `many` diagonals on, at one
             frequency, they are closed for all of them at once; where their matrix has no basis of eigenvectors they
             are not.
+        many : int
+            Diagonals from which on the eigenvectors of these channels take less time than they save.
+        condition : float
+            Condition number (1-norm) of the eigenvectors up to which they are used.
+        together : int
+            Diagonals whose matrices are in the cache at once.
 
         Returns
         -------
@@ -93,10 +98,10 @@ class LftResponse:
         LinAlgError
             A loop that is singular.
         """
-        if repeated is not None and repeated.any() and self.M.ndim == 2 and len(delta) >= MANY:
-            many = RepeatedClosed.of(self, repeated)
-            if many is not None:
-                return many.closed(delta)
+        if repeated is not None and repeated.any() and self.M.ndim == 2 and len(delta) >= many:
+            form = RepeatedClosed.of(self, repeated, condition)
+            if form is not None:
+                return form.closed(delta, together)
         response: ComplexArray = self.through(delta) @ self.T21
         response += self.T11
         return response
@@ -181,13 +186,13 @@ class RepeatedClosed:
     repeated: BoolArray
 
     @classmethod
-    def of(cls, lft: LftResponse, repeated: BoolArray) -> RepeatedClosed | None:
+    def of(cls, lft: LftResponse, repeated: BoolArray, condition: float = 1e9) -> RepeatedClosed | None:
         """Closed form of an LFT at one frequency; None where the eigenvectors of the channels are no basis."""
         M, T12, T21, others = lft.M, lft.T12, lft.T21, ~repeated
         poles, vectors = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(M[np.ix_(repeated, repeated)]))
         lu, pivots, info = linalg.lapack.zgetrf(vectors)
         reciprocal = linalg.lapack.zgecon(lu, np.abs(vectors).sum(axis=0).max())[0]
-        if info != 0 or not reciprocal * MAX_CONDITION >= 1.0:
+        if info != 0 or not reciprocal * condition >= 1.0:
             return None
         left = np.vstack([M[np.ix_(others, repeated)], T12[:, repeated]]) @ vectors
         into = np.hstack([M[np.ix_(repeated, others)], T21[repeated]])
@@ -198,12 +203,12 @@ class RepeatedClosed:
         terms[-1] = np.block([[M[np.ix_(others, others)], T21[others]], [T12[:, others], lft.T11]])
         return cls(poles, terms.reshape(len(terms), -1), shape, repeated)
 
-    def closed(self, delta: ComplexArray) -> ComplexArray:
+    def closed(self, delta: ComplexArray, together: int = 80) -> ComplexArray:
         """Responses for N diagonals of Delta (N, a + r): shape (N, p, m)."""
         single, first = delta[:, ~self.repeated], int(np.flatnonzero(self.repeated)[0])
         r = single.shape[1]
         out = np.empty((len(delta), self.shape[0] - r, self.shape[1] - r), complex)
-        size = min(TOGETHER, len(delta))
+        size = min(together, len(delta))
         factors, space = np.ones((size, len(self.terms)), complex), np.empty((size, self.terms.shape[1]), complex)
         for start in range(0, len(delta), size):
             part = slice(start, min(start + size, len(delta)))

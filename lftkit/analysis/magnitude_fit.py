@@ -19,6 +19,7 @@ from scipy import linalg, optimize
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_integer, as_number, as_positive
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
@@ -29,14 +30,32 @@ from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement
 
 sl_optimize: Any = optimize
-BEYOND = 5.0
-"""Logarithm of the ratio by which a pole or zero may be outside the band of the frequencies."""
-DAMPING = 1e-3, 1e2
-"""Least and largest damping ratio of a section of second order."""
-OVER = 1e-9
-"""Part by which a gain that must stay above is above at least: more than rounding."""
-LEAST = 1e-6
-"""Relative error, over the largest one, in the place of a smaller one: a weight has no zeros on the axis."""
+
+
+@dataclass(frozen=True)
+class FitSettings(AlgorithmSettings):
+    """Numbers of the fit of a gain.
+
+    Attributes
+    ----------
+    beyond : logarithm of the ratio by which a pole or zero may be outside the band of the frequencies
+    damping : least and largest damping ratio of a section of second order
+    over : part by which a gain that must stay above is above at least: more than rounding
+    least : relative error of a cover, over the largest one, in the place of a smaller one: a weight has no zeros on the
+        axis
+    steps : steps of the search of the least largest ratio
+    converged : change of that ratio at which the search ends
+    """
+
+    beyond: float = 5.0
+    damping: tuple[float, float] = (1e-3, 1e2)
+    over: float = 1e-9
+    least: float = 1e-6
+    steps: int = 200
+    converged: float = 1e-9
+
+
+SETTINGS = FitSettings()
 
 
 @checked
@@ -48,6 +67,7 @@ def fit_magnitude(
     weight: ArrayLike | None = None,
     above: bool = False,
     dt: float = 0.0,
+    settings: FitSettings = SETTINGS,
 ) -> System:
     """Stable minimum-phase system of one input and one output with a given gain (fitmagfrd in MATLAB).
 
@@ -65,6 +85,8 @@ def fit_magnitude(
         Stay at or above `magnitude` at every frequency that is given, with the least largest ratio found.
     dt : float
         Sampling period [s]; 0: continuous time.
+    settings : FitSettings
+        Numbers of the fit.
 
     Raises
     ------
@@ -99,7 +121,7 @@ def fit_magnitude(
     if dt and not w[-1] < math.pi / dt:
         raise InputError(f"omega must be below pi / dt = {math.pi / dt:g} rad/s, got {w[-1]:g}")
     warped = np.array([warped_frequency(x, dt) for x in w]) if dt else w
-    sections = _Sections(np.log(warped), np.log(gains), counts, number)
+    sections = _Sections(np.log(warped), np.log(gains), counts, number, settings)
     x = sections.least_squares()
     if above:
         x = sections.raised(sections.closest_above(x))
@@ -114,7 +136,10 @@ class _Sections:
     poles, then those of one of first order.
     """
 
-    def __init__(self, log_omega: FloatArray, target: FloatArray, weight: FloatArray, order: int) -> None:
+    def __init__(
+        self, log_omega: FloatArray, target: FloatArray, weight: FloatArray, order: int, settings: FitSettings
+    ) -> None:
+        self.settings = settings
         self.log_omega, self.target, self.weight = log_omega, target, weight
         self.pairs, self.single = divmod(order, 2)
 
@@ -149,10 +174,10 @@ class _Sections:
         return np.clip(start, *self._bounds(len(start)))
 
     def _bounds(self, count: int) -> tuple[FloatArray, FloatArray]:
-        low, high = self.log_omega[0] - BEYOND, self.log_omega[-1] + BEYOND
+        low, high = self.log_omega[0] - self.settings.beyond, self.log_omega[-1] + self.settings.beyond
         lower, upper = np.full(count, low), np.full(count, high)
         lower[0], upper[0] = -np.inf, np.inf
-        lower[2 : 1 + 4 * self.pairs : 2], upper[2 : 1 + 4 * self.pairs : 2] = np.log(DAMPING)
+        lower[2 : 1 + 4 * self.pairs : 2], upper[2 : 1 + 4 * self.pairs : 2] = np.log(self.settings.damping)
         return lower, upper
 
     def closest_above(self, start: FloatArray) -> FloatArray:
@@ -172,7 +197,7 @@ class _Sections:
             method="SLSQP",
             bounds=[*zip(lower, upper), (0.0, None)],
             constraints=[{"type": "ineq", "fun": room}],
-            options={"maxiter": 200, "ftol": 1e-9},
+            options={"maxiter": self.settings.steps, "ftol": self.settings.converged},
         )
         x = self.raised(np.clip(fit.x[:-1], lower, upper)) if np.all(np.isfinite(fit.x)) else start
         return x if self._excess(x) < self._excess(start) else start
@@ -180,7 +205,7 @@ class _Sections:
     def raised(self, x: FloatArray) -> FloatArray:
         """The same shape with the least factor that leaves no value below."""
         y = x.copy()
-        y[0] += float((self.target - self.log_gain(x)).max()) + OVER
+        y[0] += float((self.target - self.log_gain(x)).max()) + self.settings.over
         return y
 
     def _excess(self, x: FloatArray) -> float:
@@ -231,7 +256,13 @@ class Cover:
 
 @checked
 def ucover(
-    members: Sequence[Any] | ArrayLike, nominal: Any, order: int, omega: ArrayLike, *, name: str = "delta"
+    members: Sequence[Any] | ArrayLike,
+    nominal: Any,
+    order: int,
+    omega: ArrayLike,
+    *,
+    name: str = "delta",
+    settings: FitSettings = SETTINGS,
 ) -> Cover:
     """Uncertain system that contains given members on a grid (ucover in MATLAB, multiplicative).
 
@@ -248,6 +279,8 @@ def ucover(
         resonances of members need points of their own.
     name : str
         Of the element.
+    settings : FitSettings
+        Numbers of the fit.
 
     Raises
     ------
@@ -292,7 +325,8 @@ def ucover(
     envelope = (np.abs(responses - centre) / np.abs(centre)).max(axis=0)
     if not envelope.max() > 0.0:
         raise InputError("members must differ from the nominal system, got equal responses")
-    weight = fit_magnitude(w, np.maximum(envelope, LEAST * envelope.max()), order, above=True, dt=G0.dt)
+    target = np.maximum(envelope, settings.least * envelope.max())
+    weight = fit_magnitude(w, target, order, above=True, dt=G0.dt, settings=settings)
     # G0 (1 + W delta): w = delta z, z = W u, y = G0 (u + w)
     (A, B, C, D), (a, b, c, d) = G0.matrices, weight.matrices
     none, zero = np.zeros((len(a), 1)), np.zeros((1, len(a)))

@@ -29,6 +29,7 @@ from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
 from lftkit.support.scalars import as_number
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
@@ -37,16 +38,27 @@ from lftkit.systems.system import System
 from lftkit.systems.zeros_poles import zeros_of
 
 sl_optimize: Any = optimize
-POINTS = 400
-"""Frequencies between the slowest and the fastest pole and crossing at which signs are looked at, too."""
-CROSSES = 1e-6
-"""Part of the response that may be left at a crossing; a pole on the axis, where the sign changes, too, leaves more."""
-NOISE = 1e-12
-"""Part of the response that is rounding, and no sign; a factor below it, or over its inverse, is no margin."""
-
 Point = tuple[float, float]
-LARGEST_SKEW = 1e6
-"""Beyond it the disk is a half plane, and the sensitivity is lost in the rounding of ``S + (skew - 1) / 2``."""
+
+
+@dataclass(frozen=True)
+class CrossingSettings(AlgorithmSettings):
+    """Numbers of the search for the crossings of a loop.
+
+    Attributes
+    ----------
+    points : frequencies between the slowest and the fastest pole and crossing at which signs are looked at, too
+    crosses : part of the response that may be left at a crossing; a pole on the axis, where the sign changes, too,
+        leaves more
+    noise : part of the response that is rounding, and no sign; a factor below it, or over its inverse, is no margin
+    """
+
+    points: int = 400
+    crosses: float = 1e-6
+    noise: float = 1e-12
+
+
+SETTINGS = CrossingSettings()
 
 
 @dataclass(frozen=True)
@@ -102,7 +114,7 @@ class SensitivityPeaks:
 
 
 @checked
-def loop_margins(loop: Any) -> LoopMargins:
+def loop_margins(loop: Any, *, settings: CrossingSettings = SETTINGS) -> LoopMargins:
     """Gain, phase and delay margins of a loop with one input and one output at all crossings (allmargin in MATLAB).
 
     Parameters
@@ -110,6 +122,8 @@ def loop_margins(loop: Any) -> LoopMargins:
     loop : System, or what :func:`lftkit.as_system` takes
         Loop transfer L of negative feedback, continuous or sampled: **the loop is closed by** ``u = -y``. A sampled
         one has no pole at z = -1.
+    settings : CrossingSettings
+        Numbers of the search.
 
     Raises
     ------
@@ -127,14 +141,14 @@ def loop_margins(loop: Any) -> LoopMargins:
     """
     L = as_system(loop)
     L.require_siso()
-    signs = _Signs.of(L)
+    signs, noise = _Signs.of(L, settings), settings.noise
     real = signs.crossings(lambda value: value.imag, lambda value: value.imag / abs(value))
     ends = signs.ends()
     gain = [*((omega, signs.value(omega).real) for omega in real), *ends]
     factors = tuple(sorted((omega, -1.0 / value) for omega, value in gain if value < 0.0))
     unit = signs.crossings(lambda value: abs(value) - 1.0, lambda value: abs(value) - 1.0)
-    phase = [(omega, 180.0) for omega, value in ends if abs(value - 1.0) <= NOISE]
-    delay = [(omega, L.dt) for omega, value in ends if omega > 0.0 and abs(value) >= 1.0 - NOISE]
+    phase = [(omega, 180.0) for omega, value in ends if abs(value - 1.0) <= noise]
+    delay = [(omega, L.dt) for omega, value in ends if omega > 0.0 and abs(value) >= 1.0 - noise]
     for omega in unit:
         lag = math.pi + float(np.angle(signs.value(omega)))  # from 0 to 2 pi
         phase.append((omega, math.degrees(lag if lag <= math.pi else lag - 2.0 * math.pi)))
@@ -203,9 +217,10 @@ class _Signs:
 
     loop: System
     between: FloatArray
+    settings: CrossingSettings
 
     @classmethod
-    def of(cls, L: System) -> _Signs:
+    def of(cls, L: System, settings: CrossingSettings) -> _Signs:
         matrices = to_continuous(*L.matrices, L.dt) if L.dt else L.matrices
         A, B, C, D = *balanced(*matrices[:3]), matrices[3]
         # 1 - L~ L and L - L~, with -A' for the states of L~
@@ -218,11 +233,11 @@ class _Signs:
         marks = marks[marks > 0.0] if marks.any() else np.ones(1)
         middle = np.sqrt(marks[1:]) * np.sqrt(marks[:-1])
         low, high = pole_range(poles)
-        grid = np.geomspace(1e-3 * low, 1e3 * high, POINTS)
+        grid = np.geomspace(1e-3 * low, 1e3 * high, settings.points)
         both = np.unique(np.concatenate([grid, middle, [0.5 * marks[0], 2.0 * marks[-1]]]))
         if L.dt:
             both = np.array([unwarped_frequency(w, L.dt) for w in both])
-        return cls(L, both)
+        return cls(L, both, settings)
 
     def value(self, omega: float) -> complex:
         """The response at a frequency; not finite at a pole."""
@@ -238,7 +253,7 @@ class _Signs:
         A = balanced(*self.loop.matrices[:3])[0]
         points = np.exp(1j * self.between * self.loop.dt) if self.loop.dt else 1j * self.between
         parts = [linalg.svdvals(point * np.eye(len(A)) - A) if len(A) else np.ones(1) for point in points]
-        noise = [max(NOISE, EPS * float(sizes[0] / max(sizes[-1], 1e-300))) for sizes in parts]
+        noise = [max(self.settings.noise, EPS * float(sizes[0] / max(sizes[-1], 1e-300))) for sizes in parts]
         return [(self.value(omega), part) for omega, part in zip(self.between, noise)]
 
     def crossings(self, sign: Callable[[complex], float], left: Callable[[complex], float]) -> list[float]:
@@ -250,7 +265,7 @@ class _Signs:
             if signs[low] * signs[high] < 0.0:
                 ends = self.between[low], self.between[high]
                 root = float(sl_optimize.brentq(lambda w: sign(self.value(w)), *ends, xtol=1e-300, rtol=1e-14))
-                if abs(left(self.value(root))) < CROSSES:
+                if abs(left(self.value(root))) < self.settings.crosses:
                     roots.append(root)
         return roots
 
@@ -258,7 +273,8 @@ class _Signs:
         """Finite responses at zero frequency and at the highest one, which are real."""
         last = math.pi / self.loop.dt if self.loop.dt else math.inf
         values = [(0.0, self.value(0.0)), (last, self.value(last) if self.loop.dt else complex(self.loop.D.item()))]
-        return [(omega, value.real) for omega, value in values if NOISE < abs(value) < 1.0 / NOISE]
+        noise = self.settings.noise
+        return [(omega, value.real) for omega, value in values if noise < abs(value) < 1.0 / noise]
 
 
 @dataclass(frozen=True)
@@ -333,8 +349,9 @@ def disk_margin(loop: System, skew: float = 0.0) -> DiskMargin:
 def as_skew(value: Any) -> float:
     """A skew of a disk margin; a ValueError for one whose margins would have no digits."""
     skew = as_number(value, "skew")
-    if not abs(skew) <= LARGEST_SKEW:
-        raise InputError(f"skew must be from {-LARGEST_SKEW:g} to {LARGEST_SKEW:g}, got {skew:g}")
+    # Beyond it the disk is a half plane, and the sensitivity is lost in the rounding of S + (skew - 1) / 2
+    if not abs(skew) <= 1e6:
+        raise InputError(f"skew must be from -1e+06 to 1e+06, got {skew:g}")
     return float(skew)
 
 

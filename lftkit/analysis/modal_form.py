@@ -17,15 +17,6 @@ from lftkit.analysis.eigenvectors import EPS, Modes, corrected_modes, modes
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.support.state_units import in_balanced_units
 
-PARALLEL = 1e5
-"""Condition number of a pole, of its left and right eigenvectors, above which it is kept in the block."""
-
-CONVERGED = 1e-7
-"""Relative change of the eigenvectors by the last Newton step; the error that is left is its square."""
-
-MAX_CONDITION = 1e8
-"""Of all coordinates together, in balanced units; above it, the block holds the whole matrix."""
-
 
 @dataclass(frozen=True)
 class ModalForm:
@@ -62,8 +53,18 @@ class ModalForm:
     vectors: Modes
 
     @classmethod
-    def of(cls, A: FloatArray) -> ModalForm:
+    def of(cls, A: FloatArray, *, parallel: float = 1e5, converged: float = 1e-7, condition: float = 1e8) -> ModalForm:
         """Modal form of `A`.
+
+        Parameters
+        ----------
+        A : ndarray, shape (n, n)
+        parallel : float
+            Condition number of a pole, of its left and right eigenvectors, above which it is kept in the block.
+        converged : float
+            Relative change of the eigenvectors by the last Newton step; the error that is left is its square.
+        condition : float
+            Of all coordinates together, in balanced units; above it, the block holds the whole matrix.
 
         Raises
         ------
@@ -74,7 +75,7 @@ class ModalForm:
         a, units = in_balanced_units(A)
         if not len(A):
             return cls.whole(a, units)
-        eigen = corrected_modes(a, modes(a), CONVERGED)
+        eigen = corrected_modes(a, modes(a), converged)
         # Poles, pairs together, whose left and right eigenvectors are nearly orthogonal
         n = len(eigen.poles)
         if eigen.reciprocal_condition < EPS:
@@ -85,12 +86,21 @@ class ModalForm:
         size = np.asarray(linalg.norm(eigen.vectors, axis=0) * linalg.norm(inverse, axis=1))
         first = np.flatnonzero(eigen.poles.imag > 0)
         size[first] = size[first + 1] = np.maximum(size[first], size[first + 1])
-        parallel = np.asarray(~(size < PARALLEL))
-        if parallel.any():
-            return cls._with_block(a, units, eigen, parallel)
-        if eigen.reciprocal_condition * MAX_CONDITION < 1.0:
+        blocked = np.asarray(~(size < parallel))
+        if not blocked.any():
+            form = cls._of_vectors(units, eigen, ~blocked, np.zeros((0, 0)), np.zeros((n, 0)))
+            return cls.whole(a, units) if eigen.reciprocal_condition * condition < 1.0 else form
+        inside, outside = eigen.poles[blocked], eigen.poles[~blocked]
+
+        def chosen(real: float, imaginary: float) -> bool:
+            pole = complex(real, imaginary)
+            return bool(np.abs(inside - pole).min() < np.abs(outside - pole).min(initial=np.inf))
+
+        T, Q, count = linalg.schur(a, output="real", sort=chosen)
+        if count != blocked.sum():
             return cls.whole(a, units)
-        return cls._of_vectors(units, eigen, ~parallel, np.zeros((0, 0)), np.zeros((len(a), 0)))
+        form = cls._of_vectors(units, eigen, ~blocked, T[:count, :count], Q[:, :count])
+        return form if form.vectors.reciprocal_condition * condition >= 1.0 else cls.whole(a, units)
 
     @classmethod
     def _of_vectors(
@@ -117,23 +127,6 @@ class ModalForm:
         a, eye = np.asarray(A, dtype=float), np.eye(len(A))
         basis = Modes(np.zeros(len(a), complex), eye, np.zeros_like(eye), (eye, np.arange(len(a), dtype=np.int32)))
         return cls(np.zeros(0, complex), np.zeros(0), a, np.ones(len(a)) if units is None else units, basis)
-
-    @classmethod
-    def _with_block(cls, a: FloatArray, units: FloatArray, eigen: Modes, parallel: BoolArray) -> ModalForm:
-        """The poles marked as parallel in a block, the others as they are."""
-        inside, outside = eigen.poles[parallel], eigen.poles[~parallel]
-
-        def chosen(real: float, imaginary: float) -> bool:
-            pole = complex(real, imaginary)
-            return bool(np.abs(inside - pole).min() < np.abs(outside - pole).min(initial=np.inf))
-
-        T, Q, count = linalg.schur(a, output="real", sort=chosen)
-        if count != parallel.sum():
-            return cls.whole(a, units)
-        form = cls._of_vectors(units, eigen, ~parallel, T[:count, :count], Q[:, :count])
-        if not form.vectors.reciprocal_condition * MAX_CONDITION >= 1.0:
-            return cls.whole(a, units)
-        return form
 
     @property
     def order(self) -> int:

@@ -23,9 +23,9 @@ from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, PoleError
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
-from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormBracket, NormSettings, UndecidedError, bracketed_norm
 from lftkit.analysis.hinf.peak_search import largest_gain, response_at
-from lftkit.analysis.hinf.small_norm import MAX_STATES, HalfPlane, SmallModel
+from lftkit.analysis.hinf.small_norm import HalfPlane, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_positive, is_number
@@ -33,9 +33,6 @@ from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import given_system
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
-
-SCHUR_ROUNDING = 1e-6  # relative error of the slowest decay in a Schur form, from which on modes give the H2 norm
-ON_AXIS = 1e-14  # distance of a pole from the imaginary axis over the largest magnitude of a pole
 
 
 @dataclass(frozen=True)
@@ -72,6 +69,7 @@ def hinf_norm(
     dt: float | None = None,
     rtol: float = 1e-7,
     certificate: str = "auto",
+    settings: NormSettings = SETTINGS,
 ) -> HInfNorm:
     """H-infinity norm of a system, or of ``x' = A x + B u, y = C x + D u`` (``x+ = ...`` with period `dt`).
 
@@ -93,6 +91,8 @@ def hinf_norm(
         to continuous time, for up to 40 states and where neither the map nor the damping brings anything near
         rounding; else intervals of the unit circle are used, and integer arithmetic where rounding would matter and
         there are at most 24 states.
+    settings : NormSettings
+        Numbers of the algorithms.
 
     Returns
     -------
@@ -132,15 +132,18 @@ def hinf_norm(
     dt = dt if _is_discrete(dt) else None
     system = _with_signals(checked_matrices(A, B, C, D))
     if dt is None:
-        return _continuous(system, rtol, certificate)
+        return _continuous(system, rtol, certificate, settings)
     if certificate == "hamiltonian":
         raise InputError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
     A, B, C, D = system
     if len(A) == 0:
         return _norm_of_feedthrough(A, D)
-    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (norm := _mapped(system, dt, rtol)):
-        return norm
-    peak = discrete_norm(system, rtol)
+    if certificate == "auto" and len(A) <= settings.small_states and B.any() and C.any():
+        # By a map to continuous time, where it cannot lose what decides
+        for plane in HalfPlane.of((*balanced(A, B, C), D), settings.map_condition):
+            if norm := _small(plane.matrices, rtol, settings, plane):
+                return HInfNorm(norm.value, norm.upper, plane.angle(norm.omega) / dt, "hamiltonian")
+    peak = discrete_norm(system, rtol, settings)
     if peak is None:
         poles = linalg.eigvals(balanced(A, B, C)[0])
         worst = float(abs(np.angle(poles[np.argmax(np.abs(poles))])))
@@ -159,6 +162,7 @@ def linf_norm(
     *,
     dt: float | None = None,
     rtol: float = 1e-7,
+    settings: NormSettings = SETTINGS,
 ) -> HInfNorm:
     """L-infinity norm: the largest gain on the imaginary axis or the unit circle, of a stable system or not.
 
@@ -172,6 +176,8 @@ def linf_norm(
         Sampling period [s] of discrete-time matrices; None or 0: continuous time.
     rtol : float
         Relative distance of the two sides.
+    settings : NormSettings
+        Numbers of the algorithm.
 
     Returns
     -------
@@ -195,7 +201,7 @@ def linf_norm(
     """
     (A, B, C, D), dt = given_system(A, B, C, D, dt)
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
-    return band_gain(A, B, C, D, (0.0, last), dt=dt, rtol=rtol, stable=False)
+    return _band_gain(_with_signals(checked_matrices(A, B, C, D)), (0.0, last), dt, rtol, False, settings)
 
 
 @checked
@@ -247,8 +253,14 @@ def band_gain(
     >>> round(found.value, 6), found.omega
     (0.332595, 2.0)
     """
+    return _band_gain(_with_signals(checked_matrices(A, B, C, D)), band, dt, rtol, stable, SETTINGS)
+
+
+def _band_gain(
+    system: Matrices, band: tuple[float, float], dt: float | None, rtol: float, stable: bool, settings: NormSettings
+) -> HInfNorm:
     as_positive(rtol, "rtol")
-    a, b, c, d = _with_signals(checked_matrices(A, B, C, D))
+    a, b, c, d = system
     last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
     if not (0.0 <= band[0] < band[1] and band[0] < last):
         raise InputError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
@@ -256,13 +268,12 @@ def band_gain(
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
     if dt is not None and last < np.inf:
         # By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself
-        system = (a, b, c, d)
         try:
             mapped = to_continuous(*system, dt)
         except ValueError:
             return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
         low, high = (warped_frequency(omega, dt) for omega in band)
-        norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
+        norm = _band_gain(mapped, (low, high), None, rtol, stable, settings)
         omega = unwarped_frequency(norm.omega, dt)
         if not norm.value < np.inf:
             return replace(norm, omega=omega)
@@ -272,10 +283,11 @@ def band_gain(
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol)
     poles = response.poles
     worst = int(np.argmax(poles.real))
-    on_axis = float(np.abs(poles.real).min()) <= ON_AXIS * float(np.abs(poles).max())
+    on_axis = float(np.abs(poles.real).min()) <= settings.on_axis * float(np.abs(poles).max())
     if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
         return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
-    return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol, band)), "hamiltonian")
+    model = HamiltonianModel(system, response, rtol, band, settings)
+    return HInfNorm(*bracketed_norm(model, settings.levels), "hamiltonian")
 
 
 @checked
@@ -286,12 +298,13 @@ def h2_norm(
     D: ArrayLike | None = None,
     *,
     dt: float | None = None,
+    settings: NormSettings = SETTINGS,
 ) -> float:
     """H2 norm of a system or of its matrices: rms of the output for white noise of unit (two-sided) density.
 
     Continuous time: ``sqrt(trace(C P C'))`` with ``A P + P A' + B B' = 0``; infinite for an unstable system or D other
     than 0. Discrete time (`dt` given): rms of y for unit-variance samples, D included; the relative error is about 1e-9
-    at most for up to 24 states.
+    at most for up to 24 states. Numbers of the algorithms are in `settings`.
 
     Raises
     ------
@@ -316,7 +329,7 @@ def h2_norm(
             return 0.0
         a, b, c = balanced(a, b, c)
         T, Q = linalg.schur(a, output="real", check_finite=False)
-        if EPS * np.abs(T).max() > SCHUR_ROUNDING * np.abs(np.diag(T)).min():
+        if EPS * np.abs(T).max() > settings.schur_rounding * np.abs(np.diag(T)).min():
             response = FrequencyResponse.of(a, b, c, d, check=False, fine=True)
             if response.modal:
                 poles, left, right = response.poles, response.left, response.right
@@ -330,7 +343,7 @@ def h2_norm(
         return float(np.sqrt(max(np.sum((seen @ P) * seen), 0.0)))
     if not len(a):
         return float(np.sqrt(np.sum(d * d)))
-    norm = discrete_h2((a, b, c, d))
+    norm = discrete_h2((a, b, c, d), settings)
     return float("inf") if norm is None else norm
 
 
@@ -367,29 +380,22 @@ def is_stable(A: ArrayLike, dt: float = 0.0) -> bool:
     return not a.size or bool(np.abs(linalg.eigvals(a)).max() < 1.0)
 
 
-def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
-    """By a map to continuous time, or None where it could lose what decides."""
-    A, B, C, D = system
-    for plane in HalfPlane.of((*balanced(A, B, C), D)):
-        if norm := _small(plane.matrices, rtol, plane):
-            return HInfNorm(norm.value, norm.upper, plane.angle(norm.omega) / dt, "hamiltonian")
-    return None
-
-
-def _small(system: Matrices, rtol: float, origin: HalfPlane | None = None) -> NormBracket | None:
+def _small(
+    system: Matrices, rtol: float, settings: NormSettings, origin: HalfPlane | None = None
+) -> NormBracket | None:
     """Both sides for few states, or None where rounding could decide."""
     try:
-        return bracketed_norm(SmallModel.of(system, rtol, origin))
+        return bracketed_norm(SmallModel.of(system, rtol, origin, settings), settings.levels)
     except UndecidedError:
         return None
 
 
-def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
+def _continuous(system: Matrices, rtol: float, certificate: str, settings: NormSettings) -> HInfNorm:
     A, B, C, D = system
     if len(A) == 0 or not (B.any() and C.any()):
         return _norm_of_feedthrough(A, D)
     system = *balanced(A, B, C), D
-    if certificate == "auto" and len(A) <= MAX_STATES and (norm := _small(system, rtol)):
+    if certificate == "auto" and len(A) <= settings.small_states and (norm := _small(system, rtol, settings)):
         return HInfNorm(*norm, "hamiltonian")
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
@@ -399,13 +405,15 @@ def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
         if fine:  # the slowest decays may be below the rounding of the poles
             response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False, fine=True)
         try:
-            return HInfNorm(*bracketed_norm(IntervalModel(system, response, rtol)), "interval")
+            model = IntervalModel(system, response, rtol, settings)
+            return HInfNorm(*bracketed_norm(model, settings.levels), "interval")
         except InexactModesError:
             continue
         except (UndecidedError, PoleError):
             break
     try:
-        return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")
+        hamiltonian = HamiltonianModel(system, response, rtol, settings=settings)
+        return HInfNorm(*bracketed_norm(hamiltonian, settings.levels), "hamiltonian")
     except PoleError:  # a direct solution meets a pole that is on the axis to rounding
         return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
 

@@ -5,7 +5,6 @@ Source: Vinnicombe, Uncertainty and Feedback (2001), and IEEE TAC 38 (1993).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -13,11 +12,13 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.norms import hinf_norm
 from lftkit.analysis.riccati import right_coprime_factors
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_positive
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems import lft
 from lftkit.systems.arguments import checked
@@ -25,10 +26,6 @@ from lftkit.systems.arithmetic import common_period
 from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import unwarped_frequency
 from lftkit.systems.sampled.image import continuous
-
-EPS = float(np.finfo(float).eps)
-FLOOR = 1e-12
-"""Gain beside that of the difference of two systems, whose own may be rounding alone."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class NuGap:
 
 
 @checked
-def nu_gap(first: Any, second: Any) -> NuGap:
+def nu_gap(first: Any, second: Any, *, floor: float = 1e-12) -> NuGap:
     """Vinnicombe's nu-gap metric of two systems (the second output of gapmetric in MATLAB).
 
     The largest chordal distance of the frequency responses where the winding number of ``det(1 + G2~ G1)``, corrected
@@ -69,6 +66,8 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     first, second : System, or what :func:`lftkit.as_system` takes
         Certain, of equal sizes and the same period, stable or not, stabilisable and detectable. Sampled systems go
         through the bilinear map and have no pole at z = -1.
+    floor : float
+        Gain beside that of the difference of the two systems, whose own may be rounding alone.
 
     Raises
     ------
@@ -97,10 +96,18 @@ def nu_gap(first: Any, second: Any) -> NuGap:
     a, b, c, d = left
     swap = np.block([[np.zeros((m, p)), np.eye(m)], [-np.eye(p), np.zeros((p, m))]])
     A, B, C, D = lft.series(right, (a, b @ swap, c, d @ swap))
-    # Further outputs of gain FLOOR: of equal systems the difference is rounding alone
-    norm = hinf_norm(A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, FLOOR * np.eye(m)]))
+    # Further outputs of a small gain: of equal systems the difference is rounding alone
+    norm = hinf_norm(
+        A, B, np.vstack([C, np.zeros((m, len(A)))]), np.vstack([D, as_positive(floor, "floor") * np.eye(m)])
+    )
     omega = unwarped_frequency(norm.omega, dt) if dt else norm.omega
-    value = min(_chordal_distance(*_graphs(plants, (right, left), norm.omega)), 1.0)
+    try:
+        G1, G2 = (refined_response(*plant, norm.omega) for plant in plants)
+        graph: ComplexArray = np.vstack([G1, np.eye(m)])
+        other: ComplexArray = np.hstack([G2, np.eye(p)])
+    except ValueError:  # a pole of one: the factors, with their rounding
+        graph, other = (refined_response(*factor, norm.omega) for factor in (right, left))
+    value = min(_chordal_distance(graph, other), 1.0)
     remains = (1.0 - _defect(right)) * (1.0 - _defect(flipped))
     upper = max(norm.upper / sqrt(remains), value) if remains > 0.0 else 1.0
     same, certain = _same_winding(*plants)
@@ -112,15 +119,6 @@ def nu_gap(first: Any, second: Any) -> NuGap:
 def _transposed(system: Matrices) -> Matrices:
     A, B, C, D = system
     return A.T, C.T, B.T, D.T
-
-
-def _graphs(plants: Sequence[Matrices], factors: tuple[Matrices, Matrices], omega: float) -> list[ComplexArray]:
-    """``[G1; 1]`` and ``[G2, 1]`` at a frequency; the factors, with their rounding, where it is a pole of one."""
-    try:
-        first, second = (refined_response(*plant, omega) for plant in plants)
-    except ValueError:
-        return [refined_response(*factor, omega) for factor in factors]
-    return [np.vstack([first, np.eye(first.shape[1])]), np.hstack([second, np.eye(len(second))])]
 
 
 def _chordal_distance(graph: ComplexArray, other: ComplexArray) -> float:

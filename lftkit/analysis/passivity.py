@@ -17,19 +17,37 @@ from lftkit.analysis.frequency_grid import pole_range
 from lftkit.analysis.norms import band_gain, hinf_norm, linf_norm
 from lftkit.arrays import Matrices
 from lftkit.errors import InputError
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
 Fraction = tuple[float, float, float, float]
-PRECISION, ALLOWED = 1e-6, 1e-7
-"""Part of the gain (of its inverse) to which an index is found; excess of a gain over 1 that is rounding."""
-STEPS = 60
-POINTS = 200
-RANK = 1e-10
-"""Part of its factors from which on a product is regular, and of its entries by which a matrix is not symmetric."""
-FAR = 1e6
-"""Shortage of output passivity, over the inverse of the gain, from which on it has no bound."""
+
+
+@dataclass(frozen=True)
+class PassivitySettings(AlgorithmSettings):
+    """Numbers of the search for a passivity index.
+
+    Attributes
+    ----------
+    precision : part of the gain (of its inverse) to which an index is found
+    allowed : excess of a gain over 1 that is rounding
+    steps : levels that are tried, at most
+    points : frequencies with which the search begins, beside those of the poles
+    rank : part of its factors from which on a product is regular, and of its entries by which a matrix is not symmetric
+    far : shortage of output passivity, over the inverse of the gain, from which on it has no bound
+    """
+
+    precision: float = 1e-6
+    allowed: float = 1e-7
+    steps: int = 60
+    points: int = 200
+    rank: float = 1e-10
+    far: float = 1e6
+
+
+SETTINGS = PassivitySettings()
 
 
 @dataclass(frozen=True)
@@ -51,7 +69,7 @@ class PassivityIndex:
 
 
 @checked
-def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
+def passivity_index(system: Any, side: str = "input", *, settings: PassivitySettings = SETTINGS) -> PassivityIndex:
     """Passivity index of a stable square system (getPassiveIndex in MATLAB); above 0 it is strictly passive.
 
     Parameters
@@ -62,6 +80,8 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
         ``input``: the largest nu with ``G + G* >= 2 nu`` at every frequency, [output unit / input unit].
         ``output``: the largest rho with ``G + G* >= 2 rho G* G``, in the inverse unit; minus infinity where no number
         is small enough.
+    settings : PassivitySettings
+        Numbers of the search.
 
     Raises
     ------
@@ -91,20 +111,20 @@ def passivity_index(system: Any, side: str = "input") -> PassivityIndex:
         return PassivityIndex(end, end, 0.0)
     scale = gain.value if side == "input" else 1.0 / gain.value
     if side == "output" and not G.dt and not G.D.any():
-        inverse = inverse_without_derivative(G)
+        inverse = inverse_without_derivative(G, settings.rank)
         if inverse is not None:
-            return _index(_Index(inverse, "input", linf_norm(inverse).value or scale), gain.omega)
-    return _index(_Index(G, side, scale), gain.omega)
+            return _index(_Index(inverse, "input", linf_norm(inverse).value or scale, settings), gain.omega)
+    return _index(_Index(G, side, scale, settings), gain.omega)
 
 
 def _index(search: _Index, peak: float) -> PassivityIndex:
     """The least index over frequency; `peak` is one of the frequencies with which the search begins."""
-    scale = search.scale
+    scale, settings = search.scale, search.settings
     value, omega = search.first(peak)
-    if value < -FAR * scale:
+    if value < -settings.far * scale:
         return PassivityIndex(-math.inf, -math.inf, omega)
-    allowance = PRECISION * scale
-    for _ in range(STEPS):
+    allowance = settings.precision * scale
+    for _ in range(settings.steps):
         lower = value - allowance
         worst = search.violated(lower)
         if worst is None:
@@ -112,14 +132,14 @@ def _index(search: _Index, peak: float) -> PassivityIndex:
         index = search.at(worst)
         if index < lower:
             value, omega = index, worst
-            if value < -FAR * scale:
+            if value < -settings.far * scale:
                 return PassivityIndex(-math.inf, -math.inf, omega)
         else:
             allowance *= 2.0
     return PassivityIndex(value, -math.inf, omega)
 
 
-def inverse_without_derivative(G: System) -> System | None:
+def inverse_without_derivative(G: System, rank: float = SETTINGS.rank) -> System | None:
     """``G^-1 - s E`` of a continuous system without feedthrough, if ``E = (C B)^-1`` is symmetric.
 
     None where it is not, and for a system with zeros on the axis.
@@ -131,16 +151,16 @@ def inverse_without_derivative(G: System) -> System | None:
     A, B, C, _ = G.matrices
     product = C @ B
     sizes = linalg.svdvals(product)
-    if not sizes[-1] > RANK * linalg.norm(C, 2) * linalg.norm(B, 2):
+    if not sizes[-1] > rank * linalg.norm(C, 2) * linalg.norm(B, 2):
         return None
     E = linalg.inv(product)
-    if not np.abs(E - E.T).max() <= RANK * np.abs(E).max():
+    if not np.abs(E - E.T).max() <= rank * np.abs(E).max():
         return None
-    kernel = linalg.null_space(C, rcond=RANK)
+    kernel = linalg.null_space(C, rcond=rank)
     inner, through = A - B @ E @ C @ A, B @ E
     states = kernel.T @ inner @ kernel, kernel.T @ inner @ through
     zeros = np.asarray(linalg.eigvals(states[0]) if len(states[0]) else [], dtype=complex)
-    if np.any(np.abs(zeros.real) <= RANK * np.abs(zeros).max(initial=0.0)):
+    if np.any(np.abs(zeros.real) <= rank * np.abs(zeros).max(initial=0.0)):
         return None
     return System(*states, -E @ C @ A @ kernel, -E @ C @ A @ through, G.outputs, G.inputs, G.name)
 
@@ -165,16 +185,17 @@ class _Index:
     system: System
     side: str
     scale: float
+    settings: PassivitySettings
 
     def first(self, *further: float) -> tuple[float, float]:
         """The least index of some frequencies, and its frequency."""
         poles, last = self.system.poles(), math.inf
         if self.system.dt:
             last = math.pi / self.system.dt
-            grid = np.linspace(0.0, last, POINTS)
+            grid = np.linspace(0.0, last, self.settings.points)
         else:
             low, high = pole_range(poles)
-            grid = np.concatenate([[0.0], np.abs(poles), np.geomspace(1e-2 * low, 1e2 * high, POINTS)])
+            grid = np.concatenate([[0.0], np.abs(poles), np.geomspace(1e-2 * low, 1e2 * high, self.settings.points)])
         points = [float(omega) for omega in grid] + [last, *further]
         return min((self.at(omega), omega) for omega in points)
 
@@ -203,5 +224,6 @@ class _Index:
         last = math.pi / self.system.dt if self.system.dt else math.inf
         if index is None:
             return last
-        norm = band_gain(*index, (0.0, last), dt=self.system.dt or None, rtol=0.1 * ALLOWED, stable=False)
-        return None if norm.upper <= 1.0 + ALLOWED else norm.omega
+        allowed = self.settings.allowed
+        norm = band_gain(*index, (0.0, last), dt=self.system.dt or None, rtol=0.1 * allowed, stable=False)
+        return None if norm.upper <= 1.0 + allowed else norm.omega

@@ -28,8 +28,6 @@ Samples = int | Sequence[Mapping[str, float]]
 Channel = str | tuple[str, int]
 
 LINE, BAND, MEMBERS = "#0b5d8a", "#8fb9d3", "#d95f02"
-MARGIN = 3.0
-"""Factor by which the frequency axis exceeds the slowest and the fastest pole, without `omega`."""
 
 
 @checked
@@ -202,7 +200,7 @@ def _frequencies(models: Sequence[System], omega: ArrayLike | None) -> FloatArra
         return np.asarray(omega, dtype=float)
     poles = np.concatenate([np.zeros(0, dtype=complex), *(linalg.eigvals(m.A) for m in models)])
     low, high = pole_range(poles)
-    return frequency_grid(poles, min(low, 1.0) / MARGIN, max(high, 1.0) * MARGIN, points=300)
+    return frequency_grid(poles, min(low, 1.0) / 3.0, max(high, 1.0) * 3.0, points=300)
 
 
 def _signal(ports: Sequence[Port], channel: Channel, kind: str) -> tuple[int, str, str]:

@@ -6,28 +6,53 @@ Coprime factors are a system, stable or not, as the quotient of two stable ones.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
+from lftkit.support.settings import AlgorithmSettings
 
-RESIDUAL, REFINED = 1e-6, 1e-12
-"""Residuals of a Riccati equation, relative to its largest term: of a solution, and of one that needs no refinement."""
-NEWTON_STEPS, NEWTON_GAIN = 4, 1e-2
-"""Steps of refinement, and the part of the residual that each must leave at most: near to a solution whose closed loop
-has poles on the axis, which is none here, a step leaves a quarter."""
-ZERO = 1e-13
-"""Of the difference of two matrices, relative to the larger one: what is zero but for rounding."""
-DOUBLINGS = 64
 UNBOUNDED = "the discrete Riccati equation has no bounded solution"
-EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class RiccatiSettings(AlgorithmSettings):
+    """Numbers of the solution of Riccati and Stein equations.
+
+    Attributes
+    ----------
+    residual : residual of a solution, relative to the largest term of the equation, at most
+    refined : residual, likewise, of a solution that needs no refinement
+    newton_steps : steps of refinement, at most
+    newton_gain : part of the residual that each step must leave at most: near to a solution whose closed loop has poles
+        on the axis, which is none here, a step leaves a quarter
+    zero : difference of two matrices, relative to the larger one, that is zero but for rounding
+    doublings : steps of the sums by doubling, at most
+    """
+
+    residual: float = 1e-6
+    refined: float = 1e-12
+    newton_steps: int = 4
+    newton_gain: float = 1e-2
+    zero: float = 1e-13
+    doublings: int = 64
+
+
+SETTINGS = RiccatiSettings()
 
 
 def riccati(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
+    A: FloatArray,
+    B: FloatArray,
+    Q: FloatArray,
+    R: FloatArray,
+    S: FloatArray | None = None,
+    settings: RiccatiSettings = SETTINGS,
 ) -> FloatArray | None:
     """Stabilising solution of a continuous Riccati equation; None where there is none.
 
@@ -46,27 +71,27 @@ def riccati(
         try:
             through = np.zeros_like(B.T) if S is None else regular_solve(R, S.T)
             rest, square = A - B @ through, np.zeros_like(Q) if S is None else S @ through
-            least = ZERO * max(float(np.abs(M).max(initial=0.0)) for M in (Q, square))
-            free = _free_modes(rest, Q - square, least)
+            least = settings.zero * max(float(np.abs(M).max(initial=0.0)) for M in (Q, square))
+            free = _free_modes(rest, Q - square, least, settings.zero)
             if not free.size:
-                return _confirmed(A, B, Q, R, S, _solution(A, B, Q, R, S))
+                return _confirmed(A, B, Q, R, S, _solution(A, B, Q, R, S), settings)
             W = linalg.qr(free)[0][:, free.shape[1] :]
             if not W.size:
                 return np.zeros_like(A)
             cost = W.T @ (Q - square) @ W
             reduced = W.T @ rest @ W, W.T @ B, np.where(np.abs(cost) > least, cost, 0.0), R, None
-            X = _confirmed(*reduced, _solution(*reduced))
+            X = _confirmed(*reduced, _solution(*reduced), settings)
             return None if X is None else W @ X @ W.T
         except (linalg.LinAlgError, ValueError):
             return None
 
 
-def _free_modes(A: FloatArray, Q: FloatArray, least: float) -> FloatArray:
+def _free_modes(A: FloatArray, Q: FloatArray, least: float, zero: float) -> FloatArray:
     """Orthonormal basis (n, k) of the stable modes of A that Q sees by less than `least`."""
     basis = _kernel(Q, least)
     while basis.size:
         image = A @ basis
-        kept = _kernel(image - basis @ (basis.T @ image), ZERO * float(linalg.norm(A)))
+        kept = _kernel(image - basis @ (basis.T @ image), zero * float(linalg.norm(A)))
         if kept.shape[1] == basis.shape[1]:
             break
         basis = basis @ kept
@@ -83,7 +108,13 @@ def _kernel(matrix: FloatArray, least: float) -> FloatArray:
 
 
 def _confirmed(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None, X: FloatArray
+    A: FloatArray,
+    B: FloatArray,
+    Q: FloatArray,
+    R: FloatArray,
+    S: FloatArray | None,
+    X: FloatArray,
+    settings: RiccatiSettings,
 ) -> FloatArray | None:
     """The solution, refined by Newton's method where it needs it; None if it is none, or not stabilising.
 
@@ -91,7 +122,7 @@ def _confirmed(
     residual is small, too; a step of Newton's method leads from there to a loop that is not stable.
     """
     best, least = None, np.inf
-    for _ in range(NEWTON_STEPS + 1):
+    for _ in range(settings.newton_steps + 1):
         F = -regular_solve(R, B.T @ X + (0.0 if S is None else S.T))
         terms = A.T @ X, Q, F.T @ R @ F
         residual = terms[0] + terms[0].T + terms[1] - terms[2]
@@ -100,15 +131,15 @@ def _confirmed(
         closed = A + B @ F
         poles = np.asarray(linalg.eigvals(closed), dtype=complex)
         stable = float(poles.real.max(initial=-np.inf)) < 0.0
-        if least <= RESIDUAL and not stable:
+        if least <= settings.residual and not stable:
             return None
         if not (size < least and stable):
             break
-        gained, least, best = size <= NEWTON_GAIN * least, size, X
-        if not gained or size <= REFINED:
+        gained, least, best = size <= settings.newton_gain * least, size, X
+        if not gained or size <= settings.refined:
             break
         X = X + linalg.solve_continuous_lyapunov(closed.T, -residual)
-    return best if least <= RESIDUAL else None
+    return best if least <= settings.residual else None
 
 
 def _solution(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None) -> FloatArray:
@@ -120,7 +151,7 @@ def _solution(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: Flo
         return np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S, balanced=False), dtype=float)
 
 
-def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
+def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray, settings: RiccatiSettings = SETTINGS) -> FloatArray:
     """Stabilising solution X of ``X = A' X (I + G X)^-1 A + Q`` for a stable A, by doubling.
 
     The doubling keeps positive semidefinite what is, and needs no eigenvectors: modes of very different speed do it no
@@ -131,6 +162,7 @@ def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
     ----------
     A, G, Q : ndarray, shape (n, n)
         G and Q positive semidefinite: ``B R^-1 B'`` and ``C' C``.
+    settings : RiccatiSettings
 
     Raises
     ------
@@ -139,7 +171,7 @@ def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
     """
     eye, spread, power, X = np.eye(len(A)), G, A, Q
     with np.errstate(over="ignore", invalid="ignore"):  # judged by what is finite
-        for _ in range(DOUBLINGS):
+        for _ in range(settings.doublings):
             if not all(np.isfinite(M).all() for M in (spread, power, X)):
                 raise ArithmeticError(UNBOUNDED)
             factors = linalg.lu_factor(eye + spread @ X)
@@ -152,22 +184,22 @@ def discrete_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray:
     if not np.isfinite(X).all():
         raise ArithmeticError(UNBOUNDED)
     best, least = X, np.inf
-    for _ in range(NEWTON_STEPS + 1):
+    for _ in range(settings.newton_steps + 1):
         closed = regular_solve(eye + G @ X, A)
         residual = X - A.T @ X @ closed - Q
         part = float(np.abs(residual).max(initial=0.0) / max(np.abs(X).max(initial=0.0), np.finfo(float).tiny))
         if not part < least:
             break
         best, least = X, part
-        if least <= REFINED or not np.abs(linalg.eigvals(closed)).max(initial=0.0) < 1.0:
+        if least <= settings.refined or not np.abs(linalg.eigvals(closed)).max(initial=0.0) < 1.0:
             break
-        X = X - _symmetric(stein(closed.T, residual))
-    if not least <= RESIDUAL:
+        X = X - _symmetric(stein(closed.T, residual, settings))
+    if not least <= settings.residual:
         raise ArithmeticError("the discrete Riccati equation has no solution to the precision of its terms")
     return best
 
 
-def stein(A: FloatArray, W: FloatArray) -> FloatArray:
+def stein(A: FloatArray, W: FloatArray, settings: RiccatiSettings = SETTINGS) -> FloatArray:
     """Solution of ``P = A P A' + W`` for a stable A: ``sum_k A^k W (A^k)'`` (Smith's method, squared).
 
     Raises
@@ -177,7 +209,7 @@ def stein(A: FloatArray, W: FloatArray) -> FloatArray:
     """
     P, power = W, A
     with np.errstate(over="ignore", invalid="ignore"):  # judged by what is finite
-        for _ in range(DOUBLINGS):
+        for _ in range(settings.doublings):
             step = power @ P @ power.T
             P = P + step
             if not np.abs(step).max(initial=0.0) > EPS * np.abs(P).max(initial=0.0):

@@ -22,11 +22,6 @@ from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement
 
-GAP, BEYOND = 0.01, 1e-3
-"""Relative distance of the bounds of all loops at once; part beyond the least margin of one that is looked at."""
-LARGEST = 1e3
-"""Largest margin of all loops at once that is looked at."""
-
 
 @dataclass(frozen=True)
 class DiskMarginBounds:
@@ -120,7 +115,9 @@ class DiskMargins:
 
 
 @checked
-def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None = None) -> DiskMargins:
+def disk_margins(
+    loop: Any, skew: float = 0.0, *, options: BoundOptions | None = None, most: float = 1e3
+) -> DiskMargins:
     """Disk margins of a square loop, of each channel and of all at once (diskmargin of the toolbox).
 
     Each channel has a factor ``f = (2 + (1 - skew) d) / (2 - (1 + skew) d)`` with ``|d| < margin``. The margin of all
@@ -136,6 +133,8 @@ def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None =
         0: gain may rise and fall alike; 1: disks about S; -1: about T. Of magnitude 1e6 at most.
     options : BoundOptions, optional
         Of the margin at once; the gap is 1 % by default.
+    most : float
+        Largest margin at once that is looked at.
 
     Raises
     ------
@@ -164,9 +163,9 @@ def disk_margins(loop: Any, skew: float = 0.0, *, options: BoundOptions | None =
     elements = tuple(DynamicElement(f"d{i}") for i in range(len(D)))
     names = tuple(e.name for e in elements)
     closed = System(*matrices, (), (), L.name, channels=names, elements=elements)
-    least = min(*(one.size for one in each), LARGEST)
-    largest = (1.0 + BEYOND) * least
-    bounds = robust_stability(closed, largest=largest, options=options or BoundOptions(gap=GAP))
+    least = min(*(one.size for one in each), most)
+    largest = (1.0 + 1e-3) * least  # a little beyond
+    bounds = robust_stability(closed, largest=largest, options=options or BoundOptions(gap=0.01))
     lower = min(bounds.lower, least)
     gains, phase = disk_gains(lower, skew), disk_phase(lower, skew)
     return DiskMargins(each, DiskMarginBounds(lower, min(bounds.upper, least), gains, phase, bounds))

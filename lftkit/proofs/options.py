@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lftkit.errors import InputError
+from lftkit.proofs.settings import BOUNDS, CELLS, SEARCH, BoundSettings, CellSettings, SearchSettings
+from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 
 METHODS = ("cells", "axis")
@@ -29,9 +31,14 @@ class BoundOptions:
         Show a progress line.
     method : {"cells", "axis"}, optional
         Cells of parameters and frequency, or scalings over the frequency axis. By default cells up to
-        :data:`lftkit.proofs.robustness.FEW_STATES` states (of stability the first
-        :data:`lftkit.proofs.robustness.FEW_CELLS` of them), and where the other cannot be used: it needs uncertain
+        seven states (of stability the first sixty of them), and where the other cannot be used: it needs uncertain
         elements, and a nominal member in the box that is stable with separate poles.
+    search : SearchSettings
+        Numbers of the search for members with a large gain and for unstable ones.
+    cells : CellSettings
+        Numbers of the proofs by cells.
+    settings : BoundSettings
+        Numbers of the levels and factors that are tried, and of the choice of the method.
 
     Raises
     ------
@@ -45,10 +52,12 @@ class BoundOptions:
     seed: int = 0
     progress: bool = False
     method: str | None = None
+    search: SearchSettings = SEARCH
+    cells: CellSettings = CELLS
+    settings: BoundSettings = BOUNDS
 
     def __post_init__(self) -> None:
-        if not self.gap > 0.0:
-            raise InputError(f"gap must be positive, got {self.gap}")
+        as_positive(self.gap, "gap")
         if not self.wall_limit > 0.0:
             raise InputError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if self.max_tests < 0:

@@ -31,9 +31,6 @@ from lftkit.systems.system import System
 from lftkit.uncertainty.elements import RealParameter
 
 sl_optimize: Any = optimize
-RAISED = 2.0
-"""Factor between two levels until one is proven; after :data:`TRIES` of them the bound is infinite."""
-TRIES = 40
 
 
 @dataclass(frozen=True)
@@ -261,10 +258,10 @@ def _upper_at(M: ComplexArray, system: System, lower: float, rtol: float) -> flo
         return 0.0
     no = max(lower, 1e-12 * float(linalg.norm(M, 2)), 1e-300)
     level = no * (1.0 + rtol)
-    for _ in range(TRIES):
+    for _ in range(40):  # levels, each twice the one before, until one is proven
         if proves(level):
             break
-        no, level = level, RAISED * level
+        no, level = level, 2.0 * level
     else:
         return np.inf
     while level > (1.0 + rtol) * no:

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray
 from lftkit.errors import InputError
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.bounds import (
-    SHARE,
     DiskGainByCells,
     GainByCells,
     ProvenBounds,
@@ -29,26 +28,14 @@ from lftkit.proofs.state_space.bounds import (
 )
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
-from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first
+from lftkit.proofs.state_space.disks import disks_of, real_first
 from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
+from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, RealParameter
-
-FEW_STATES = 7
-"""Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
-FEW_CELLS = 60
-"""Cells after which stability is proven over the frequency axis, where no method was asked for and it can be used."""
-STEPS = 12
-"""Most factors that are tried, by search and by proof."""
-BELOW, LESS = 0.999, 0.75
-"""Part of the smallest factor that reaches the level at which the next is looked for; of one not proven in time."""
-SEARCH, PART = 0.4, 0.6
-"""Part of the time after which no further factor is searched; part of what is left for the proof of a factor."""
-RAY, PRECISION = 64, 1e-7
-"""Points of a ray at which the gain is looked at, and the precision of the first one that reaches the level."""
 
 Box = list[tuple[float, float]]
 
@@ -110,7 +97,7 @@ def worst_case_gain(
     options = options or BoundOptions()
     chosen = real_first(as_system(system).select(inputs=inputs, outputs=outputs))
     ends = intervals_of(chosen, box)
-    over_axis = _over_axis(chosen, ends, options.method, bool(chosen.inputs and chosen.outputs))
+    over_axis = _over_axis(chosen, ends, options, bool(chosen.inputs and chosen.outputs))
     with one_thread():
         if over_axis:
             return gain_over_axis(chosen, ends, band, level, options)[0]
@@ -118,13 +105,13 @@ def worst_case_gain(
         return by_cells(chosen, ends, band, level, options).run()
 
 
-def _over_axis(system: System, box: list[tuple[float, float]], method: str | None, usual: bool = True) -> bool:
+def _over_axis(system: System, box: Box, options: BoundOptions, usual: bool = True) -> bool:
     """Whether the frequency axis is the method; what is chosen by size where none is given."""
-    if method == "axis":
+    if options.method == "axis":
         system.require_continuous()
-    if method is not None:
-        return method == "axis"
-    return usual and not system.dt and system.order > FEW_STATES and axis_takes(system, box)
+    if options.method is not None:
+        return options.method == "axis"
+    return usual and not system.dt and system.order > options.settings.few_states and axis_takes(system, box)
 
 
 @checked
@@ -170,27 +157,23 @@ def robust_stability(
     >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
     (True, 2.0, True)
     """
-    _check_largest(largest)
+    as_positive(largest, "largest")
     options = options or BoundOptions()
     chosen = real_first(as_system(system).select(inputs=(), outputs=()))
     ends = intervals_of(chosen, box)
     require_nominal(chosen, ends)
-    over_axis = _over_axis(chosen, ends, options.method)
+    over_axis = _over_axis(chosen, ends, options)
     with one_thread():
         if over_axis:
             return stability_over_axis(chosen, ends, largest, options)
         cells = StabilityByCells(chosen, ends, largest, options)
-        both = options.method is None and not chosen.dt and options.max_tests > FEW_CELLS and axis_takes(chosen, ends)
-        bounds = cells.run(FEW_CELLS if both else None)
+        few = options.settings.few_cells
+        both = options.method is None and not chosen.dt and options.max_tests > few and axis_takes(chosen, ends)
+        bounds = cells.run(few if both else None)
         if not both or bounds.status != "out_of_time":
             return bounds
         rest = replace(options, wall_limit=max(cells.until - time.monotonic(), 1e-3))
         return stability_over_axis(chosen, ends, largest, rest, (cells.factor, cells.worst))
-
-
-def _check_largest(largest: float) -> None:
-    if not largest > 0.0:
-        raise InputError(f"largest must be positive, got {largest}")
 
 
 @checked
@@ -242,7 +225,7 @@ def robust_performance(
     True
     """
     checked_band(WHOLE, level)
-    _check_largest(largest)
+    as_positive(largest, "largest")
     options = options or BoundOptions()
     system = as_system(system)
     if not (system.inputs and system.outputs):
@@ -250,7 +233,7 @@ def robust_performance(
     system.require_continuous()
     chosen = real_first(system)
     ends = intervals_of(chosen, box)
-    usual = (chosen.order > FEW_STATES or not disks_of(chosen)) and axis_takes(chosen, ends)
+    usual = (chosen.order > options.settings.few_states or not disks_of(chosen)) and axis_takes(chosen, ends)
     over_axis = usual if options.method is None else options.method == "axis"
     with one_thread():
         return PerformanceProblem(chosen, ends, level, options, over_axis).bounds(largest)
@@ -278,14 +261,9 @@ class PerformanceProblem:
     over_axis: bool
 
     @cached_property
-    def nominal(self) -> FloatArray:
-        """Nominal values of the real elements (p,)."""
-        return np.array([p.nominal for p in self.system.parameters])
-
-    @cached_property
-    def disks(self) -> list[DiskChannels]:
-        """Complex and dynamic elements."""
-        return disks_of(self.system)
+    def search(self) -> DiskSearch:
+        """The search of members of the box, with the nominal values and the complex and dynamic elements."""
+        return DiskSearch(self.system, self.box, WHOLE, self.options.seed, self.options.search)
 
     def bounds(self, largest: float) -> ProvenBounds:
         """Bounds of the factor, up to `largest`.
@@ -296,30 +274,30 @@ class PerformanceProblem:
             A nominal member outside of the box, or not stable.
         """
         start, wall_limit, gap = time.monotonic(), self.options.wall_limit, self.options.gap
-        until = start + wall_limit
-        if not all(low <= at <= high for at, (low, high) in zip(self.nominal, self.box)):
+        until, settings = start + wall_limit, self.options.settings
+        if not all(low <= at <= high for at, (low, high) in zip(self.search.nominal, self.box)):
             raise InputError("box must contain the nominal values, got another")
-        first = member_gain(self.system, self.nominal, WHOLE)
+        first = member_gain(self.system, self.search.nominal, WHOLE)
         if np.isinf(first.gain):
             raise InputError(f"{self.system.name}: the nominal member must be stable, got an unstable one")
         if first.gain >= self.level:
             return self._named(0.0, 0.0, first, None, "violated")
-        worst = self._least_found(largest, start + SEARCH * wall_limit)
+        worst = self._least_found(largest, start + settings.search * wall_limit)
         lower, proof = 0.0, None
-        aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)
-        for _ in range(STEPS):
+        aim = largest if worst is None else worst[0] / (1.0 + settings.share * gap)
+        for _ in range(settings.factors):
             left = until - time.monotonic()
             if left <= 0.0:
                 break
-            bounds, member = self._attempt(aim, PART * left)
+            bounds, member = self._attempt(aim, settings.attempt * left)
             if bounds.status == "closed":
                 lower, proof = aim, bounds.proof
                 break
             crossing = self._first_on_way(member) if bounds.status in ("violated", "unstable") else None
             if crossing is not None:
-                worst, aim = crossing, crossing[0] / (1.0 + SHARE * gap)
+                worst, aim = crossing, crossing[0] / (1.0 + settings.share * gap)
             else:
-                aim *= LESS
+                aim *= settings.less
         upper, member = (np.inf, first) if worst is None else worst
         closed = proof is not None and (upper <= (1.0 + gap) * lower or (worst is None and lower >= largest))
         return self._named(lower, upper, member, proof, "closed" if closed else "out_of_time")
@@ -337,7 +315,7 @@ class PerformanceProblem:
         options = replace(self.options, wall_limit=seconds)
         if self.over_axis:
             return gain_over_axis(scaled, ends, WHOLE, self.level, options)
-        by_cells = DiskGainByCells if self.disks else GainByCells
+        by_cells = DiskGainByCells if self.search.disks else GainByCells
         cells = by_cells(scaled, ends, WHOLE, self.level, options)
         return cells.run(), cells.worst
 
@@ -346,18 +324,18 @@ class PerformanceProblem:
 
         No search begins after `until` but the first.
         """
-        worst, factor = None, min(1.0, largest)
-        for step in range(STEPS):
+        worst, factor, options = None, min(1.0, largest), self.options
+        for step in range(options.settings.factors):
             if step and time.monotonic() > until:
                 break
             scaled, ends = self._scaled(factor)
-            if self.disks:
-                member = DiskSearch(scaled, ends, WHOLE, self.options.seed).worst_member()
+            if self.search.disks:
+                member = DiskSearch(scaled, ends, WHOLE, options.seed, options.search).worst_member()
             else:
-                member = worst_member(scaled, ends, WHOLE, seed=self.options.seed)
+                member = worst_member(scaled, ends, WHOLE, seed=options.seed, settings=options.search)
             met = self._first_on_way(member)
             if met is not None:
-                worst, factor = met, met[0] * BELOW
+                worst, factor = met, met[0] * options.settings.below
             elif worst is not None or factor >= largest:
                 break
             else:
@@ -370,35 +348,36 @@ class PerformanceProblem:
         Where there are complex elements or dynamics, the gain is that at the member's frequency. None where the level
         is not reached.
         """
-        if not self.disks and member.gain < self.level:
+        if not self.search.disks and member.gain < self.level:
             return None
-        away = member.point - self.nominal
+        away = member.point - self.search.nominal
         at: Callable[[float], Member] = (
             self._way_of_disks(member)
-            if self.disks
-            else lambda part: member_gain(self.system, self.nominal + part * away, WHOLE)
+            if self.search.disks
+            else lambda part: member_gain(self.system, self.search.nominal + part * away, WHOLE)
         )
-        part = first_true(lambda share: at(share).gain >= self.level, np.linspace(0.0, 1.0, RAY + 1)[1:], PRECISION)
+        settings = self.options.settings
+        grid = np.linspace(0.0, 1.0, settings.ray + 1)[1:]
+        part = first_true(lambda share: at(share).gain >= self.level, grid, settings.ray_precision)
         return None if np.isinf(part) else (self._size(at(part)), at(part))
 
     def _way_of_disks(self, member: Member) -> Callable[[float], DiskMember]:
         """The same, with their gain at its frequency."""
-        search = DiskSearch(self.system, self.box, WHOLE, self.options.seed)
-        M = search.response(member.frequency)
+        M = self.search.response(member.frequency)
         of_member: Mapping[str, ComplexArray] = member.disks if isinstance(member, DiskMember) else {}
-        disks = {d.name: of_member.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.disks}
+        disks = {d.name: of_member.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.search.disks}
 
         def at(part: float) -> DiskMember:
-            real = np.asarray(part * (member.point - self.nominal))
+            real = np.asarray(part * (member.point - self.search.nominal))
             values = {name: np.asarray(part * value, complex) for name, value in disks.items()}
-            return DiskMember(search.gain(M, real, values), self.nominal + real, member.frequency, values)
+            return DiskMember(self.search.gain(M, real, values), self.search.nominal + real, member.frequency, values)
 
         return at
 
     def _size(self, member: Member) -> float:
         """Factor of the uncertainty on whose surface a member is."""
         values = member.disks if isinstance(member, DiskMember) else {}
-        sizes = [float(linalg.norm(values[d.name], 2)) / d.radius for d in self.disks if d.name in values]
+        sizes = [float(linalg.norm(values[d.name], 2)) / d.radius for d in self.search.disks if d.name in values]
         return max([factor_of(self.system, self.box, member.point), *sizes])
 
 

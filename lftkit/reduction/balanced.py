@@ -28,8 +28,6 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
 METHODS = ("truncate", "matchdc")
-ROUNDING = 1e-6
-"""Relative rounding of a sum of Hankel singular values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +154,16 @@ def balred(
     return ReducedSystem(system, first.hankel, error_bound(part.error(reduced), tail), tail)
 
 
-def error_bound(error: System, tail: float) -> float:
-    """Upper end of the norm of an error; where it cannot be told, `tail`, its bound of theory, with its rounding."""
+def error_bound(error: System, tail: float, rounding: float = 1e-6) -> float:
+    """Upper end of the norm of an error; where it cannot be told, `tail`, its bound of theory.
+
+    To the latter its relative `rounding` is added, that of a sum of Hankel singular values.
+    """
     try:
         norm = hinf_norm(error)
     except ArithmeticError:
-        return (1.0 + ROUNDING) * tail
-    return (1.0 + ROUNDING) * tail if norm.certificate == "none" else norm.upper
+        return (1.0 + rounding) * tail
+    return (1.0 + rounding) * tail if norm.certificate == "none" else norm.upper
 
 
 @dataclass(frozen=True, eq=False)

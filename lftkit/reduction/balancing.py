@@ -21,8 +21,6 @@ from lftkit.systems.system import System
 
 ON_EDGE = 64.0 * EPS
 """Distance of a pole from the edge of the stable region, over the largest one or 1, that is no decay."""
-LEAST = 1e-12
-"""Part of the largest Hankel singular value below which a state counts as not reached or not seen."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +102,8 @@ def gramian_factor(A: FloatArray, B: FloatArray, dt: float = 0.0) -> FloatArray:
     if n == 0:
         return np.zeros((0, 0))
     # A and B in units of the states in which slow poles keep their digits beside large entries, and these units
-    balanced_A, units = in_balanced_units(A)
-    A, B, units = balanced_A, np.asarray(B / units[:, None]), units
+    A, units = in_balanced_units(A)
+    B = np.asarray(B / units[:, None])
     T, Z = linalg.schur(A.astype(complex), output="complex")
     rest: ComplexArray = Z.conj().T @ B
     U = np.zeros((n, n), complex)
@@ -147,10 +145,13 @@ class Balancing:
     right: FloatArray
 
     @classmethod
-    def of(cls, reached: FloatArray, seen: FloatArray) -> Balancing:
-        """From square factors of the controllability and of the observability Gramian, (n, n)."""
+    def of(cls, reached: FloatArray, seen: FloatArray, least: float = 1e-12) -> Balancing:
+        """From square factors of the controllability and of the observability Gramian, (n, n).
+
+        A state counts as not reached or not seen below a Hankel singular value of `least` times the largest one.
+        """
         U, s, Vh = linalg.svd(seen.T @ reached) if len(seen) else (seen, np.zeros(0), seen)
-        count = int(np.sum(s > LEAST * s.max(initial=0.0)))
+        count = int(np.sum(s > least * s.max(initial=0.0)))
         scale = 1.0 / np.sqrt(s[:count])
         return cls(s, seen @ U[:, :count] * scale, reached @ Vh[:count].T * scale)
 

@@ -87,8 +87,12 @@ class Workers:
             context = get_context("spawn")
             stopped, self._stop = context.Pipe(duplex=False)
             self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(stopped,))
-        with _interrupts_waiting():
+        # Processes that start here inherit a blocked SIGINT: a terminal sends it to them, too, while they import
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
             return _results([self._pool.submit(function, item) for item in items])
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _results(futures: list[Future[Result]]) -> Iterator[Result]:
@@ -100,16 +104,6 @@ def _results(futures: list[Future[Result]]) -> Iterator[Result]:
     futures.reverse()
     while futures:
         yield futures.pop().result()
-
-
-@contextlib.contextmanager
-def _interrupts_waiting() -> Iterator[None]:
-    """Block SIGINT, which processes that start here inherit: a terminal sends it to them, too, while they import."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(stopped: connection.Connection) -> None:

@@ -23,6 +23,7 @@ from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.support.scalars import as_positive
 from lftkit.synthesis.lower_bound import ProvenLowerBound, confirmed_optimum, lower_bound_proof
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, sampled_lqg
+from lftkit.synthesis.settings import SETTINGS, SynthesisSettings
 from lftkit.synthesis.standard_plant import (
     Names,
     StandardPlant,
@@ -39,22 +40,11 @@ from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 
-REGULARISED = 1e-7, 1e-6, 1e-5, 1e-4, 1e-3
-"""Weights of commands and noises of measurements that are tried where an assumption of the equations fails: alone, and
-with the same weight and noise of every state, which zeros on the imaginary axis need."""
-ABOVE = 1.00002, 1.00005, 1.0001, 1.0002, 1.0005, 1.001, 1.002, 1.02, 1.1
-"""Levels of controllers over the lowest one: nearer to it their poles are faster."""
 NEEDED = (
     "every command must have a weight (D12 of full column rank)",
     "every measurement must have noise (D21 of full row rank)",
 )
 """What D12 and D21 must have for the equations."""
-NEAR = 1e-3
-"""Relative distance of a value from its bound at which no other bound is looked for."""
-LEAST = 1e-6
-"""Part of a value below which a bound says nothing: the infimum is zero but for rounding."""
-REACHED = 1e-6
-"""Relative distance of the norm of a loop above its level that counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +89,13 @@ class FullOrderDesign:
 
 @checked
 def hinfsyn(
-    plant: System, measured: Names, commanded: Names, level: float | None = None, *, certify: bool = False
+    plant: System,
+    measured: Names,
+    commanded: Names,
+    level: float | None = None,
+    *,
+    certify: bool = False,
+    settings: SynthesisSettings = SETTINGS,
 ) -> FullOrderDesign:
     """Controller with the least H-infinity norm from the other inputs to the other outputs of a plant.
 
@@ -113,6 +109,8 @@ def hinfsyn(
         A larger norm is enough: the central controller at this level, with slower poles than that of the least one.
     certify : bool
         A lower bound is proven, too (:func:`lower_bound_proof`), with its proof, or the reason why there is none.
+    settings : SynthesisSettings
+        Numbers of the synthesis.
 
     Returns
     -------
@@ -134,13 +132,20 @@ def hinfsyn(
     >>> round(found.value, 4), round(found.lower, 4)
     (1.4142, 1.4142)
     """
-    standard = standard_plant(plant, measured, commanded)
-    generalised = _generalised(standard)
+    standard = standard_plant(plant, measured, commanded, settings)
+    generalised = _generalised(standard, settings)
     if level is not None:
         as_positive(level, "level")
     proven = lower_bound_proof(plant, measured, commanded) if certify else None
     if level is not None:
-        design = _at_level(standard, generalised, level)
+        changed = (generalised.weighted(w, states) for w in settings.regularised for states in (0.0, w))
+        plants = itertools.chain([generalised] if all(generalised.full_rank) else [], changed)
+        designs = (_design(standard, working, level) for working in plants)
+        most = (1.0 + settings.reached) * level
+        reached = (design for design in designs if design is not None and design.value <= most)
+        design = next(reached, None)
+        if design is None:
+            raise InputError(f"{standard.system.name}: level must be one that a controller reaches, got {level:g}")
     else:
         design = _least(standard, generalised, proven)
     if proven is None:
@@ -153,7 +158,7 @@ def _least(standard: StandardPlant, generalised: WorkingPlant, proven: ProvenLow
 
     Where the equations give no bound, and the gain out of reach is none that is near, there may be one with a proof.
     """
-    unreachable = generalised.gain_out_of_reach()
+    unreachable, settings = generalised.gain_out_of_reach(), generalised.settings
     measured, commanded = ([port.name for port in ports] for ports in (standard.measured, standard.commanded))
 
     @functools.cache
@@ -161,17 +166,18 @@ def _least(standard: StandardPlant, generalised: WorkingPlant, proven: ProvenLow
         return (proven or lower_bound_proof(standard.system, measured, commanded)).level
 
     def bounded(design: FullOrderDesign) -> FullOrderDesign:
-        near = (1.0 - NEAR) * design.value
-        above = unreachable if unreachable <= (1.0 + REACHED) * design.value else -np.inf  # a loop refutes a larger one
+        near = (1.0 - settings.near) * design.value
+        # A loop refutes a larger one
+        above = unreachable if unreachable <= (1.0 + settings.reached) * design.value else -np.inf
         lower = max(design.lower, min(above, design.value))
         if design.lower == -np.inf and lower < near:
             lower = max(lower, level())
         if design.lower == -np.inf and lower < near:
             lower = max(lower, confirmed_optimum(standard.system, measured, commanded, design.value))
-        return replace(design, lower=lower if lower >= LEAST * design.value else -np.inf)
+        return replace(design, lower=lower if lower >= settings.least * design.value else -np.inf)
 
     best = bounded(_controller_of_least_norm(standard, generalised))
-    if not best.lower >= (1.0 - NEAR) * best.value:
+    if not best.lower >= (1.0 - settings.near) * best.value:
         better = _with_weights(standard, generalised, of_states=True)
         best = bounded(better) if better is not None and better.value < best.value else best
     return best
@@ -187,7 +193,7 @@ def _controller_of_least_norm(standard: StandardPlant, generalised: WorkingPlant
     nothing = np.zeros((0, 0)), np.zeros((0, shape[1])), np.zeros((shape[0], 0)), np.zeros(shape)
     controller = System(*nothing, standard.measured, standard.commanded, "K", dt=standard.system.dt)
     closed = standard.closed(controller)
-    value = norm_of_loop(closed)
+    value = norm_of_loop(closed, generalised.settings)
     idle = FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
     if idle is not None and idle.value == 0.0:
         return replace(idle, lower=0.0)
@@ -197,7 +203,7 @@ def _controller_of_least_norm(standard: StandardPlant, generalised: WorkingPlant
     if best is None:
         raise InputError(
             f"{standard.system.name}: the Riccati equations have no solution at any level, with a weight of up to "
-            f"{REGULARISED[-1]:g} on commands, measurements and states too"
+            f"{generalised.settings.regularised[-1]:g} on commands, measurements and states too"
         )
     return best
 
@@ -205,21 +211,27 @@ def _controller_of_least_norm(standard: StandardPlant, generalised: WorkingPlant
 def _with_weights(
     standard: StandardPlant, generalised: WorkingPlant, *, of_states: bool = False
 ) -> FullOrderDesign | None:
-    designs = [_best(standard, generalised.weighted(w, w if of_states else 0.0), w) for w in REGULARISED]
+    weights = generalised.settings.regularised
+    designs = [_best(standard, generalised.weighted(w, w if of_states else 0.0), w) for w in weights]
     return min((one for one in designs if one is not None), key=lambda one: one.value, default=None)
 
 
-def controller_of_least_norm(plant: System, measured: Names, commanded: Names) -> System:
+def controller_of_least_norm(
+    plant: System, measured: Names, commanded: Names, settings: SynthesisSettings = SETTINGS
+) -> System:
     """The controller of :func:`hinfsyn`, without looking for a bound where that is a problem of its own."""
-    standard = standard_plant(plant, measured, commanded)
-    return _controller_of_least_norm(standard, _generalised(standard)).controller
+    standard = standard_plant(plant, measured, commanded, settings)
+    return _controller_of_least_norm(standard, _generalised(standard, settings)).controller
 
 
 @checked
-def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
+def h2syn(
+    plant: System, measured: Names, commanded: Names, *, settings: SynthesisSettings = SETTINGS
+) -> FullOrderDesign:
     """Controller with the least H2 norm from the other inputs to the other outputs.
 
     That of a sampled plant uses the measurement of the same sample, and white noise has the variance 1 per sample.
+    Numbers of the synthesis are in `settings`.
 
     Raises
     ------
@@ -235,7 +247,7 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
     >>> round(h2syn(P, "y", "u").value, 6)
     1.414214
     """
-    standard = standard_plant(plant, measured, commanded)
+    standard = standard_plant(plant, measured, commanded, settings)
     if standard.system.dt:
         # Its bound is the variance by both equations, and counts if the loop has the same
         try:
@@ -250,9 +262,9 @@ def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
                 f"{standard.system.name}: must have no zeros on the unit circle in its weights, and no command or "
                 "measurement that follows from others, got some"
             )
-        same = abs(value - least) <= REACHED * value
+        same = abs(value - least) <= settings.reached * value
         return FullOrderDesign(controller, closed, value, min(value, least) if same else -np.inf)
-    generalised = _generalised(standard)
+    generalised = _generalised(standard, settings)
     if generalised.plant.D11.any():
         raise InputError(f"{standard.system.name}: D11 must be zero for a finite H2 norm, got a direct path")
     for missing, full_rank in zip(NEEDED, generalised.full_rank):
@@ -319,6 +331,7 @@ def mixsyn(
     output: System | float | None = None,
     *,
     certify: bool = False,
+    settings: SynthesisSettings = SETTINGS,
 ) -> FullOrderDesign:
     """Controller of the least H-infinity norm of the weighted S, K S and T: :func:`hinfsyn` of :func:`augw`.
 
@@ -334,7 +347,7 @@ def mixsyn(
     >>> round(mixsyn(G, W1, 1.0).value, 2)
     1.37
     """
-    return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify)
+    return hinfsyn(augw(plant, error, effort, output), "y", "u", certify=certify, settings=settings)
 
 
 def _best(standard: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> FullOrderDesign | None:
@@ -342,16 +355,18 @@ def _best(standard: StandardPlant, plant: WorkingPlant, weight: float = 0.0) -> 
 
     It has no bound where a `weight` was added, or where its norm is far above the level.
     """
-    low, high = plant.lowest_level() or (0.0, 0.0)
+    settings, (low, high) = plant.settings, plant.lowest_level() or (0.0, 0.0)
     best: FullOrderDesign | None = None
-    for level in (above * high for above in ABOVE if high):
+    for level in (above * high for above in settings.above if high):
         design = _design(standard, plant, level)
         best = min((one for one in (best, design) if one is not None), key=lambda one: one.value, default=None)
-        if best is not None and best.value <= (1.0 + REACHED) * level:  # no other one is better by more than its level
+        if (
+            best is not None and best.value <= (1.0 + settings.reached) * level
+        ):  # no other one is better by more than its level
             break
     if best is None:
         return None
-    bounded = not weight and low <= (1.0 + REACHED) * best.value and best.value <= ABOVE[-2] * high
+    bounded = not weight and low <= (1.0 + settings.reached) * best.value and best.value <= settings.above[-2] * high
     return replace(best, lower=low if bounded else -np.inf, regularised=weight)
 
 
@@ -364,29 +379,20 @@ def _design(standard: StandardPlant, plant: WorkingPlant, level: float) -> FullO
         closed = standard.closed(controller)
     except ValueError:  # a loop that is not well posed
         return None
-    value = norm_of_loop(closed)
+    value = norm_of_loop(closed, plant.settings)
     return FullOrderDesign(controller, closed, value, -np.inf) if np.isfinite(value) else None
 
 
-def norm_of_loop(closed: System) -> float:
+def norm_of_loop(closed: System, settings: SynthesisSettings = SETTINGS) -> float:
     """H-infinity norm of a loop, infinite where it is not stable; its upper side where rounding leaves it open."""
     if not is_stable(closed.A, closed.dt):
         return np.inf
     norm = hinf_norm(closed)
-    return norm.value if norm.upper <= (1.0 + REACHED) * norm.value else norm.upper
+    return norm.value if norm.upper <= (1.0 + settings.reached) * norm.value else norm.upper
 
 
-def _at_level(standard: StandardPlant, generalised: WorkingPlant, level: float) -> FullOrderDesign:
-    changed = (generalised.weighted(w, states) for w in REGULARISED for states in (0.0, w))
-    for plant in itertools.chain([generalised] if all(generalised.full_rank) else [], changed):
-        design = _design(standard, plant, level)
-        if design is not None and design.value <= (1.0 + REACHED) * level:
-            return design
-    raise InputError(f"{standard.system.name}: level must be one that a controller reaches, got {level:g}")
-
-
-def _generalised(standard: StandardPlant) -> WorkingPlant:
-    return WorkingPlant.of(replace(standard, system=continuous(standard.system)).extended)
+def _generalised(standard: StandardPlant, settings: SynthesisSettings) -> WorkingPlant:
+    return WorkingPlant.of(replace(standard, system=continuous(standard.system)).extended, settings)
 
 
 def _controller(standard: StandardPlant, full: FullOrderEstimator) -> System:

@@ -11,7 +11,8 @@ from scipy import linalg
 from lftkit.analysis.riccati import riccati
 from lftkit.errors import InputError
 from lftkit.support.scalars import as_number
-from lftkit.synthesis.full_order import ABOVE, FullOrderDesign, norm_of_loop
+from lftkit.synthesis.full_order import FullOrderDesign, norm_of_loop
+from lftkit.synthesis.settings import SETTINGS, SynthesisSettings
 from lftkit.synthesis.standard_plant import chain, only_port, weight_of
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.feedback import close_loop
@@ -28,6 +29,8 @@ def ncfsyn(
     before: System | float | None = None,
     after: System | float | None = None,
     level: float | None = None,
+    *,
+    settings: SynthesisSettings = SETTINGS,
 ) -> FullOrderDesign:
     """Loop shaping: the controller with the largest margin for perturbed coprime factors of the shaped plant.
 
@@ -40,6 +43,8 @@ def ncfsyn(
     level : float, optional
         A larger value is enough: the controller at this level, ``1.1 * ncfsyn(...).lower`` as a rule, with slower poles
         than that of the least one.
+    settings : SynthesisSettings
+        Numbers of the synthesis, of which `above` and `reached` count.
 
     Returns
     -------
@@ -75,7 +80,7 @@ def ncfsyn(
     if level is not None and not least < as_number(level, "level") < np.inf:
         raise InputError(f"level must be above the least one, {least:.6g}, got {level:g}")
     best: tuple[float, System, System] | None = None
-    for at in [above * least for above in ABOVE] if level is None else [level]:
+    for at in [above * least for above in settings.above] if level is None else [level]:
         # central controller of the normalised coprime factors at this level, positive feedback
         F = -linalg.solve(S, D.T @ C + B.T @ X)
         L = (1.0 - at**2) * np.eye(len(A)) + X @ Z
@@ -84,7 +89,7 @@ def ncfsyn(
         sampled = K if not shaped.dt else to_discrete(*K, shaped.dt)
         law = System(*sampled, (Port("y", y.size),), (Port("u", u.size),), "K", shaped.dt)
         closed = _four_blocks(shaped, law)
-        value = norm_of_loop(closed)
+        value = norm_of_loop(closed, settings)
         if np.isfinite(value) and (best is None or value < best[0]):
             best = value, law, closed
     if best is None:

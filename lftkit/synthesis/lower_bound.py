@@ -25,6 +25,7 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.proofs.trusted.lower_bound import check_lower_bound, exact_constraints
 from lftkit.proofs.trusted.proof import ProofError
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.synthesis.noiseless import noiseless_combinations, undisturbed_states
 from lftkit.synthesis.semidefinite import MatrixInequality, iterates, lower_factor
 from lftkit.synthesis.standard_plant import Names, standard_plant
@@ -33,20 +34,6 @@ from lftkit.systems.exchange import as_system
 from lftkit.systems.sampled.bilinear import to_continuous
 from lftkit.systems.system import System
 
-MAX_ORDER = 20
-"""States up to which a proof is looked for."""
-BELOW = 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2
-"""Relative distances from the level of vectors at which one is claimed, until the check has a margin."""
-CLAIMED = 12
-"""Iterates with the highest levels that are tried: the earlier ones are farther from singular sums."""
-CLOSE = 5e-4
-"""Relative distance of a proven level from the optimum of the program below which one attempt is enough."""
-CONFIRMED, ACCURACY = 2e-3, 5e-4
-"""Relative distance from the value of a closed loop at which an optimum of the program counts, and that of two runs."""
-FROM = (1.0, 0.3), (10.0, 0.1), (10.0, 0.3), (1.0, 0.1), (0.1, 0.3), (0.1, 0.1)
-"""Units of the error over that value, and centring, of the runs of which two must agree."""
-MARGINAL = 1e-9
-"""Real parts of modes over the size of the matrix below which they count as stable."""
 NO_VECTORS = "no vectors were found that contradict a level beyond rounding"
 CONFINED = (
     "measurements without noise (D21 of less than full row rank) leave no definite sum of the plant",
@@ -60,6 +47,36 @@ ATTEMPTS = (
 )  # fmt: skip
 """Sides and centring (:func:`~lftkit.synthesis.semidefinite.iterates`) of attempts, until one is close. One side alone
 is what is left where the other says nothing, as all that it has are stable modes without a disturbance."""
+
+
+@dataclass(frozen=True)
+class LowerBoundSettings(AlgorithmSettings):
+    """Numbers of the search for a proof, and of the numerical bound.
+
+    Attributes
+    ----------
+    most_states : states up to which a proof is looked for
+    below : relative distances from the level of vectors at which one is claimed, until the check has a margin
+    claimed : iterates with the highest levels that are tried: the earlier ones are farther from singular sums
+    close : relative distance of a proven level from the optimum of the program below which one attempt is enough
+    confirmed : relative distance from the value of a closed loop at which an optimum of the program counts
+    accuracy : relative distance of two runs that agree
+    scales, centred : units of the error over that value, and centring, of the runs of which two must agree
+    marginal : real parts of modes over the size of the matrix below which they count as stable
+    """
+
+    most_states: int = 20
+    below: tuple[float, ...] = (1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2)
+    claimed: int = 12
+    close: float = 5e-4
+    confirmed: float = 2e-3
+    accuracy: float = 5e-4
+    scales: tuple[float, ...] = (1.0, 10.0, 10.0, 1.0, 0.1, 0.1)
+    centred: tuple[float, ...] = (0.3, 0.1, 0.3, 0.1, 0.3, 0.1)
+    marginal: float = 1e-9
+
+
+SETTINGS = LowerBoundSettings()
 
 
 @dataclass(frozen=True)
@@ -82,7 +99,9 @@ class ProvenLowerBound:
 
 
 @checked
-def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> ProvenLowerBound:
+def lower_bound_proof(
+    plant: System, measured: Names, commanded: Names, *, settings: LowerBoundSettings = SETTINGS
+) -> ProvenLowerBound:
     """Proven lower bound of the H-infinity norm that any controller can reach, from and to the other ports.
 
     Parameters
@@ -91,6 +110,8 @@ def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> Prove
         Certain, continuous or sampled.
     measured, commanded : str or sequence of str
         Its outputs that a controller sees, and its inputs that it drives.
+    settings : LowerBoundSettings
+        Numbers of the search.
 
     Returns
     -------
@@ -114,19 +135,19 @@ def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> Prove
     (1.414, True)
     """
     system = as_system(plant)
-    problem = _problem(system, measured, commanded)
+    problem = _problem(system, measured, commanded, settings)
     if problem is None:
-        return ProvenLowerBound(-np.inf, None, f"the plant has {system.order} states, more than {MAX_ORDER}")
+        return ProvenLowerBound(-np.inf, None, f"the plant has {system.order} states, more than {settings.most_states}")
     try:
         working = _Working.of(problem)
     except ValueError as error:
         return ProvenLowerBound(-np.inf, None, str(error))
     best: LowerBoundProof | None = None
     for sides, centred in ATTEMPTS:
-        proof, optimum = _best(working, sides, centred)
+        proof, optimum = _best(working, sides, centred, settings)
         if proof is not None and (best is None or proof.level > best.level):
             best, working = proof, _Working.of(problem, proof.level)
-        if proof is not None and all(sides) and proof.level > (1.0 - CLOSE) * optimum:
+        if proof is not None and all(sides) and proof.level > (1.0 - settings.close) * optimum:
             break
     if best is None:
         confined = [text for half, text in zip(working.halves, CONFINED) if half.confined]
@@ -134,39 +155,40 @@ def lower_bound_proof(plant: System, measured: Names, commanded: Names) -> Prove
     return ProvenLowerBound(best.level, best)
 
 
-def confirmed_optimum(plant: System, measured: Names, commanded: Names, value: float) -> float:
+def confirmed_optimum(
+    plant: System, measured: Names, commanded: Names, value: float, settings: LowerBoundSettings = SETTINGS
+) -> float:
     """Numerical lower bound of the norm that controllers reach, where a controller is known that nearly reaches it.
 
     Unlike those of the Riccati equations the program has its optimum for plants without noise or weights, too. Rounding
-    may end it elsewhere, so it counts only where two runs agree and within :data:`CONFIRMED` of the `value` of a loop.
+    may end it elsewhere, so it counts only where two runs agree and nearly reach the `value` of a loop.
 
     Returns
     -------
     float
-        Minus infinity where no attempt ends near to the value, and for more than :data:`MAX_ORDER` states.
+        Minus infinity where no attempt ends near to the value, and for too many states.
     """
-    problem = _problem(as_system(plant), measured, commanded)
+    problem = _problem(as_system(plant), measured, commanded, settings)
     if problem is None:
         return -np.inf
     ratios: list[float] = []
-    for scale, centred in FROM:
+    for scale, centred in zip(settings.scales, settings.centred):
         working = _Working.of(problem, scale * value)
         program = _program(working.halves, [half.kernel for half in working.halves], (True, True))
         squares = [float(v[-1]) for v, _ in iterates(*program, centred)]
         ratio = scale * float(np.sqrt(max(squares[-1], 0.0))) if squares else 0.0
-        if abs(ratio - 1.0) > CONFIRMED:
+        if abs(ratio - 1.0) > settings.confirmed:
             continue
-        if any(abs(ratio - other) <= ACCURACY for other in ratios):
-            return float(min(*ratios, ratio, 1.0) * (1.0 - ACCURACY) * value)
+        if any(abs(ratio - other) <= settings.accuracy for other in ratios):
+            return float(min(*ratios, ratio, 1.0) * (1.0 - settings.accuracy) * value)
         ratios.append(ratio)
     return -np.inf
 
 
-def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundProof | None:
-    """A proof without vectors; None for more than :data:`MAX_ORDER` states."""
+def _problem(system: System, measured: Names, commanded: Names, settings: LowerBoundSettings) -> LowerBoundProof | None:
+    """A proof without vectors; None for too many states."""
     ports = standard_plant(system, measured, commanded)
-    n = system.order
-    if n > MAX_ORDER:
+    if system.order > settings.most_states:
         return None
     rows, columns = (
         tuple(map(int, places([p.name for p in group])))
@@ -174,14 +196,16 @@ def _problem(system: System, measured: Names, commanded: Names) -> LowerBoundPro
     )
     none = [np.zeros((0, 0))] * 10
     claim = LowerBoundProof(0.0, *system.matrices, rows, columns, float(system.dt), *none)
-    undisturbed = [undisturbed_states(A, B, seen, claim.dt) for A, B, _, _, seen in _sides(claim)]
+    undisturbed = [
+        undisturbed_states(A, B, seen, claim.dt, marginal=settings.marginal) for A, B, _, _, seen in _sides(claim)
+    ]
     # what a sampled plant measures without noise may change until the next sample: sums of squares, not zero
     combinations = [
         np.zeros((0, len(seen))) if claim.dt else noiseless_combinations(A, B, seen, states)
         for (A, B, _, _, seen), states in zip(_sides(claim), undisturbed)
     ]
     halves = [_Half.of(side, *rows) for side, *rows in zip(_sides(claim), undisturbed, combinations)]
-    decaying, adjoint = (half.decaying_modes(claim.dt) for half in halves)
+    decaying, adjoint = (half.decaying_modes(claim.dt, settings.marginal) for half in halves)
     noiseless, weightless = combinations
     return replace(
         claim,
@@ -219,7 +243,7 @@ class _Half:
             states, rows = np.vstack([states, decaying]), np.vstack([rows, np.pad(decaying, ((0, 0), (0, B.shape[1])))])
         return cls(A, B, C, D, rows, _null_space(states))
 
-    def decaying_modes(self, dt: float) -> FloatArray:
+    def decaying_modes(self, dt: float, marginal: float) -> FloatArray:
         """Rows on x of the stable modes that no w reaches, where it reaches none: sums S are not positive there."""
         kernel, n = self.kernel, len(self.A)
         x = kernel[:n]
@@ -227,7 +251,7 @@ class _Half:
             return np.zeros((0, n))
         coordinates = linalg.pinv(x)
         F = coordinates @ (self.A @ x + self.B @ kernel[n:])
-        ends = MARGINAL * float(np.abs(F).max(initial=0.0))
+        ends = marginal * float(np.abs(F).max(initial=0.0))
         _, Q, count = linalg.schur(
             F.T, sort=(lambda re, im: np.hypot(re, im) < 1.0) if dt else lambda re, im: re < ends
         )
@@ -349,7 +373,9 @@ class _Working:
         return replace(self.given, unseen=unseen, unmoved=unmoved, left=P, right=Q, level=level)
 
 
-def _best(working: _Working, sides: Sides, centred: float) -> tuple[LowerBoundProof | None, float]:
+def _best(
+    working: _Working, sides: Sides, centred: float, settings: LowerBoundSettings
+) -> tuple[LowerBoundProof | None, float]:
     """The proof with the highest level that the check accepts, and the optimum of the program."""
     plant, adjoint = working.halves
     kernels = [half.kernel if used else np.zeros((len(half.kernel), 0)) for half, used in zip(working.halves, sides)]
@@ -366,8 +392,8 @@ def _best(working: _Working, sides: Sides, centred: float) -> tuple[LowerBoundPr
             if proof is not None:
                 proofs.append(proof)
     best: LowerBoundProof | None = None
-    for proof in sorted(proofs, key=lambda one: -one.level)[:CLAIMED]:
-        for below in BELOW:
+    for proof in sorted(proofs, key=lambda one: -one.level)[: settings.claimed]:
+        for below in settings.below:
             if best is not None and (1.0 - below) * proof.level <= best.level:
                 break
             claimed = working.claimed(proof.unseen, proof.unmoved, below)

@@ -27,7 +27,8 @@ from lftkit.proofs.robustness import robust_stability
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.proofs.structured.bounds import MuBounds, mu
 from lftkit.proofs.trusted.structured import UncertaintyBlock
-from lftkit.support.scalars import as_integer, as_number
+from lftkit.support.scalars import as_integer
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.synthesis.full_order import controller_of_least_norm
 from lftkit.synthesis.standard_plant import Names, StandardPlant, standard_plant
 from lftkit.systems.arguments import checked
@@ -40,19 +41,37 @@ from lftkit.systems.sampled.image import continuous
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import DynamicElement, Element, width
 
-POINTS, BEYOND = 60, 10.0
-"""Frequencies at which the scalings are computed, where none are given, beside those of resonances of the plant, and
-the factor by which they go beyond its slowest and its fastest pole."""
-WORSE = 1.02
-"""Ratio of the peak with fitted scalings to that with the best ones from which on the order is raised."""
-SHARPNESS = 4
-"""Power of the ratio to the peak with which a frequency counts for the fit."""
-LARGEST_SCALE = 1e6
-FINAL = (0, WORSE), (4, 1.001)
-"""Further orders of the scalings of the bound, and the ratio from which on the order is raised."""
-PEAKS = 5
-"""Frequencies at which the lower bound is looked for."""
-PERFORMANCE = "performance"
+
+@dataclass(frozen=True)
+class MuSettings(AlgorithmSettings):
+    """Numbers of D-K iteration.
+
+    Attributes
+    ----------
+    tolerance : relative change of the least peak at which the iteration ends
+    points : frequencies at which the scalings are computed, beside those of resonances of the plant, where none are
+        asked for
+    beyond : factor by which they go beyond its slowest and its fastest pole
+    worse : ratio of the peak with fitted scalings to that with the best ones from which on the order is raised
+    sharpness : power of the ratio to the peak with which a frequency counts for the fit
+    largest_scale : largest scale of an element over that of the performance, and one over the least
+    final_orders : further orders of the scalings of the bound
+    final_worse : as `worse`, for each of them
+    peaks : frequencies at which the lower bound is looked for
+    """
+
+    tolerance: float = 0.002
+    points: int = 60
+    beyond: float = 10.0
+    worse: float = 1.02
+    sharpness: int = 4
+    largest_scale: float = 1e6
+    final_orders: tuple[int, ...] = (0, 4)
+    final_worse: tuple[float, ...] = (1.02, 1.001)
+    peaks: int = 5
+
+
+SETTINGS = MuSettings()
 
 
 @dataclass(frozen=True)
@@ -100,9 +119,9 @@ def musyn(
     *,
     iterations: int = 10,
     scaling_order: int = 4,
-    tolerance: float = 0.002,
     omega: ArrayLike | None = None,
     options: BoundOptions | None = None,
+    settings: MuSettings = SETTINGS,
 ) -> MuDesign:
     """Controller with a small structured singular value from all uncertainty and disturbances, by D-K iteration.
 
@@ -118,13 +137,13 @@ def musyn(
         Most controllers.
     scaling_order : int
         Largest order of the scaling of one channel.
-    tolerance : float
-        Relative change of the least peak at which the iteration ends.
     omega : array_like, optional
         Frequencies of the scalings [rad/s]; of a sampled plant below pi / dt.
     options : BoundOptions, optional
         Prove the robust performance by :func:`lftkit.proofs.robust_stability`, too, with a block of the performance:
         it has a proof that separate code checks, with real elements as such, and takes far longer.
+    settings : MuSettings
+        Numbers of the iteration.
 
     Returns
     -------
@@ -156,16 +175,14 @@ def musyn(
     for value, what, least in ((iterations, "iterations", 1), (scaling_order, "scaling_order", 0)):
         if as_integer(value, what) < least:
             raise InputError(f"{what} must be at least {least}, got {value}")
-    if not as_number(tolerance, "tolerance") >= 0.0:
-        raise InputError(f"tolerance must be zero or positive, got {tolerance}")
-    problem = _Problem.of(as_system(plant), measured, commanded)
+    problem = _Problem.of(as_system(plant), measured, commanded, settings)
     grid = problem.grid(omega)
     best = problem.candidate(problem.standard.system, grid)
     peaks, last, status = [best.peak], best, "iteration_limit"
     for _ in range(iterations - 1):
         try:
             last = problem.candidate(
-                _between(problem.standard.system, last.fitted(scaling_order), problem.structure), grid
+                _between(problem.standard.system, last.fitted(scaling_order, settings.worse), problem.structure), grid
             )
         except ValueError:
             status = "no_controller"
@@ -173,7 +190,7 @@ def musyn(
         before = best.peak
         peaks.append(last.peak)
         best = last if last.peak < before else best
-        if abs(before - last.peak) <= tolerance * last.peak:
+        if abs(before - last.peak) <= settings.tolerance * last.peak:
             status = "converged"
             break
     return problem.design(best, tuple(peaks), status, scaling_order, options)
@@ -187,6 +204,7 @@ class _Candidate:
     closed: System
     structure: tuple[UncertaintyBlock, ...]
     omega: FloatArray
+    settings: MuSettings
 
     @cached_property
     def responses(self) -> ComplexArray:
@@ -210,22 +228,22 @@ class _Candidate:
     @property
     def lower(self) -> float:
         """Largest lower bound, at the frequencies with the largest upper ones."""
-        worst = np.argsort(self.upper)[-PEAKS:]
+        worst = np.argsort(self.upper)[-self.settings.peaks :]
         return max(mu(self.responses[k], self.structure, rtol=1e-3).lower for k in worst)
 
     @cached_property
     def scales(self) -> FloatArray:
         """Scales of the blocks over that of the last one (N, blocks)."""
-        scales = np.ones((len(self.omega), len(self.structure)))
+        largest, scales = self.settings.largest_scale, np.ones((len(self.omega), len(self.structure)))
         for row, bounds in zip(scales, self._bounds):
             if bounds.certificate is not None:
                 D = np.array([d[0, 0].real for d in bounds.certificate.D])
                 row[:] = np.sqrt(D / D[-1])
-        return np.clip(scales, 1.0 / LARGEST_SCALE, LARGEST_SCALE)
+        return np.clip(scales, 1.0 / largest, largest)
 
-    def fitted(self, largest: int, worse: float = WORSE) -> tuple[System, ...]:
+    def fitted(self, largest: int, worse: float) -> tuple[System, ...]:
         """A system for the scale of each element, of the least order with which the peak is hardly worse."""
-        weight = (self.upper / self.peak) ** SHARPNESS
+        weight = (self.upper / self.peak) ** self.settings.sharpness
         fits = []
         for k in range(len(self.structure) - 1):
             tried = []
@@ -252,9 +270,10 @@ class _Problem:
     plant: System
     measured: Names
     commanded: Names
+    settings: MuSettings
 
     @classmethod
-    def of(cls, plant: System, measured: Names, commanded: Names) -> _Problem:
+    def of(cls, plant: System, measured: Names, commanded: Names, settings: MuSettings) -> _Problem:
         """Refuse elements that occur several times.
 
         Raises
@@ -268,7 +287,7 @@ class _Problem:
         for name, count in sorted_plant.occurrences().items():
             if count > 1:
                 raise InputError(f"element {name!r} must occur once for musyn, got {count} occurrences")
-        return cls(sorted_plant, measured, commanded)
+        return cls(sorted_plant, measured, commanded, settings)
 
     @cached_property
     def image(self) -> System:
@@ -311,14 +330,14 @@ class _Problem:
             if not (len(grid) and grid[0] > 0.0 and np.all(np.diff(grid) > 0.0) and grid[-1] < end):
                 raise InputError(f"omega must be positive and rising, below {end:g} rad/s, got other frequencies")
             return np.asarray(2.0 / dt * np.tan(0.5 * dt * grid)) if dt else grid
-        poles = self.image.poles()
+        poles, beyond = self.image.poles(), self.settings.beyond
         low, high = pole_range(poles)
-        return frequency_grid(poles, low / BEYOND, high * BEYOND, points=POINTS)
+        return frequency_grid(poles, low / beyond, high * beyond, points=self.settings.points)
 
     def candidate(self, scaled: System, omega: FloatArray) -> _Candidate:
         """The controller of a scaled plant."""
         controller = controller_of_least_norm(scaled, self.measured, self.commanded)
-        return _Candidate(controller, self.standard.closed(controller), self.structure, omega)
+        return _Candidate(controller, self.standard.closed(controller), self.structure, omega, self.settings)
 
     def design(
         self,
@@ -335,12 +354,28 @@ class _Problem:
         whole = close(self.plant, law, {p.name: p.name for p in (*standard.measured, *standard.commanded)})
         inputs, outputs = ([p.name for p in side[1:]] for side in (standard.disturbances, standard.errors))
         closed = whole.select(inputs=inputs, outputs=outputs)
-        tried = [best.fitted(scaling_order + further, worse) for further, worse in FINAL]
+        final = zip(self.settings.final_orders, self.settings.final_worse)
+        tried = [best.fitted(scaling_order + further, worse) for further, worse in final]
         norms = [hinf_norm(_between(best.closed, fits, self.structure)).upper for fits in tried]
         k = int(np.argmin(norms))
         proof = None
         if options is not None:
-            loop = _with_performance(continuous(closed))
+            # With dynamics of bound 1 from the outputs to the inputs, the block of the performance
+            loop = continuous(closed)
+            (p, m), q = loop.D.shape, len(loop.channels)
+            size = max(p, m) - q
+            name = _free("performance", {e.name for e in loop.elements})
+            loop = System(
+                loop.A,
+                np.pad(loop.B, ((0, 0), (0, size + q - m))),
+                np.pad(loop.C, ((0, size + q - p), (0, 0))),
+                np.pad(loop.D, ((0, size + q - p), (0, size + q - m))),
+                (),
+                (),
+                loop.name,
+                channels=(*loop.channels, *[name] * size),
+                elements=(*loop.elements, DynamicElement(name, m - q, p - q)),
+            )
             proof = robust_stability(loop, largest=1.0 / norms[k], options=options)
         return MuDesign(law, closed, best.lower, norms[k], peaks, status, tried[k], proof)
 
@@ -377,19 +412,4 @@ def _diagonal(first: list[System], ports: tuple[Port, ...]) -> System:
         ports,
         ports,
         "scaling",
-    )
-
-
-def _with_performance(closed: System) -> System:
-    """The loop with dynamics of bound 1 from its outputs to its inputs, the block of the performance."""
-    q, (p, m) = len(closed.channels), closed.D.shape
-    nz, nw = p - q, m - q
-    size = max(nz, nw)
-    name = _free(PERFORMANCE, {e.name for e in closed.elements})
-    B = np.hstack([closed.B, np.zeros((closed.order, size - nw))])
-    C = np.vstack([closed.C, np.zeros((size - nz, closed.order))])
-    D = np.pad(closed.D, ((0, size - nz), (0, size - nw)))
-    block = DynamicElement(name, nw, nz)
-    return System(
-        closed.A, B, C, D, (), (), closed.name, 0.0, (*closed.channels, *[name] * size), (*closed.elements, block)
     )

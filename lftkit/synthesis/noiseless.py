@@ -16,14 +16,14 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.proofs.trusted.lower_bound import exact_constraints, follows, rational
 
-MARGINAL = 1e-9
-"""Decay of modes, over the largest magnitude of one, from which they count as stable."""
-WORST = 1e8
-"""Condition of normalised rows above which they count as dependent."""
-
 
 def noiseless_combinations(
-    A: FloatArray, B: FloatArray, seen: FloatArray, undisturbed: FloatArray | None = None
+    A: FloatArray,
+    B: FloatArray,
+    seen: FloatArray,
+    undisturbed: FloatArray | None = None,
+    *,
+    condition: float = 1e8,
 ) -> FloatArray:
     """All independent ones of the measurements ``y = C x + D w`` of a plant ``x' = A x + B w``, and of their rates.
 
@@ -35,6 +35,8 @@ def noiseless_combinations(
         ``[C D]``.
     undisturbed : ndarray, shape (k, n), optional
         Those of :func:`undisturbed_states`.
+    condition : float
+        Condition of normalised rows above which they count as dependent.
 
     Returns
     -------
@@ -60,16 +62,25 @@ def noiseless_combinations(
             size = count + len(chosen) + 1
             row = np.pad(factors, (0, size - len(factors)))[None]
             wider = np.vstack([np.pad(chosen, ((0, 0), (0, 1))), row])
-            if all(_independent(part) for part in exact_constraints(A, B, seen, states, wider)):
+            if all(_independent(part, condition) for part in exact_constraints(A, B, seen, states, wider)):
                 chosen = wider
         if len(chosen) == before:
             return chosen
 
 
-def undisturbed_states(A: FloatArray, B: FloatArray, seen: FloatArray, dt: float = 0.0) -> FloatArray:
+def undisturbed_states(
+    A: FloatArray,
+    B: FloatArray,
+    seen: FloatArray,
+    dt: float = 0.0,
+    *,
+    marginal: float = 1e-9,
+    condition: float = 1e8,
+) -> FloatArray:
     """Unit rows (k, n) of stable states that no w reaches while the measurements are zero, as those of a weight.
 
-    Their rates are combinations of these states and the measurements, exactly.
+    Their rates are combinations of these states and the measurements, exactly. A mode counts as stable from a decay of
+    `marginal` on, over the largest magnitude of one; `condition` is as in :func:`noiseless_combinations`.
 
     Examples
     --------
@@ -91,9 +102,9 @@ def undisturbed_states(A: FloatArray, B: FloatArray, seen: FloatArray, dt: float
         return np.zeros((0, n))
     factors = linalg.lstsq(seen[:, others].T, dynamics[np.ix_(states, others)].T)[0]
     poles = linalg.eigvals(A[np.ix_(states, states)] - factors.T @ seen[:, states])
-    stable = np.abs(poles).max() < 1.0 - MARGINAL if dt else poles.real.max() < -MARGINAL * np.abs(poles).max()
+    stable = np.abs(poles).max() < 1.0 - marginal if dt else poles.real.max() < -marginal * np.abs(poles).max()
     rows = np.eye(n)[states]
-    apart = all(_independent(part) for part in exact_constraints(A, B, seen, rows, np.zeros((0, 0))))
+    apart = all(_independent(part, condition) for part in exact_constraints(A, B, seen, rows, np.zeros((0, 0))))
     return rows if stable and apart else np.zeros((0, n))
 
 
@@ -104,7 +115,7 @@ def _spanned(row: FloatArray, rows: FloatArray) -> bool:
     return small and follows(rational(row), rational(rows))
 
 
-def _independent(rows: Any) -> bool:
+def _independent(rows: Any, condition: float) -> bool:
     """Whether rows, in any units, are so beyond rounding."""
     values = rows.astype(float)
     if not len(values):
@@ -113,7 +124,7 @@ def _independent(rows: Any) -> bool:
     if len(values) > values.shape[1] or not np.all(sizes > 0.0):
         return False
     gains = linalg.svdvals(values / sizes)
-    return float(gains[0]) < WORST * float(gains[-1])
+    return float(gains[0]) < condition * float(gains[-1])
 
 
 def _null_rows(matrix: Any) -> list[FloatArray]:

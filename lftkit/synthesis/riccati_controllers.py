@@ -18,12 +18,7 @@ from lftkit.analysis.riccati import riccati
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.regular_solve import regular_solve
 from lftkit.synthesis.extended_plant import ExtendedPlant
-
-LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
-SHARES = 1.0, 0.0, 0.5, 0.9, 0.99, 0.999
-"""Parts of the static gain that are tried until its loop with D22 is well posed."""
-WELL_POSED = 1e-6
-"""Ratio of the singular values of that loop."""
+from lftkit.synthesis.settings import SETTINGS, SynthesisSettings
 
 
 @dataclass(frozen=True)
@@ -57,34 +52,35 @@ def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
     return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)
 
 
-def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
+def lowest_level(plant: ExtendedPlant, settings: SynthesisSettings = SETTINGS) -> tuple[float, float] | None:
     """Levels of the H-infinity norm without and with a controller, close to each other; None where none is found."""
-    high = next((10.0**k for k in range(LEVELS) if central(plant, 10.0**k) is not None), None)
+    levels = (10.0**k for k in range(settings.decades))
+    high = next((level for level in levels if central(plant, level, settings) is not None), None)
     if high is None:
         return None
-    for _ in range(LEVELS):
-        if central(plant, high / 10.0) is None:
+    for _ in range(settings.decades):
+        if central(plant, high / 10.0, settings) is None:
             break
         high /= 10.0
     else:
         return None
     low = high / 10.0
-    for _ in range(BISECTIONS):
+    for _ in range(settings.bisections):
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if central(plant, middle) is not None else (middle, high)
+        low, high = (low, middle) if central(plant, middle, settings) is not None else (middle, high)
     return low, high
 
 
-def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
+def central(plant: ExtendedPlant, level: float, settings: SynthesisSettings = SETTINGS) -> FullOrderEstimator | None:
     """Central controller at a level; None where the equations have no solution that is one."""
     try:
-        return _central(plant, level)
+        return _central(plant, level, settings)
     except linalg.LinAlgError:  # at the least level the coupling of both solutions is singular
         return None
 
 
-def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
-    K = _parrott(plant, level)
+def _central(plant: ExtendedPlant, level: float, settings: SynthesisSettings) -> FullOrderEstimator | None:
+    K = _parrott(plant, level, settings)
     shifted = None if K is None else _without_direct_path(_with_static_gain(plant, K), level)
     if K is None or shifted is None:
         return None
@@ -112,7 +108,7 @@ def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
 
 
-def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
+def _parrott(plant: ExtendedPlant, level: float, settings: SynthesisSettings) -> FloatArray | None:
     """Static gain with which the direct path from disturbance to error is below a level; None where there is none."""
     nu, ny = plant.D12.shape[1], len(plant.D21)
     U, sizes, V = linalg.svd(plant.D12)
@@ -124,12 +120,12 @@ def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
         return None
     inner = -c @ regular_solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
     gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
-    for part in SHARES:  # the central gain may make the loop with D22 singular
+    for part in settings.shares:  # the central gain may make the loop with D22 singular
         scaled = part * gain
         loop = np.eye(ny) + plant.D22 @ scaled
         if part == 1.0 or _gain(plant.D11 + plant.D12 @ scaled @ plant.D21) < level:
             sizes = linalg.svdvals(loop)
-            if sizes[-1] > WELL_POSED * sizes[0]:
+            if sizes[-1] > settings.well_posed * sizes[0]:
                 return np.asarray(scaled @ _inverse(loop))  # of what the commands add to y
     return None
 
@@ -215,24 +211,24 @@ def sampled_lqg(plant: ExtendedPlant, *, direct: bool = True) -> tuple[Matrices,
     with warnings.catch_warnings():
         warnings.simplefilter("error", linalg.LinAlgWarning)
         try:
-            return _sampled_lqg(plant, direct)
+            A, B1, B2, C1, C2, D11, D12, D21, D22 = (
+                getattr(plant, name) for name in ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
+            )
+            X = linalg.solve_discrete_are(A, B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
+            Y = linalg.solve_discrete_are(A.T, C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
+            R, S = D12.T @ D12 + B2.T @ X @ B2, D21 @ D21.T + C2 @ Y @ C2.T
+            F, F0 = (-linalg.solve(R, B2.T @ X @ M + D12.T @ N, assume_a="pos") for M, N in ((A, C1), (B1, D11)))
+            K, G = (
+                linalg.solve(S, M.T, assume_a="pos").T for M in (A @ Y @ C2.T + B1 @ D21.T, F @ Y @ C2.T + F0 @ D21.T)
+            )
+            if not direct:
+                G = np.zeros_like(G)
+            variance = float(
+                np.trace(D11.T @ D11 + B1.T @ X @ B1) + np.trace(R @ F @ Y @ F.T) - np.trace(R @ G @ S @ G.T)
+            )
+            inner = linalg.inv(np.eye(len(F)) + G @ D22)
+            C, D = inner @ (F - G @ C2), inner @ G
+            into = B2 - K @ D22
+            return (A - K @ C2 + into @ C, K + into @ D, C, D), float(np.sqrt(max(variance, 0.0)))
         except linalg.LinAlgWarning as error:
             raise linalg.LinAlgError(str(error)) from None
-
-
-def _sampled_lqg(plant: ExtendedPlant, direct: bool) -> tuple[Matrices, float]:
-    A, B1, B2, C1, C2, D11, D12, D21, D22 = (
-        getattr(plant, name) for name in ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
-    )
-    X = linalg.solve_discrete_are(A, B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
-    Y = linalg.solve_discrete_are(A.T, C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
-    R, S = D12.T @ D12 + B2.T @ X @ B2, D21 @ D21.T + C2 @ Y @ C2.T
-    F, F0 = (-linalg.solve(R, B2.T @ X @ M + D12.T @ N, assume_a="pos") for M, N in ((A, C1), (B1, D11)))
-    K, G = (linalg.solve(S, M.T, assume_a="pos").T for M in (A @ Y @ C2.T + B1 @ D21.T, F @ Y @ C2.T + F0 @ D21.T))
-    if not direct:
-        G = np.zeros_like(G)
-    variance = float(np.trace(D11.T @ D11 + B1.T @ X @ B1) + np.trace(R @ F @ Y @ F.T) - np.trace(R @ G @ S @ G.T))
-    inner = linalg.inv(np.eye(len(F)) + G @ D22)
-    C, D = inner @ (F - G @ C2), inner @ G
-    into = B2 - K @ D22
-    return (A - K @ C2 + into @ C, K + into @ D, C, D), float(np.sqrt(max(variance, 0.0)))

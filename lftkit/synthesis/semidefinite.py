@@ -15,19 +15,35 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.support.settings import AlgorithmSettings
 
 Point = tuple[FloatArray, list[FloatArray], list[FloatArray]]
 """Variables, slack and dual matrices."""
-BOUNDARY = 0.9
-"""Part of the way to the boundary that a step takes."""
-START = 1e3
-"""Size of the matrices of the start over those that are given."""
-FEASIBLE = 1e-6
-"""Error of the equations above which steps do not lower the products by more than the given part."""
-LARGEST = 1e12
-"""Size of the variables at which there is no optimum."""
-ENOUGH = 1e-9
-"""Mean product of slack and dual matrices, relative to the objective, at which it is reached."""
+
+
+@dataclass(frozen=True)
+class ProgramSettings(AlgorithmSettings):
+    """Numbers of the interior-point method.
+
+    Attributes
+    ----------
+    boundary : part of the way to the boundary that a step takes
+    start : size of the matrices of the start over those of the inequalities
+    feasible : error of the equations above which steps do not lower the products by more than the part `centred`
+    largest : size of the variables at which there is no optimum
+    enough : mean product of slack and dual matrices, relative to the objective, at which it is reached
+    most : iterates, at most
+    """
+
+    boundary: float = 0.9
+    start: float = 1e3
+    feasible: float = 1e-6
+    largest: float = 1e12
+    enough: float = 1e-9
+    most: int = 60
+
+
+SETTINGS = ProgramSettings()
 
 
 @dataclass(frozen=True)
@@ -39,7 +55,7 @@ class MatrixInequality:
 
 
 def iterates(
-    c: FloatArray, inequalities: Sequence[MatrixInequality], centred: float = 0.7, most: int = 60
+    c: FloatArray, inequalities: Sequence[MatrixInequality], centred: float = 0.7, settings: ProgramSettings = SETTINGS
 ) -> Iterator[tuple[FloatArray, tuple[FloatArray, ...]]]:
     """Variables and dual matrices of the method's iterates, better and better until rounding ends it.
 
@@ -50,8 +66,8 @@ def iterates(
     centred : float
         Part of the products that is aimed at while the equations are not met: the nearer to 1, the better they are met
         at the end, and the larger the variables.
-    most : int
-        Number of them.
+    settings : ProgramSettings
+        Numbers of the method.
 
     Examples
     --------
@@ -66,17 +82,17 @@ def iterates(
     size = sum(len(one.constant) for one in kept)
     v: FloatArray = np.zeros(len(c))
     largest = max(1.0, float(np.abs(c).max()), *(float(np.abs(one.constant).max()) for one in kept))
-    slack, dual = ([START * largest * np.eye(len(one.constant)) for one in kept] for _ in range(2))
-    for _ in range(most):
+    slack, dual = ([settings.start * largest * np.eye(len(one.constant)) for one in kept] for _ in range(2))
+    for _ in range(settings.most):
         try:
-            v, slack, dual = _step(c, kept, (v, slack, dual), centred)
+            v, slack, dual = _step(c, kept, (v, slack, dual), centred, settings)
         except (linalg.LinAlgError, ValueError):
             return
-        if not np.all(np.isfinite(v)) or float(np.abs(v).max()) > LARGEST:
+        if not np.all(np.isfinite(v)) or float(np.abs(v).max()) > settings.largest:
             return
         whole = iter(dual)
         yield v, tuple(next(whole) if len(one.constant) else one.constant for one in inequalities)
-        if _product(dual, slack) / size < ENOUGH * float(np.abs(c @ v)):
+        if _product(dual, slack) / size < settings.enough * float(np.abs(c @ v)):
             return
 
 
@@ -85,6 +101,7 @@ def _step(
     inequalities: Sequence[MatrixInequality],
     point: Point,
     centred: float,
+    settings: ProgramSettings,
 ) -> Point:
     """One predictor and corrector."""
     v, slack, dual = point
@@ -107,15 +124,16 @@ def _step(
         return dv, dS, [0.5 * (D + D.T) for D in dZ]
 
     _, dS, dZ = direction([np.zeros_like(S) for S in slack])
-    p, d = _length(dual, dZ), _length(slack, dS)
+    p, d = _length(dual, dZ, settings.boundary), _length(slack, dS, settings.boundary)
     ahead = _product([Z + p * D for Z, D in zip(dual, dZ)], [S + d * D for S, D in zip(slack, dS)]) / size
     missing = float(np.abs(sum(f @ Z.ravel() for f, Z in zip(rows, dual)) - c).max())
-    feasible = missing < FEASIBLE * float(np.abs(c).max()) and max(float(np.abs(one).max()) for one in off) < FEASIBLE
+    feasible = missing < settings.feasible * float(np.abs(c).max())
+    feasible = feasible and max(float(np.abs(one).max()) for one in off) < settings.feasible
     centring = min(1.0, max(ahead / mean, 0.0) ** 2) if min(p, d) > 0.1 else 0.5
     centring = centring if feasible else max(centring, centred)
     targets = [centring * mean * np.eye(len(S)) - a @ b for S, a, b in zip(slack, dZ, dS)]
     dv, dS, dZ = direction(targets)
-    p, d = _length(dual, dZ), _length(slack, dS)
+    p, d = _length(dual, dZ, settings.boundary), _length(slack, dS, settings.boundary)
     return v + d * dv, [S + d * D for S, D in zip(slack, dS)], [Z + p * D for Z, D in zip(dual, dZ)]
 
 
@@ -144,7 +162,7 @@ def _product(dual: Sequence[FloatArray], slack: Sequence[FloatArray]) -> float:
     return sum(float(np.sum(Z * S)) for Z, S in zip(dual, slack))
 
 
-def _length(matrices: Sequence[FloatArray], steps: Sequence[FloatArray]) -> float:
+def _length(matrices: Sequence[FloatArray], steps: Sequence[FloatArray], boundary: float) -> float:
     """Part of a step that keeps all matrices positive definite."""
     longest = 1.0
     for M, step in zip(matrices, steps):
@@ -152,5 +170,5 @@ def _length(matrices: Sequence[FloatArray], steps: Sequence[FloatArray]) -> floa
         inner = linalg.solve_triangular(L, linalg.solve_triangular(L, step, lower=True).T, lower=True)
         least = float(linalg.eigvalsh(0.5 * (inner + inner.T))[0])
         if least < 0.0:
-            longest = min(longest, -BOUNDARY / least)
+            longest = min(longest, -boundary / least)
     return longest

@@ -7,7 +7,7 @@ in the weights, its gradient are the powers that the optimal controller makes, a
 are equal (Boyd and Barratt, Linear Controller Design, 1991, section 14.5).
 
 The bound holds for linear controllers of any order that use a measurement at once. It is computed numerically, with a
-weight of the commands that contributes :data:`EFFORT` of the power of the output.
+weight of the commands that contributes a small part of the power of the output.
 """
 
 from __future__ import annotations
@@ -22,14 +22,28 @@ from lftkit.analysis.riccati import discrete_riccati, stein
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.regular_solve import regular_solve
+from lftkit.support.settings import AlgorithmSettings
 
-EFFORT = 1e-8
-"""Weight of the power of a command, relative to the power of the output that a white command makes."""
-LEAST_WEIGHT = 1e-8
-"""Weights are hardly lower: one that is needed again grows."""
-STEPS = 40
-GAP = 0.02
-"""Relative distance of the bound from the largest power at which the weights are good enough."""
+
+@dataclass(frozen=True)
+class SharedBoundSettings(AlgorithmSettings):
+    """Numbers of the search for the largest bound.
+
+    Attributes
+    ----------
+    effort : weight of the power of a command, relative to the power of the output that a white command makes
+    least_weight : weights are hardly lower: one that is needed again grows
+    steps : changes of the weights, at most
+    gap : relative distance of the bound from the largest power at which the weights are good enough
+    """
+
+    effort: float = 1e-8
+    least_weight: float = 1e-8
+    steps: int = 40
+    gap: float = 0.02
+
+
+SETTINGS = SharedBoundSettings()
 
 
 @dataclass(frozen=True)
@@ -106,8 +120,8 @@ class LqgProblem:
     estimate: FloatArray
 
     @staticmethod
-    def of(plant: SampledPlant) -> LqgProblem:
-        """The problem of a plant whose states are scaled.
+    def of(plant: SampledPlant, weight: float = SETTINGS.effort) -> LqgProblem:
+        """The problem of a plant whose states are scaled; `weight` is that of the commands.
 
         Raises
         ------
@@ -116,7 +130,7 @@ class LqgProblem:
         """
         A, B, C = plant.A, plant.B, plant.C
         seen = stein(A.T, C.T @ C)
-        effort = EFFORT * np.maximum(np.einsum("ij,ij->j", B, seen @ B), np.finfo(float).tiny)
+        effort = weight * np.maximum(np.einsum("ij,ij->j", B, seen @ B), np.finfo(float).tiny)
         X = discrete_riccati(A, B / effort @ B.T, C.T @ C)
         inner = B.T @ X @ B + np.diag(effort)
         F = regular_solve(inner, B.T @ X @ A)
@@ -147,6 +161,7 @@ def shared_bound(
     plant: SampledPlant,
     enough: Callable[[SharedBound], bool] = lambda bound: False,
     weights: Sequence[float] | FloatArray | None = None,
+    settings: SharedBoundSettings = SETTINGS,
 ) -> SharedBound:
     """Largest lower bound that is found of the largest root mean square over the noises of a stable plant.
 
@@ -158,6 +173,8 @@ def shared_bound(
         Ends the search where a bound says what one wants to know.
     weights : array_like, optional
         Where the search begins.
+    settings : SharedBoundSettings
+        Numbers of the search.
 
     Raises
     ------
@@ -178,22 +195,22 @@ def shared_bound(
     radius = float(np.abs(linalg.eigvals(plant.A)).max(initial=0.0))
     if not radius < 1.0:
         raise InputError(f"plant must be stable without control, got a spectral radius of {radius:.6g}")
-    problem = LqgProblem.of(plant.scaled)
+    problem = LqgProblem.of(plant.scaled, settings.effort)
     q = np.full(len(plant.noises), 1.0) if weights is None else np.array(weights, dtype=float)
-    q = _shares(q)
+    q = _shares(q, settings.least_weight)
     best = SharedBound(0.0, np.full(len(q), np.inf), q)
-    for _ in range(STEPS):
+    for _ in range(settings.steps):
         powers = problem.powers(q)
         mean, largest = float(q @ powers), float(powers.max())
         if np.sqrt(mean) >= best.value:
             best = SharedBound(float(np.sqrt(mean)), np.sqrt(powers), q)
-        if enough(best) or largest <= (1.0 + GAP) * mean:
+        if enough(best) or largest <= (1.0 + settings.gap) * mean:
             break
-        q = _shares(q * np.sqrt(powers))
+        q = _shares(q * np.sqrt(powers), settings.least_weight)
     return best
 
 
-def _shares(weights: FloatArray) -> FloatArray:
+def _shares(weights: FloatArray, least: float) -> FloatArray:
     """Weights of sum 1, of which none is below the least."""
-    kept = np.maximum(weights / weights.sum(), LEAST_WEIGHT)
+    kept = np.maximum(weights / weights.sum(), least)
     return np.asarray(kept / kept.sum())

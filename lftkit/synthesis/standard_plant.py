@@ -15,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.extended_plant import ExtendedPlant
+from lftkit.synthesis.settings import SETTINGS, SynthesisSettings
 from lftkit.systems import lft
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.exchange import as_system
@@ -22,13 +23,6 @@ from lftkit.systems.ports import Port, names_of_ports
 from lftkit.systems.system import System
 
 Names = str | Sequence[str]
-
-RANK = 1e-9
-"""Smallest singular value of D12 and D21, relative to the largest one or to 1, that counts as rank."""
-AXIS = 1e-11
-"""Real part of a mode, relative to the norm of A, above which it must be reached and seen."""
-UNREACHED = 1e-10
-"""Smallest singular value of the Popov, Belevitch and Hautus matrix, rows of size 1, of a mode that is not reached."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,9 @@ class StandardPlant:
         return close_loop(self.system, controller, *names)
 
 
-def standard_plant(plant: System, measured: Names, commanded: Names) -> StandardPlant:
+def standard_plant(
+    plant: System, measured: Names, commanded: Names, settings: SynthesisSettings = SETTINGS
+) -> StandardPlant:
     """A plant with its ports in two groups.
 
     Raises
@@ -91,11 +87,11 @@ def standard_plant(plant: System, measured: Names, commanded: Names) -> Standard
         disturbances,
         errors,
     )
-    _require_stabilisable(standard)
+    _require_stabilisable(standard, settings)
     return standard
 
 
-def _require_stabilisable(standard: StandardPlant) -> None:
+def _require_stabilisable(standard: StandardPlant, settings: SynthesisSettings) -> None:
     """Refuse a mode that is not stable and that no command reaches or no measurement sees."""
     A, B, C, _ = standard.system.matrices
     B = B[:, standard.system.input_indices([p.name for p in standard.commanded])]
@@ -103,14 +99,14 @@ def _require_stabilisable(standard: StandardPlant) -> None:
     poles = standard.system.poles()
     scale = float(linalg.norm(A))
     for pole in poles:
-        slow = abs(pole) < 1.0 if standard.system.dt else pole.real < -AXIS * scale
+        slow = abs(pole) < 1.0 if standard.system.dt else pole.real < -settings.axis * scale
         if slow:
             continue
         shifted = A - pole * np.eye(len(A))
         reached = f"reached from {', '.join(p.name for p in standard.commanded)}"
         seen = f"seen in {', '.join(p.name for p in standard.measured)}"
         for left, right, what in ((shifted, B, reached), (shifted.T, C.T, seen)):
-            if not _has_full_row_rank(left, right):
+            if not _has_full_row_rank(left, right, settings.unreached):
                 where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
                 stable = "not stable" if pole.real >= 0.0 or standard.system.dt else "not stable beyond rounding"
                 raise InputError(
@@ -119,7 +115,7 @@ def _require_stabilisable(standard: StandardPlant) -> None:
                 )
 
 
-def _has_full_row_rank(left: ComplexArray, right: FloatArray) -> bool:
+def _has_full_row_rank(left: ComplexArray, right: FloatArray, least: float) -> bool:
     """Whether no row of ``[left, right]`` follows from the others, in units of states and signals that do not matter.
 
     States are in units in which the rows and columns of both are alike, signals in those in which they are as large as
@@ -136,13 +132,16 @@ def _has_full_row_rank(left: ComplexArray, right: FloatArray) -> bool:
     sizes = np.abs(matrix).max(axis=1, initial=0.0)
     if not sizes.all():
         return False
-    return bool(linalg.svdvals(matrix / sizes[:, None])[-1] > UNREACHED)
+    return bool(linalg.svdvals(matrix / sizes[:, None])[-1] > least)
 
 
-def has_rank(matrix: FloatArray, least: int) -> bool:
-    """Whether a matrix has at least this rank, not zero."""
+def has_rank(matrix: FloatArray, least: int, ratio: float, size: float = 1.0) -> bool:
+    """Whether a matrix has at least this rank, not zero.
+
+    A singular value counts where its ratio to the largest one, or to `size` where that is larger, is above `ratio`.
+    """
     sizes = linalg.svdvals(matrix) if min(matrix.shape) else np.zeros(0)
-    return len(sizes) >= least > 0 and bool(sizes[least - 1] > RANK * max(1.0, float(sizes[0])))
+    return len(sizes) >= least > 0 and bool(sizes[least - 1] > ratio * max(size, float(sizes[0])))
 
 
 def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]:

@@ -12,26 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.hinf.peak_search import response_at
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.state_units import in_balanced_units
 from lftkit.synthesis.extended_plant import ExtendedPlant
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
-from lftkit.synthesis.standard_plant import RANK, has_rank
+from lftkit.synthesis.settings import SETTINGS, SynthesisSettings
+from lftkit.synthesis.standard_plant import has_rank
 from lftkit.systems.zeros_poles import zeros_of
 
-ROUNDS = 4
-"""Units of states follow from those of signals, and these from those of states where D12 or D21 is zero."""
 FREQUENCIES = 0.0, *np.logspace(-6.0, 6.0, 121).tolist(), np.inf
 """Over the norm of A."""
-ROUNDING = 1e-11
-"""Part of the gain of the plant without a controller that its rounding may make out of reach."""
-POLE = 1e-5
-"""Distance of a point from the poles, over the norm of A."""
-ZERO = 1e-6
-"""Gain at a zero, relative to that on the axis beside it; distance of zeros from the axis, relative to their size."""
-EPS = float(np.finfo(float).eps)
-
 Responses = tuple[ComplexArray, ComplexArray, ComplexArray]
 """From disturbances to errors, from commands to errors, and from disturbances to measurements."""
 
@@ -48,6 +40,7 @@ class WorkingPlant:
         Units of rates [rad/s] and of the gain from disturbances to errors.
     states, commands, measurements : ndarray, shapes (n,), (nu,), (ny,)
         States and commands over, and measurements times these are those of the scaled plant.
+    settings : SynthesisSettings
     """
 
     plant: ExtendedPlant
@@ -56,20 +49,22 @@ class WorkingPlant:
     states: FloatArray
     commands: FloatArray
     measurements: FloatArray
+    settings: SynthesisSettings
 
     @classmethod
-    def of(cls, plant: ExtendedPlant) -> WorkingPlant:
+    def of(cls, plant: ExtendedPlant, settings: SynthesisSettings = SETTINGS) -> WorkingPlant:
         """The scaled plant of one in other units."""
-        working = cls(plant, 1.0, 1.0, *(np.ones(k) for k in (*plant.B2.shape, len(plant.C2))))
-        for _ in range(ROUNDS):
+        (n, nu), ny = plant.B2.shape, len(plant.C2)
+        working = cls(plant, 1.0, 1.0, np.ones(n), np.ones(nu), np.ones(ny), settings)
+        for _ in range(settings.rounds):
             working = working._with_units_of_states()._with_units_of_signals()
         return working
 
     @property
     def full_rank(self) -> tuple[bool, bool]:
         """Whether every command has a weight (D12), and every measurement noise (D21)."""
-        D12, D21 = self.plant.D12, self.plant.D21
-        return has_rank(D12, D12.shape[1]), has_rank(D21, len(D21))
+        D12, D21, rank = self.plant.D12, self.plant.D21, self.settings.rank
+        return has_rank(D12, D12.shape[1], rank), has_rank(D21, len(D21), rank)
 
     def weighted(self, weight: float, states: float) -> WorkingPlant:
         """With a small weight of each command and state, and a small noise of each measurement and state.
@@ -95,16 +90,16 @@ class WorkingPlant:
 
     def lowest_level(self) -> tuple[float, float] | None:
         """Levels of the H-infinity norm without and with a controller, in the units of the user."""
-        levels = lowest_level(self.plant)
+        levels = lowest_level(self.plant, self.settings)
         return None if levels is None else (self.level * levels[0], self.level * levels[1])
 
     def gain_out_of_reach(self) -> float:
         """Lower bound of the H-infinity norm for all controllers, in the units of the user."""
-        return self.level * gain_out_of_reach(self.plant)
+        return self.level * gain_out_of_reach(self.plant, self.settings)
 
     def central(self, level: float) -> FullOrderEstimator | None:
         """Central controller at a level, both in the units of the user."""
-        return self._restored(central(self.plant, level / self.level))
+        return self._restored(central(self.plant, level / self.level, self.settings))
 
     def lqg(self) -> FullOrderEstimator | None:
         """Controller with the least H2 norm, in the units of the user."""
@@ -139,12 +134,17 @@ class WorkingPlant:
             states=self.states * s,
         )
 
+    def _units(self, direct: FloatArray, through_states: FloatArray) -> FloatArray:
+        """Units in which direct paths are near to 1, or paths through states where there are none beyond rounding."""
+        sizes = np.where(direct > self.settings.rank * through_states, direct, through_states)
+        return np.array([1.0 / _power_of_two(float(size)) for size in sizes])
+
     def _with_units_of_signals(self) -> WorkingPlant:
         """Weights of commands and noises of measurements near to 1, and the gain that the controller can leave, too."""
         P = self.plant
         B1, C1 = (float(linalg.norm(M)) for M in (P.B1, P.C1))
-        u = _units(_sizes(P.D12.T), C1 * _sizes(P.B2.T))
-        y = _units(_sizes(P.D21), B1 * _sizes(P.C2))
+        u = self._units(_sizes(P.D12.T), C1 * _sizes(P.B2.T))
+        y = self._units(_sizes(P.D21), B1 * _sizes(P.C2))
         B2, C2 = (float(linalg.norm(M)) for M in (P.B2 * u, P.C2 * y[:, None]))
         level = _power_of_two(float(np.sqrt(B1 * C1 / (B2 * C2)))) if B2 * C2 else 1.0
         u = level * u
@@ -160,12 +160,6 @@ class WorkingPlant:
         )  # fmt: skip
 
 
-def _units(direct: FloatArray, through_states: FloatArray) -> FloatArray:
-    """Units in which direct paths are near to 1, or paths through states where a signal has none beyond rounding."""
-    sizes = np.where(direct > RANK * through_states, direct, through_states)
-    return np.array([1.0 / _power_of_two(float(size)) for size in sizes])
-
-
 def _sizes(M: FloatArray) -> FloatArray:
     """Norms of the rows."""
     return np.asarray(linalg.norm(M, axis=1))
@@ -176,7 +170,7 @@ def _power_of_two(size: float) -> float:
     return float(np.exp2(np.round(np.log2(size)))) if 0.0 < size < np.inf else 1.0
 
 
-def gain_out_of_reach(plant: ExtendedPlant) -> float:
+def gain_out_of_reach(plant: ExtendedPlant, settings: SynthesisSettings = SETTINGS) -> float:
     """Largest one over the imaginary axis and the zeros to the right of it, of a plant in continuous time.
 
     At a point s of the imaginary axis a loop has the gain ``P11 + P12 R P21`` with any R. What is left of P11 between
@@ -190,23 +184,27 @@ def gain_out_of_reach(plant: ExtendedPlant) -> float:
 
     def apart(point: complex) -> bool:
         """Not at a pole, where responses are rounding; a mode that is not reached or seen is a zero, too."""
-        return bool(np.abs(poles - point).min(initial=np.inf) > POLE * rate)
+        return bool(np.abs(poles - point).min(initial=np.inf) > settings.pole * rate)
 
-    axis = [_out_of_reach(P, point) for point in (1j * rate * omega for omega in FREQUENCIES) if apart(point)]
+    axis = [_out_of_reach(P, point, settings) for point in (1j * rate * omega for omega in FREQUENCIES) if apart(point)]
     zeros = [*zeros_of(P.A, P.B2, P.C1, P.D12), *zeros_of(P.A, P.B1, P.C2, P.D21)]
-    right = [_out_of_reach(P, zero, abs(zero)) for zero in zeros if zero.real > ZERO * abs(zero) and apart(zero)]
+    unstable = [zero for zero in zeros if zero.real > settings.zero * abs(zero) and apart(zero)]
+    right = [_out_of_reach(P, zero, settings, abs(zero)) for zero in unstable]
     return max([0.0, *axis, *right])
 
 
-def _out_of_reach(plant: ExtendedPlant, point: complex, beside: float | None = None) -> float:
+def _out_of_reach(
+    plant: ExtendedPlant, point: complex, settings: SynthesisSettings, beside: float | None = None
+) -> float:
     """At a point; at a zero there are directions with next to no gain beside that at the frequency `beside`."""
     try:
         P11, P12, P21 = _responses(plant, point)
         _, near12, near21 = (P11, P12, P21) if beside is None else _responses(plant, 1j * beside)
     except linalg.LinAlgError:  # a pole
         return 0.0
-    left = _null(P12.conj().T, near12) @ P11, (_null(P21, near21) @ P11.conj().T).conj().T
-    rounding = ROUNDING * float(linalg.norm(P11))
+    zero = settings.zero
+    left = _null(P12.conj().T, near12, zero) @ P11, (_null(P21, near21, zero) @ P11.conj().T).conj().T
+    rounding = settings.rounding * float(linalg.norm(P11))
     return max([0.0, *(float(linalg.norm(part, 2)) - rounding for part in left if part.size)])
 
 
@@ -219,9 +217,9 @@ def _responses(plant: ExtendedPlant, point: complex) -> Responses:
     return M[:nz, :nw], M[:nz, nw:], M[nz:, :nw]
 
 
-def _null(M: ComplexArray, near: ComplexArray) -> ComplexArray:
+def _null(M: ComplexArray, near: ComplexArray, zero: float) -> ComplexArray:
     """Orthonormal rows v with ``M v* = 0``, as far as rounding and the gains `near` tell."""
     _, sizes, V = linalg.svd(M)
     least = float(linalg.svdvals(near).min(initial=np.inf))
-    rank = np.count_nonzero((sizes > EPS * max(M.shape) * sizes.max(initial=0.0)) & (sizes > ZERO * least))
+    rank = np.count_nonzero((sizes > EPS * max(M.shape) * sizes.max(initial=0.0)) & (sizes > zero * least))
     return np.asarray(V[rank:], complex)

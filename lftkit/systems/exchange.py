@@ -23,7 +23,7 @@ from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
-from lftkit.systems.zeros_poles import ROUNDING, zeros_poles
+from lftkit.systems.zeros_poles import zeros_poles
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, RealParameter
 
 FORMAT = "lftkit/system"
@@ -111,7 +111,7 @@ def from_scipy(system: Any) -> System:
 def _real(matrix: Any) -> FloatArray:
     """The matrix without imaginary parts that are rounding: poles that are conjugate to the last bits leave some."""
     whole = np.asarray(matrix, dtype=complex)
-    if np.any(np.abs(whole.imag) > ROUNDING * np.abs(whole).max(initial=0.0)):
+    if np.any(np.abs(whole.imag) > 1e-12 * np.abs(whole).max(initial=0.0)):
         raise InputError("system must have real coefficients, got complex ones")
     return np.asarray(whole.real, dtype=float)
 

@@ -27,26 +27,37 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.support.settings import AlgorithmSettings
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.arguments import checked
 from lftkit.systems.delta import delta_response
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import width
 
-#: Fraction of the block's norm below which a coupling is treated as zero.
-TOLERANCE = 1e-11
-
-ROUNDING = 1e-14
-"""Entries below this fraction of the largest do not count for the scaling."""
-
-SAME = 1e-6
-"""Two responses are the same within this fraction of the largest value of each entry: lost states make far more."""
-
-SLOWEST = 1e-7
-"""Eigenvalues below this fraction of the fastest may be a double integrator and rounding."""
-
 Scaling = Callable[[FloatArray], FloatArray]
 """Of a square block the sizes of its coordinates, a diagonal change of coordinates."""
+
+
+@dataclass(frozen=True)
+class MinimalSettings(AlgorithmSettings):
+    """Numbers of the choice of a scaling.
+
+    Attributes
+    ----------
+    rounding : entries below this fraction of the largest do not count for the scaling
+    same : two responses are the same within this fraction of the largest value of each entry: lost states make far
+        more
+    zero : largest entry of a response, over the largest of all and over `same`, that may be zero but for rounding
+    slowest : eigenvalues below this fraction of the fastest may be a double integrator and rounding
+    """
+
+    rounding: float = 1e-14
+    same: float = 1e-6
+    zero: float = 1e-11
+    slowest: float = 1e-7
+
+
+SETTINGS = MinimalSettings()
 
 
 @dataclass(frozen=True)
@@ -72,7 +83,7 @@ class Reduction:
 
 
 @checked
-def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Reduction:
+def minimal_realisation(system: System, *, tolerance: float = 1e-11, settings: MinimalSettings = SETTINGS) -> Reduction:
     """Remove uncontrollable and unobservable states and Delta channels.
 
     Parameters
@@ -80,6 +91,8 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
     system : System
     tolerance : float
         Couplings below this fraction of the norm of the (balanced) block are treated as zero.
+    settings : MinimalSettings
+        Numbers of the choice of a scaling.
 
     Returns
     -------
@@ -100,12 +113,12 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
     in_order = system.sorted_channels()
     count = Counter(in_order.channels)
     scalings: tuple[Scaling, ...] = (  # balanced without what may be rounding, balanced, as it is
-        lambda A: in_balanced_units(np.where(np.abs(A) > ROUNDING * np.abs(A).max(initial=0.0), A, 0.0))[1],
+        lambda A: in_balanced_units(np.where(np.abs(A) > settings.rounding * np.abs(A).max(initial=0.0), A, 0.0))[1],
         lambda A: in_balanced_units(A)[1],
         lambda A: np.ones(len(A)),
     )
     candidates = (_reduced(in_order, tolerance, scaling) for scaling in scalings)
-    kept = next((one for one in candidates if _is_same(one, in_order)), in_order)
+    kept = next((one for one in candidates if _is_same(one, in_order, settings)), in_order)
     left = Counter(kept.channels)
     removed = {e.name: (count[e.name] - left[e.name]) // width(e) for e in in_order.elements}
     return Reduction(kept, in_order.order - kept.order, removed)
@@ -128,7 +141,7 @@ def _reduced(full: System, tolerance: float, scaling: Scaling) -> System:
             # together
             M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance, scaling)
             turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance, scaling)
-            M, sizes = turned.T, sizes
+            M = turned.T
         if sizes == before:
             break
     n = sizes[0]
@@ -136,12 +149,12 @@ def _reduced(full: System, tolerance: float, scaling: Scaling) -> System:
     return replace(full, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
 
 
-def _responses(system: System, full: System) -> ComplexArray:
+def _responses(system: System, full: System, slowest: float) -> ComplexArray:
     """Response at values of s (or z) as slow and as fast as the given system, and at values of its elements."""
     rng = np.random.default_rng(0)
     centre = 1.0 if full.dt else 0.0
     speeds = np.unique(np.abs(linalg.eigvals(full.A) - centre)) if full.order else np.zeros(0)
-    speeds = speeds[speeds > SLOWEST * speeds.max(initial=0.0)]
+    speeds = speeds[speeds > slowest * speeds.max(initial=0.0)]
     speeds = np.quantile(speeds, np.linspace(0.0, 1.0, 7), method="nearest") if len(speeds) else np.ones(1)
     responses: list[ComplexArray] = []
     for speed in (0.1 * speeds[0], *(0.7 * speeds), 10.0 * speeds[-1]):
@@ -161,17 +174,18 @@ def _responses(system: System, full: System) -> ComplexArray:
     return np.array(responses)
 
 
-def _is_same(reduced: System, full: System) -> bool:
+def _is_same(reduced: System, full: System, settings: MinimalSettings) -> bool:
     """Whether two responses agree at all points, each entry within a fraction of its largest value."""
     if (reduced.order, reduced.channels) == (full.order, full.channels):
         return True
     try:
-        expected, actual = _responses(full, full), _responses(reduced, full)
+        expected, actual = (_responses(one, full, settings.slowest) for one in (full, reduced))
     except linalg.LinAlgError:
         return False
     size = np.abs(expected).max(axis=0, initial=0.0)
-    size = np.maximum(size, TOLERANCE / SAME * size.max(initial=0.0))  # an entry may be zero but for rounding
-    return bool(np.all(np.abs(actual - expected) <= SAME * size))
+    zero = settings.zero / settings.same * size.max(initial=0.0)  # an entry may be zero but for rounding
+    size = np.maximum(size, zero)
+    return bool(np.all(np.abs(actual - expected) <= settings.same * size))
 
 
 def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float, scaling: Scaling) -> tuple[FloatArray, int]:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from lftkit.systems.ports import Port
 
 Row = tuple[str, ...]
-SHOWN = 4
-"""Ports of a side, or elements, that a line names."""
 
 
 class WithPorts(Protocol):
@@ -90,9 +88,9 @@ def _named(ports: Sequence[Port]) -> str:
     return _first([f"{port.name} ({port.size})" for port in ports])
 
 
-def _first(names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"{', '.join(names[:SHOWN]) or 'none'}{more}"
+def _first(names: Sequence[str], shown: int = 4) -> str:
+    more = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return f"{', '.join(names[:shown]) or 'none'}{more}"
 
 
 def text(system: Summarised) -> str:

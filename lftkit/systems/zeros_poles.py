@@ -15,11 +15,8 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
 
-ROUNDING = 1e-12
-"""Part of a root, or of the largest entry of a matrix, that may be left of what is real or conjugate."""
 
-
-def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
+def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float, rounding: float = 1e-12) -> Matrices:
     """Matrices (A, B, C, D) with one input and one output.
 
     Parameters
@@ -28,6 +25,8 @@ def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
         Complex ones in conjugate pairs; not more zeros than poles.
     gain : float
         Ratio of the leading coefficients.
+    rounding : float
+        Part of a root that may be left of what is real or conjugate.
 
     Raises
     ------
@@ -40,7 +39,7 @@ def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
     >>> (C @ np.linalg.inv(1.0 * np.eye(2) - A) @ B + D).round(9).tolist()
     [[1.333333333]]
     """
-    up, down = (_pairs(np.asarray(roots, dtype=complex).ravel()) for roots in (zeros, poles))
+    up, down = (_pairs(np.asarray(roots, dtype=complex).ravel(), rounding) for roots in (zeros, poles))
     if sum(map(len, up)) > sum(map(len, down)):
         raise InputError(f"zeros must be at most as many as poles, got {sum(map(len, up))} and {sum(map(len, down))}")
     unit: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
@@ -52,18 +51,18 @@ def zeros_poles(zeros: ArrayLike, poles: ArrayLike, gain: float) -> Matrices:
     return A, B, gain * C, gain * D
 
 
-def _pairs(roots: ComplexArray) -> list[ComplexArray]:
+def _pairs(roots: ComplexArray, rounding: float) -> list[ComplexArray]:
     """Roots in pairs: conjugate ones, then real ones by falling size, of which the last may be alone."""
     if not np.isfinite(roots).all():
         raise InputError("zeros and poles must be finite")
-    whole = np.abs(roots.imag) <= ROUNDING * np.abs(roots)
+    whole = np.abs(roots.imag) <= rounding * np.abs(roots)
     real = roots[whole].real[np.argsort(-np.abs(roots[whole].real), kind="stable")]
     upper, lower = roots[~whole & (roots.imag > 0.0)], roots[~whole & (roots.imag < 0.0)].conj()
     far = np.abs(upper[:, None] - lower)  # equal real parts in rounding have no order: each takes its nearest
     paired = len(upper) == len(lower)
     for k in range(len(upper) if paired else 0):
         nearest = int(far[k].argmin())
-        paired = paired and bool(far[k, nearest] <= ROUNDING * abs(upper[k]))
+        paired = paired and bool(far[k, nearest] <= rounding * abs(upper[k]))
         far[:, nearest] = np.inf
     if not paired:
         raise InputError("system must have real coefficients, got complex ones")

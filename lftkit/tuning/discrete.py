@@ -85,7 +85,13 @@ def tune_discrete(
     (1.0, -0.5)
     """
     ready, needs = resolved(models, requirements)
-    dt = _common_period(ready)
+    dt = float(ready[0].dt)
+    for model in ready:
+        model.require_certain()
+        if not model.dt:
+            raise InputError(f"{model.name}: system must be in discrete time, got one in continuous time")
+        if model.dt != dt:
+            raise InputError(f"{model.name}: sampling period must be {ready[0].dt} s, got {model.dt} s")
     if options is not None and options.lexicographic:
         run = partial(tune_discrete, ready, min_decay=min_decay)
         starting = [start_checked(x, structure) for x in initial]
@@ -120,16 +126,6 @@ def tune_discrete(
         abscissa=float(certificate.abscissae.max()),
         certificate=certificate if stable else None,
     )
-
-
-def _common_period(models: Sequence[System]) -> float:
-    for model in models:
-        model.require_certain()
-        if not model.dt:
-            raise InputError(f"{model.name}: system must be in discrete time, got one in continuous time")
-        if model.dt != models[0].dt:
-            raise InputError(f"{model.name}: sampling period must be {models[0].dt} s, got {model.dt} s")
-    return float(models[0].dt)
 
 
 def _law(structure: Structure, dt: float) -> AffineStructure | StructureOnImage:

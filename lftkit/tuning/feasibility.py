@@ -13,7 +13,6 @@ from lftkit.tuning.pieces import HARD_TARGET
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
 
-ENDPOINTS, RANDOM_STARTS = 3, 4  # from which the hard requirements alone are minimised
 ENDED = (TuningStatus.CONVERGED, TuningStatus.STALLED)
 
 
@@ -25,11 +24,14 @@ def feasibility_runs(
     band: float,
     *,
     impossible: bool = False,
+    ends: int = 3,
+    random: int = 4,
 ) -> list[StartResult]:
     """Further runs where the best of `runs` violates a hard requirement: on the hard requirements alone, then on all.
 
     The last result is feasible, or ``infeasible`` if every minimisation of the hard values ended by itself, or says
-    which limit ended one. Where a lower bound shows that they are `impossible` none of that is tried.
+    which limit ended one. Where a lower bound shows that they are `impossible` none of that is tried. The hard ones
+    alone are minimised from so many `ends` of the runs and so many `random` starts.
     """
     best = min(runs, key=lambda run: run.rank)
     if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED or not problem.structure.size:
@@ -49,8 +51,8 @@ def feasibility_runs(
         limit=problem.limit,
     )
     limits_alone = replace(limits, target=HARD_TARGET)
-    ends = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ENDPOINTS]
-    starts = [Start(seed, run.x) for run in ends] + random_starts(RANDOM_STARTS, seed + 1, 0)
+    violating = sorted((r for r in runs if r.rank[0] == 1), key=lambda run: run.rank)[:ends]
+    starts = [Start(seed, run.x) for run in violating] + random_starts(random, seed + 1, 0)
     results: list[StartResult] = []
     for start in starts:
         if time.monotonic() > limits.deadline:
@@ -60,19 +62,15 @@ def feasibility_runs(
             return [tune_from(problem, results[-1].x, start.seed, limits, band)]
         if results[-1].status is TuningStatus.INTERRUPTED:
             break
-    return [_least_violation(problem, best, results, len(results) == len(starts))]
-
-
-def _least_violation(problem: Problem, best: StartResult, runs: Sequence[StartResult], tried: bool) -> StartResult:
-    """The point of least violation with the status that all minimisations allow."""
-    stable = [run for run in runs if run.rank[0] == 0]
+    # The point of least violation with the status that all minimisations allow
+    stable, tried = [run for run in results if run.rank[0] == 0], len(results) == len(starts)
     limited = [run.status for run in stable if run.status not in ENDED]
     status = TuningStatus.INFEASIBLE if tried and not limited else (limited or [TuningStatus.OUT_OF_TIME])[0]
     least = min(stable, key=lambda run: run.soft, default=None)
     if least is None or least.soft >= best.hard:
-        return replace(best, status=status)
+        return [replace(best, status=status)]
     values = problem.evaluate(least.x, gradients=False).values
     soft = max(
         (float(values[i].max()) for i, r in enumerate(problem.requirements) if not r.hard), default=-float("inf")
     )
-    return replace(least, status=status, soft=soft, hard=least.soft)
+    return [replace(least, status=status, soft=soft, hard=least.soft)]

@@ -13,12 +13,6 @@ from lftkit.tuning.structures.structures import Structure
 
 MIN_DECAY = 1e-6
 """Decay [rad/s] that every pole of a stable loop exceeds where no fixed pole is slower."""
-ROUNDING = 1e-13
-"""Singular value, relative to the norm and per state, that counts as zero: of a fixed pole in other coordinates."""
-SLOWEST = 1e-13
-"""Decay, relative to the norm of the model, below which computed eigenvalues do not show that a loop is stable."""
-MARGIN = 1e-3
-"""Share of the least decay by which a fixed pole must be faster: at the limit itself no step is possible."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +26,7 @@ class FixedPole:
     missing : str
         What does not reach it: ``commands`` or ``measurements``.
     stable : bool
-        Whether its real part is negative by more than `SLOWEST` times the norm of the model.
+        Whether its real part is negative by more than `slowest` times the norm of the model.
     """
 
     model: str
@@ -42,16 +36,13 @@ class FixedPole:
 
     def advice(self, min_decay: float) -> str:
         """What to do about it."""
-        smaller = "give a smaller min_decay, " if self.stable else ""
+        smaller, value = "give a smaller min_decay, " if self.stable else "", self.value
+        shown = f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
         return (
-            f"no controller moves the pole {_shown(self.value)} rad/s of {self.model or 'the model'}: the "
+            f"no controller moves the pole {shown} rad/s of {self.model or 'the model'}: the "
             f"{self.missing} do not reach it; every pole must be faster than min_decay = {min_decay:g} rad/s: "
             f"{smaller}make the pole of the weight faster, or change the model"
         )
-
-
-def _shown(value: complex) -> str:
-    return f"{value.real:.6g}" if not value.imag else f"{value.real:.6g} +- {abs(value.imag):.6g}j"
 
 
 def least_decay(model: System, structure: Structure) -> float:
@@ -63,31 +54,52 @@ def least_decay(model: System, structure: Structure) -> float:
     return -0.5 * slowest.value.real if slowest is not None and slowest.stable else MIN_DECAY
 
 
-def slow_fixed_pole(models: Sequence[System], structure: Structure, min_decay: float) -> FixedPole | None:
+def slow_fixed_pole(
+    models: Sequence[System],
+    structure: Structure,
+    min_decay: float,
+    *,
+    rounding: float = 1e-13,
+    slowest: float = 1e-13,
+    margin: float = 1e-3,
+) -> FixedPole | None:
     """The slowest fixed pole of the models that is not faster than `min_decay` [rad/s]; None where there is none.
 
     By the test of Popov, Belevitch and Hautus: a pole s is fixed if [A - s I, B] of the commands or [A - s I; C] of the
     measurements has not the full rank.
+
+    Parameters
+    ----------
+    models : sequence of System
+    structure : Structure
+    min_decay : float
+        [rad/s]
+    rounding : float
+        Singular value, relative to the norm and per state, that counts as zero: of a fixed pole in other coordinates.
+    slowest : float
+        Decay, relative to the norm of a model, below which computed eigenvalues do not show that a loop is stable.
+    margin : float
+        Share of the least decay by which a fixed pole must be faster: at the limit itself no step is possible.
     """
-    poles = [pole for model in models for pole in _of(model, structure, min_decay)]
+    limits = -(1.0 + margin) * min_decay, rounding, slowest
+    poles = [pole for model in models for pole in _of(model, structure, *limits)]
     return max(poles, key=lambda pole: pole.value.real, default=None)
 
 
-def _of(model: System, structure: Structure, min_decay: float) -> list[FixedPole]:
+def _of(model: System, structure: Structure, limit: float, rounding: float, slowest: float) -> list[FixedPole]:
     if not model.order:
         return []
     commands = model.input_indices([port.name for port in structure.outputs])
     measurements = model.output_indices([port.name for port in structure.inputs])
     A, B, C = model.A, model.B[:, commands], model.C[measurements]
-    slowest = SLOWEST * float(linalg.norm(A))
-    poles = []
+    unsure, poles = slowest * float(linalg.norm(A)), []
     for value in linalg.eigvals(A):
-        if value.real < -(1.0 + MARGIN) * min_decay or value.imag < 0.0:
+        if value.real < limit or value.imag < 0.0:
             continue
         shifted = A - value * np.eye(len(A))
         for missing, matrix in (("commands", np.hstack([shifted, B])), ("measurements", np.vstack([shifted, C]))):
             sizes = linalg.svdvals(np.asarray(matrix))
-            if sizes[-1] <= ROUNDING * len(sizes) * max(float(sizes[0]), np.finfo(float).tiny):
-                poles.append(FixedPole(model.name, complex(value), missing, bool(value.real < -slowest)))
+            if sizes[-1] <= rounding * len(sizes) * max(float(sizes[0]), np.finfo(float).tiny):
+                poles.append(FixedPole(model.name, complex(value), missing, bool(value.real < -unsure)))
                 break
     return poles

@@ -27,14 +27,10 @@ from lftkit.tuning.requirements.sector import SectorGain
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 
 MAX_ORDER = 40  # of the weighted plant
-REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
-MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
-ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
-MAX_REQUIREMENTS = 2
 
 
-def reduced_starts(problem: Problem) -> list[FloatArray]:
-    """Parameters of reduced full-order controllers for the first model, some of each kind and gain requirement.
+def reduced_starts(problem: Problem, most: int = 2) -> list[FloatArray]:
+    """Parameters of reduced full-order controllers for the first model, of each kind and of `most` gain requirements.
 
     Empty where the structure cannot say the parameters of a given controller.
     """
@@ -59,7 +55,7 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
             loop_delay=problem.loop_delay,
             pade_order=problem.pade_order,
         )
-        for r in gains[:MAX_REQUIREMENTS]
+        for r in gains[:most]
     ]
     for plant in [p for p in plants if 0 < len(p.A) <= MAX_ORDER]:
         regular = _regularised(plant)
@@ -74,9 +70,9 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
 
 
 def sampled_lqg_starts(
-    model: System, requirements: Sequence[TuningRequirement], structure: Structure
+    model: System, requirements: Sequence[TuningRequirement], structure: Structure, most: int = 2
 ) -> list[FloatArray]:
-    """Parameters of discrete LQG controllers for H2 gains without weights, with and without a direct path.
+    """Parameters of discrete LQG controllers for `most` H2 gains without weights, with and without a direct path.
 
     They are the optimum of all controllers, and of the strictly proper ones. Empty where the structure has another
     order than the model or cannot say the parameters of a given controller.
@@ -86,7 +82,7 @@ def sampled_lqg_starts(
     gains = [r for r in requirements if isinstance(r, H2Gain) and r.weight_in is None and r.weight_out is None]
     measured, commanded = (tuple(p.name for p in ports) for ports in (structure.inputs, structure.outputs))
     sampled = []
-    for gain in gains[:MAX_REQUIREMENTS]:
+    for gain in gains[:most]:
         try:
             plant = _regularised(extended_plant(model, measured, commanded, 0, gain))
             laws = [sampled_lqg(plant, direct=direct)[0] for direct in (False, True)]
@@ -97,11 +93,11 @@ def sampled_lqg_starts(
     return sampled
 
 
-def _regularised(plant: ExtendedPlant) -> ExtendedPlant:
-    """The plant with a small noise on each measurement and a small weight on each command."""
+def _regularised(plant: ExtendedPlant, size: float = 1e-3) -> ExtendedPlant:
+    """The plant with a small noise on each measurement and weight on each command, relative to its direct paths."""
     (n, nu), ny = plant.B2.shape, len(plant.C2)
-    effort = REGULARISED * (float(np.abs(plant.D12).max(initial=0.0)) or 1.0)
-    noise = REGULARISED * (float(np.abs(plant.D21).max(initial=0.0)) or 1.0)
+    effort = size * (float(np.abs(plant.D12).max(initial=0.0)) or 1.0)
+    noise = size * (float(np.abs(plant.D21).max(initial=0.0)) or 1.0)
     return replace(
         plant,
         B1=np.hstack([plant.B1, np.zeros((n, ny))]),
@@ -120,7 +116,7 @@ def _h2(plant: ExtendedPlant) -> list[FullOrderEstimator]:
 def _hinf(plant: ExtendedPlant) -> list[FullOrderEstimator]:
     """Central controllers at levels a little above the lowest one that is found."""
     level = lowest_level(plant)
-    designs = [] if level is None else [central(plant, above * level[1]) for above in ABOVE]
+    designs = [] if level is None else [central(plant, above * level[1]) for above in (1.1, 1.01, 1.0005)]
     return [full for full in designs if full is not None]
 
 
@@ -148,7 +144,7 @@ def _parameters(
             "tuple[FloatArray, FloatArray]", linalg.cdf2rdf(*cast("tuple[ComplexArray, ComplexArray]", linalg.eig(A)))
         )
         values = linalg.svdvals(V)
-        if values[0] < MAX_CONDITION * values[-1]:
+        if values[0] < 1e8 * values[-1]:
             forms.append((blocks, linalg.solve(V, B), C @ V))
     return next((x for form in forms if (x := _taken(structure, *form, D)) is not None), None)
 

@@ -157,21 +157,18 @@ class _Levels:
             top = max((float(values[i]) for i in soft), default=-np.inf)
             if not top > max(self.options.met, 0.0):
                 break
-            critical, moved = self._critical([i for i in soft if values[i] >= top * (1.0 - TIE)], top)
+            # Those at the level that do not fall while the others keep it
+            near = [i for i in soft if values[i] >= top * (1.0 - TIE)]
+            critical = near
+            for i in near:
+                without = [k for k in critical if k != i]
+                if without and not self.late and self._lowered(self._held(without, top), top * (1.0 - TIE)):
+                    critical = without
             self.levels.append(Level(tuple(self.needs[i].name for i in critical), top))
             self.needs = self._held(critical, top)
             others = [values[i] for i in soft if i not in critical]
-            if others and not moved:
+            if others and len(critical) == len(near):
                 self._lowered(self.needs, max(others))
-
-    def _critical(self, near: Sequence[int], top: float) -> tuple[list[int], bool]:
-        """Those of some requirements at the level that do not fall while the others keep it; whether some did fall."""
-        critical = list(near)
-        for i in near:
-            others = [k for k in critical if k != i]
-            if others and not self.late and self._lowered(self._held(others, top), top * (1.0 - TIE)):
-                critical = others
-        return critical, len(critical) < len(near)
 
     def _held(self, numbers: Sequence[int], top: float) -> list[TuningRequirement]:
         limit = top * (1.0 + self.options.hold)

@@ -21,8 +21,9 @@ from lftkit.analysis.norms import h2_norm, hinf_norm
 from lftkit.arrays import FloatArray
 from lftkit.synthesis.extended_plant import ClosedLoopMatrices, ExtendedPlant
 from lftkit.synthesis.full_order import h2syn, hinfsyn
-from lftkit.synthesis.lower_bound import MAX_ORDER as MAX_STATES
+from lftkit.synthesis.lower_bound import SETTINGS as PROGRAM
 from lftkit.synthesis.riccati_controllers import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.synthesis.standard_plant import has_rank
 from lftkit.synthesis.working_plant import gain_out_of_reach
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.bilinear import to_discrete
@@ -38,8 +39,6 @@ Closed = Callable[[FullOrderEstimator], ClosedLoopMatrices]
 
 ANY = (0.0, np.inf)
 """Band of all frequencies."""
-RANK = 1e-6
-"""Smallest singular value of D12 and D21, relative to the largest one, that counts as rank."""
 ROUNDING = 1e-6
 """Relative error of an H2 norm of an optimal loop that counts as rounding."""
 JUST_ABOVE = 1e-3
@@ -78,9 +77,11 @@ def _bound(problem: Problem, model: System, requirement: TuningRequirement, *, c
         alone = plant(0)
         if len(alone.A) > MAX_ORDER:
             return -np.inf
-        if len(alone.A) and _of_full_rank(alone):
+        D12, D21 = alone.D12, alone.D21
+        full_rank = has_rank(D12, D12.shape[1], 1e-6, size=0.0) and has_rank(D21, len(D21), 1e-6, size=0.0)
+        if len(alone.A) and full_rank:
             return synthesis(alone, lambda full: plant(len(full.A)).closed(full.gain_matrix))
-        if synthesis is _hinf_level and closely and 0 < len(alone.A) <= MAX_STATES:
+        if synthesis is _hinf_level and closely and 0 < len(alone.A) <= PROGRAM.most_states:
             # Bound by the program of :func:~lftkit.synthesis.hinfsyn, or by single points; minus infinity for
             # none
             return hinfsyn(_system(alone), "y", "u").lower or -np.inf
@@ -99,15 +100,6 @@ def _system(plant: ExtendedPlant, dt: float = 0.0) -> System:
     if dt:
         A, B, C, D = to_discrete(A, B, C, D, dt)
     return System(A, B, C, D, (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny)), "P", dt)
-
-
-def _of_full_rank(plant: ExtendedPlant) -> bool:
-    """Whether every command is in the error and every measurement has noise."""
-    for matrix, least in ((plant.D12, plant.D12.shape[1]), (plant.D21, len(plant.D21))):
-        sizes = linalg.svdvals(matrix) if min(matrix.shape) else np.zeros(0)
-        if len(sizes) < least or not sizes[least - 1] > RANK * sizes[0] or not least:
-            return False
-    return True
 
 
 def _hinf_level(plant: ExtendedPlant, closed: Closed) -> float:

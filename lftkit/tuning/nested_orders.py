@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,6 @@ from lftkit.systems.ports import read_only
 from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.structures.structures import AffineStructure, gain_matrix_of
-
-SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
-INPUT = 0.3  # size of the new state's input, relative to the gain of the controller
 
 
 def lower_order(structure: object) -> AffineStructure | None:
@@ -39,17 +37,24 @@ def lower_order(structure: object) -> AffineStructure | None:
     )
 
 
-def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, problem: Problem) -> list[FloatArray]:
+def embedded(
+    structure: AffineStructure,
+    lower: AffineStructure,
+    x: FloatArray,
+    problem: Problem,
+    quantiles: Sequence[float] = (0.1, 0.5, 0.9),
+) -> list[FloatArray]:
     """Parameters of controllers with the transfer function of `lower` at `x`: the new state decays and acts on nothing.
 
-    Its input is not zero, so that its effect has a slope. Empty where the structure cannot take the new state.
+    It decays at `quantiles` of the sizes of the plant's poles. Its input is not zero, so that its effect has a slope.
+    Empty where the structure cannot take the new state.
     """
     n, K = lower.order, lower.gain_matrix(x)
     rng = np.random.default_rng(n)
     starts = []
     sizes = np.abs(linalg.eigvals(problem.models[0].A)) if len(problem.models[0].A) else np.ones(1)
     sizes = sizes[sizes > 0] if np.any(sizes > 0) else np.ones(1)
-    for speed in [float(s) for s in np.quantile(sizes, SPEEDS)]:
+    for speed in [float(s) for s in np.quantile(sizes, quantiles)]:
         matrices = with_decaying_state(K, n, speed, rng)
         try:
             model = System(*matrices, structure.inputs, structure.outputs)
@@ -59,13 +64,16 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
     return starts
 
 
-def with_decaying_state(K: FloatArray, n: int, speed: float, rng: np.random.Generator) -> Matrices:
+def with_decaying_state(
+    K: FloatArray, n: int, speed: float, rng: np.random.Generator, entering: float = 0.3
+) -> Matrices:
     """A, B, C, D of a controller of order n with the gain matrix `K` and one state more, which acts on nothing.
 
-    The state decays at `speed` [rad/s]; its input is not zero, so that its effect has a slope.
+    The state decays at `speed` [rad/s]; its input is not zero, so that its effect has a slope: of the size `entering`,
+    relative to the gain of the controller.
     """
     A = linalg.block_diag(K[:n, :n], np.array([[-speed]]))
-    size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
+    size = entering * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
     B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
     return A, B, np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))]), K[n:, n:]
 

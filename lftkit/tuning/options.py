@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 
 
@@ -85,7 +86,6 @@ class TuningOptions:
             raise InputError(f"parameter_limit must be positive, got {self.parameter_limit}")
         if not 0 <= self.gap < 1:
             raise InputError(f"gap must be from 0 to below 1, got {self.gap}")
-        if not self.hold > 0:
-            raise InputError(f"hold must be positive, got {self.hold}")
+        as_positive(self.hold, "hold")
         if not 0 < self.band < 1:
             raise InputError(f"band must be between 0 and 1, got {self.band}")

@@ -9,8 +9,6 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 
-PEAK_DISTANCE = 0.1  # relative distance of frequencies up to which two peaks count as the same one
-
 HARD_TARGET = 1.0 - 1e-5
 """Value that the descent asks of hard requirements: it ends within a few millionths of it, on either side, and the
 requirement itself, at most 1, is then met."""
@@ -83,9 +81,12 @@ class OracleResult:
 Oracle = Callable[[FloatArray], OracleResult]
 
 
-def matching_piece(piece: Piece, others: tuple[Piece, ...]) -> Piece | None:
-    """The piece of the same requirement and model nearest in frequency, or None."""
-    best, distance = None, PEAK_DISTANCE
+def matching_piece(piece: Piece, others: tuple[Piece, ...], apart: float = 0.1) -> Piece | None:
+    """The piece of the same requirement and model nearest in frequency, or None.
+
+    Peaks count as the same one up to a relative distance `apart` of their frequencies.
+    """
+    best, distance = None, apart
     for other in others:
         if (other.requirement, other.model, other.hard) != (piece.requirement, piece.model, piece.hard):
             continue

@@ -32,11 +32,6 @@ from lftkit.tuning.requirements.requirement import check_names
 from lftkit.tuning.structures.bounds import ParameterBounds, bounds_of
 from lftkit.tuning.structures.structures import Structure
 
-GAINS_OVER_LIMIT = 1e4  # largest entry of a gain matrix over the largest magnitude of a parameter
-NEGLIGIBLE = 1e-8  # fraction of the first value below which the infimum counts as zero
-EXCLUDED = 0.5  # of a lower bound: no value is so small
-AT_LIMIT = 0.2  # of the largest magnitude of a parameter, from which on it counts as reached
-
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -167,8 +162,8 @@ class Problem:
 
     def negligible(self, value: float) -> float:
         """What counts as zero beside a soft value: so small only an infimum of zero is, which is approached."""
-        part = NEGLIGIBLE * value
-        return min(part, EXCLUDED * self.least) if self.least > 0.0 else part
+        part = 1e-8 * value
+        return min(part, 0.5 * self.least) if self.least > 0.0 else part  # no value is half of a lower bound
 
     def inside(self, x: FloatArray) -> bool:
         """The magnitudes of the parameters (size,) are within the limit."""
@@ -181,7 +176,7 @@ class Problem:
 
     def at_limit(self, x: FloatArray) -> IntArray:
         """Numbers of the parameters (size,) that have nearly the largest magnitude that is looked at."""
-        return np.flatnonzero(np.abs(x) > AT_LIMIT * self.limit)
+        return np.flatnonzero(np.abs(x) > 0.2 * self.limit)
 
     def add_model(self, model: System, known: LoopGains | None = None) -> None:
         """Make one more model active; `known`: its gains for another structure with the same ports."""
@@ -210,7 +205,12 @@ class Problem:
             r = self.requirements[i]
             assert isinstance(r, H2Gain)
             variances[i] = extended_plant(model, self._measurements, self._commands, order, r, **common)
-            self._refuse_feedthrough(variances[i], r.name)
+            x = np.random.default_rng(0).standard_normal(self.structure.size)
+            if np.abs(variances[i].closed(self.structure.gain_matrix(x)).D).max(initial=0.0) > 1e-12:
+                raise InputError(
+                    f"H2 requirement {r.name!r} has a direct feedthrough, so its norm is infinite: use a strictly "
+                    "proper weight or a structure with feedthrough=False"
+                )
         gains: Any = tuple(self.given[i] for i in self.gain_numbers)
         loop = (
             known.copied()
@@ -226,14 +226,6 @@ class Problem:
         self.models = (*self.models, model)
         if not self._decay_asked:
             self.min_decay = min(self.min_decay, least_decay(model, self.structure))
-
-    def _refuse_feedthrough(self, plant: ExtendedPlant, name: str) -> None:
-        x = np.random.default_rng(0).standard_normal(self.structure.size)
-        if np.abs(plant.closed(self.structure.gain_matrix(x)).D).max(initial=0.0) > 1e-12:
-            raise InputError(
-                f"H2 requirement {name!r} has a direct feedthrough, so its norm is infinite: use a strictly proper "
-                "weight or a structure with feedthrough=False"
-            )
 
     def abscissa(self, x: FloatArray) -> float:
         """Largest real part of the closed-loop poles over all models [rad/s].
@@ -256,7 +248,7 @@ class Problem:
     def too_large(self, K: FloatArray) -> bool:
         """Whether the gain matrix `K` has an entry beyond the limit, or one that is no number."""
         size = float(np.abs(K).max(initial=0.0))
-        largest = GAINS_OVER_LIMIT * float(np.max(self.limit)) if np.size(self.limit) else np.inf
+        largest = 1e4 * float(np.max(self.limit)) if np.size(self.limit) else np.inf
         return not (np.isfinite(size) and size <= largest)
 
     def closed(self, k: int, K: FloatArray) -> ClosedLoopMatrices:
@@ -279,13 +271,13 @@ class Problem:
                     return of_loop
         return LoopSpectrum(np.zeros(0, dtype=complex), np.inf)
 
-    def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
+    def pole_pieces(self, x: FloatArray, K: FloatArray) -> list[Piece]:
         """Pieces of the pole requirements of all models, and of what the problem itself asks for."""
         pieces = self._own_pieces(x, K)
         if not any(isinstance(r, ClosedLoopPoles | ControllerPoles) for r in self.given):
             return pieces
         for k in range(len(self._bare)):
-            pieces += self._pole_pieces(x, K, k, self._spectrum(k, K, derivatives=True), band, True)
+            pieces += self._pole_pieces(x, K, k, self._spectrum(k, K, derivatives=True), 0.7, True)
         return pieces
 
     def _own_pieces(self, x: FloatArray, K: FloatArray) -> list[Piece]:
@@ -339,7 +331,10 @@ class Problem:
         for k in range(len(self.models)):
             pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)
             if not (h2_once and k):
-                pieces += self._variance_pieces(x, K, k, gradients)
+                for i, plant in self._variances[k].items():
+                    value, gradient = h2_value(plant.closed(K), gradients)
+                    slope = _pulled(self.structure, x, gradient)
+                    pieces.append(Piece(value, slope, self.requirements[i].hard, i, k, 0.0))
             pieces += self._pole_pieces(x, K, k, spectra[k], band, gradients)
         for piece in pieces:
             if piece.value > values[piece.requirement, piece.model]:
@@ -376,14 +371,6 @@ class Problem:
             for peak in peaks:
                 g = _pulled(self.structure, x, peak.gradient)
                 pieces.append(Piece(peak.value, g, self.requirements[i].hard, i, k, peak.omega))
-        return pieces
-
-    def _variance_pieces(self, x: FloatArray, K: FloatArray, k: int, gradients: bool) -> list[Piece]:
-        pieces = []
-        for i, plant in self._variances[k].items():
-            value, gradient = h2_value(plant.closed(K), gradients)
-            g = _pulled(self.structure, x, gradient)
-            pieces.append(Piece(value, g, self.requirements[i].hard, i, k, 0.0))
         return pieces
 
     def _pole_pieces(
@@ -446,13 +433,13 @@ def _alone(K: FloatArray, n: int) -> ClosedLoopMatrices:
     return ClosedLoopMatrices(K[:n, :n], empty, empty, empty, left, empty, right, empty)
 
 
-def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piece]:
+def _active(pieces: list[Piece], band: float) -> list[Piece]:
     kept: list[Piece] = []
     for hard in (False, True):
         of_kind = sorted((p for p in pieces if p.hard is hard), key=lambda p: -p.value)
         if of_kind:
             level = band * max(of_kind[0].value, 1.0) if hard else of_kind[0].value - (1 - band) * abs(of_kind[0].value)
-            kept += [p for p in of_kind if p.value >= level][:max_pieces]
+            kept += [p for p in of_kind if p.value >= level][:80]
     return kept
 
 

@@ -16,15 +16,18 @@ from lftkit.tuning.problem import Problem
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.structures.structures import controller
 
-MAX_REFINEMENTS = 2  # of the grid where values and certificate differ
-
 
 def refined_runs(
-    problem: Problem, runs: Sequence[StartResult], seed: int, limits: DescentOptions, band: float
+    problem: Problem,
+    runs: Sequence[StartResult],
+    seed: int,
+    limits: DescentOptions,
+    band: float,
+    refinements: int = 2,
 ) -> list[StartResult]:
     """Further runs from the best point, on grids refined at the peaks of the certificate that the tuner had missed."""
     design = _Certified(problem, min(runs, key=lambda run: run.rank), seed, limits, band)
-    in_rounds(design, MAX_REFINEMENTS + 1, deadline=limits.deadline)
+    in_rounds(design, refinements + 1, deadline=limits.deadline)
     return design.added
 
 

@@ -7,9 +7,6 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-FAR = 0.01
-"""Relative difference of a tuned value and its certificate from which on the result is no optimum."""
-
 
 class TuningStatus(str, Enum):
     """Why a tuning run ended and what it promises; :attr:`advice` says what to do.
@@ -56,13 +53,15 @@ class TuningStatus(str, Enum):
         return _ADVICE[self.value]
 
 
-def inaccurate(tuned: ArrayLike, certified: ArrayLike) -> str:
+def inaccurate(tuned: ArrayLike, certified: ArrayLike, far: float = 0.01) -> str:
     """Advice where values and certificate differ: both where they differ most, and what follows.
 
     Parameters
     ----------
     tuned, certified : array_like
         Values of the requirements for each model, of equal shape.
+    far : float
+        Relative difference from which on the result is no optimum.
 
     Examples
     --------
@@ -76,7 +75,7 @@ def inaccurate(tuned: ArrayLike, certified: ArrayLike) -> str:
     apart = np.where(known, np.abs(values - right) / np.maximum(np.abs(right), np.finfo(float).tiny), -1.0)
     k = int(np.argmax(apart))
     text = f"a tuned value is {values[k]:.6g}, its certificate {right[k]:.6g}: trust the certificate"
-    return f"{text}; the result is no optimum: try other starts" if apart[k] > FAR else text
+    return f"{text}; the result is no optimum: try other starts" if apart[k] > far else text
 
 
 _ADVICE = {

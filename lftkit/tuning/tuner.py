@@ -54,14 +54,9 @@ from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import required_period
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
-LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
-OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
 NEAR_BOUND = "the largest soft value is {:.2g} % above what any controller of any order can reach"
 IMPOSSIBLE = "no controller of any order brings {} below {:.4g} times its bound: relax it, or make it soft"
-FEW_ITERATIONS = 20  # of the one random start where hard requirements cannot be met
-SHOWN = 1e-2  # excess of a lower bound over 1 from which on a hard requirement counts as one that cannot be met
-WITHIN_GAP = 0.9  # part of the gap at which a descent ends
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
@@ -141,15 +136,23 @@ def tune(
     bounds = full_order_bounds(problem)
     least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
     problem.least = least
-    impossible = _impossible(problem, bounds)
+    # A hard requirement that no controller meets
+    impossible = next(
+        (
+            IMPOSSIBLE.format(requirement.name, lowest)
+            for requirement, lowest in zip(problem.given, bounds.max(axis=1, initial=-np.inf).tolist())
+            if requirement.hard and lowest > 1.01
+        ),
+        "",
+    )
     known = options.gap > 0.0 and least > 0.0
-    within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, WITHIN_GAP))
+    within, near = ((1.0 + share * options.gap) * least if known else -np.inf for share in (1.0, 0.9))
     met = max(options.met, within)
     # a little below, so that the upper side of the certificate is not above
     target = max(options.target, options.met * (1.0 - AGREEMENT))
     options = replace(options, target=max(target, near))
     if impossible:
-        options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
+        options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, 20))
     if (fixed := slow_fixed_pole(problem.models, structure, problem.min_decay)) is not None:
         first = replace(only_point(problem, next(iter(starting), None)), status=TuningStatus.NOT_STABILISED)
         certified = result_of(problem, [first], time.monotonic() - start_time)
@@ -196,14 +199,6 @@ def _gone_on(
     if all_met(problem.given, certificate, met):
         return []
     return [tune_from(problem, best.x, seed, replace(limits, target=target), band)]
-
-
-def _impossible(problem: Problem, bounds: FloatArray) -> str:
-    """What is to be said of a hard requirement that no controller meets; empty where there is none."""
-    for requirement, row in zip(problem.given, bounds):
-        if requirement.hard and (least := float(row.max(initial=-np.inf))) > 1.0 + SHOWN:
-            return IMPOSSIBLE.format(requirement.name, least)
-    return ""
 
 
 def _search(
@@ -276,7 +271,7 @@ def _from_lower_order(
         return [], True
     smaller.limit = limits_from(options, start_sizes(smaller, [], options.seed))
     now = time.monotonic()
-    batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
+    batches = 1 if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
     search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches, asked=False)
     if search.best.rank[0] == 2:
         return [], search.complete
@@ -291,7 +286,8 @@ def limits_of(options: TuningOptions, deadline: float) -> DescentOptions:
 
 def limits_from(options: TuningOptions, sizes: FloatArray) -> FloatArray:
     """Largest magnitudes of the parameters (size,) for the sizes of their starts."""
-    return np.asarray(np.maximum(options.parameter_limit, OVER_STARTS * sizes))
+    # parameters that have to be large have a higher limit
+    return np.asarray(np.maximum(options.parameter_limit, 1e3 * sizes))
 
 
 def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
@@ -316,9 +312,11 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     names = getattr(problem.structure, "names", [f"x[{k}]" for k in range(len(x))])
     numbers = problem.at_limit(x) if problem.bounds is None else np.union1d(problem.at_limit(x), problem.bounds.at(x))
     at_bounds = tuple(names[k] for k in numbers)
+    failures = [run.failure for run in runs if run.failure]
+    failed = f"; {len(failures)} of {len(runs)} starts failed ({failures[0]})" if failures else ""
     return TuningResult(
         status,
-        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + _failures(runs),
+        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + failed,
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -345,12 +343,6 @@ def _found(problem: Problem, best: StartResult, status: TuningStatus) -> str:
     if not problem.structure.size:
         return NOTHING_FREE
     return NOTHING_SOFT if best.settled else ""
-
-
-def _failures(runs: Sequence[StartResult]) -> str:
-    """How many of the starts failed, and the first reason."""
-    texts = [run.failure for run in runs if run.failure]
-    return f"; {len(texts)} of {len(runs)} starts failed ({texts[0]})" if texts else ""
 
 
 def all_met(requirements: Sequence[TuningRequirement], certificate: Certificate | None, met: float) -> bool:

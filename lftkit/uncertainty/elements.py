@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from lftkit.errors import InputError
-from lftkit.support.scalars import as_integer, as_number
+from lftkit.support.scalars import as_integer, as_number, as_positive
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,7 @@ class ComplexParameter:
             object.__setattr__(self, key, as_number(getattr(self, key), f"element {self.name!r}: {key}"))
         if not math.isfinite(self.nominal):
             raise InputError(f"element {self.name!r}: nominal must be a finite real number, got {self.nominal}")
-        if not (math.isfinite(self.radius) and self.radius > 0):
-            raise InputError(f"element {self.name!r}: radius must be positive, got {self.radius}")
+        as_positive(self.radius, f"element {self.name!r}: radius")
 
     def check(self, value: complex) -> complex:
         """Return `value`; a ValueError says that it is not in the disk (to 1e-12 of its radius)."""
@@ -195,8 +194,7 @@ class DynamicElement:
         object.__setattr__(self, "bound", as_number(self.bound, f"element {self.name!r}: bound"))
         if self.outputs < 1 or self.inputs < 1:
             raise InputError(f"element {self.name!r}: sizes must be at least 1, got {self.outputs} x {self.inputs}")
-        if not (math.isfinite(self.bound) and self.bound > 0):
-            raise InputError(f"element {self.name!r}: bound must be positive, got {self.bound}")
+        as_positive(self.bound, f"element {self.name!r}: bound")
 
 
 Element = RealParameter | ComplexParameter | DynamicElement

@@ -16,7 +16,7 @@ from scipy import linalg
 from lftkit import Port, System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
-from lftkit.analysis.frequency_response import AGREEMENT, frequency_response
+from lftkit.analysis.frequency_response import SETTINGS, frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
@@ -72,7 +72,7 @@ class DisturbanceResponses:
         inputs: Sequence[str],
         low: float,
         high: float,
-        tolerance: float = AGREEMENT,
+        tolerance: float = SETTINGS.agreement,
     ) -> Curve:
         """Largest singular value from normalised disturbances to the line of sight [arcsec].
 

@@ -7,23 +7,26 @@ coefficients bound it (the basis functions are positive and add up to 1, and the
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import comb
 
 import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
-from lftkit.analysis.circle.circle_response import ANGLE, ORDER, CircleModes, CircleResolvents, circle_modes
+from lftkit.analysis.circle.circle_response import ANGLE, CircleModes, CircleResolvents, circle_modes
 from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
 from lftkit.analysis.eigenvectors import EPS, balanced, modes
-from lftkit.analysis.hinf.level_iteration import PEAK_CUTS, Peak, UndecidedError, above_level, bracketed_norm
+from lftkit.analysis.hinf.level_iteration import (
+    SETTINGS,
+    NormSettings,
+    Peak,
+    UndecidedError,
+    above_level,
+    bracketed_norm,
+)
 from lftkit.analysis.hinf.peak_search import highest_peak
 from lftkit.analysis.riccati import stein
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-
-GROWTH = 2.0  # of the intervals away from a pole
-MARGIN = 0.9  # part of `rtol` between a gain and the level above it: the rest is for its rounding
-TRUSTED = 1e-9  # relative error of the variance by rounding, at most
-AGREEMENT = 1e-6  # relative difference of the sums with B and with C, at most
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class CirclePeak:
     certificate: str = "interval"
 
 
-def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
+def discrete_norm(system: Matrices, rtol: float, settings: NormSettings = SETTINGS) -> CirclePeak | None:
     """H-infinity norm of a system in discrete time with at least one state; None for an unstable one.
 
     Poles within four roundings per state of the circle count as unstable. The modal form is tried first, then
@@ -44,7 +47,7 @@ def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
     certificate ``none`` where there is no upper bound.
     """
     balanced_system, unit = in_units(system)
-    peak = _norm_in_units(balanced_system, rtol)
+    peak = _norm_in_units(balanced_system, rtol, settings)
     return peak and replace(peak, value=peak.value * unit, upper=peak.upper * unit)
 
 
@@ -65,23 +68,24 @@ def stability_limit(system: Matrices) -> float:
     return 1.0 - 4.0 * EPS * len(system[0])
 
 
-def _norm_in_units(system: Matrices, rtol: float) -> CirclePeak | None:
+def _norm_in_units(system: Matrices, rtol: float, settings: NormSettings) -> CirclePeak | None:
     limit = stability_limit(system)
-    form, stable = circle_modes(system, limit)
+    form, stable = circle_modes(system, limit, settings)
     if stable is False:
         return None
     best = circle_norm(form, rtol) if form else None
     if best is None:
-        resolvents = CircleResolvents.of(system)
+        resolvents = CircleResolvents.of(system, settings)
         if resolvents.gap.min() > 1.0 - limit:
             best = circle_norm(resolvents, rtol)
     if best is not None and best.upper <= best.value * (1.0 + rtol):
         return best
-    if (quotient := Quotient.of(system)) is not None:
+    if (quotient := Quotient.of(system, settings)) is not None:
         if stable is None and not quotient.stable(limit):
             return None
         try:
-            return CirclePeak(*bracketed_norm(ExactCircleModel(quotient, MARGIN * rtol)), "polynomial")
+            model = ExactCircleModel(quotient, settings.circle_margin * rtol, settings)
+            return CirclePeak(*bracketed_norm(model, settings.levels), "polynomial")
         except UndecidedError:
             pass
     if best is not None:
@@ -96,7 +100,7 @@ def circle_norm(response: CircleModes | CircleResolvents, rtol: float) -> Circle
     The two sides are `rtol` apart unless rounding forbids it; then they are as far apart as rounding makes them.
     """
     try:
-        return CirclePeak(*bracketed_norm(CircleModel(response, rtol)), "interval")
+        return CirclePeak(*bracketed_norm(CircleModel(response, rtol), response.settings.levels), "interval")
     except UndecidedError:
         return None
 
@@ -118,14 +122,15 @@ class CircleModel:
     def bracket(self, peak: Peak) -> tuple[float, float]:
         """Gain less its rounding, and the level above the gain and what rounding does not exclude."""
         rounding = float(self.response.expansion(np.array([peak.omega]), np.zeros(1)).rounding[0])
-        margin = 1.0 + MARGIN * self.rtol
+        margin = 1.0 + self.response.settings.circle_margin * self.rtol
         level = max((peak.gain + rounding) * margin + 2.0 * rounding, peak.possible * margin)
         return max(peak.gain - rounding, 0.0), level
 
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near the angle at which rounding does not exclude the largest gain above the level."""
         cuts = _cuts(self.response, self._seeds(), peak.omega)
-        above = above_level(self._bounds, level, np.column_stack([cuts[:-1], cuts[1:]]))
+        most = self.response.settings.intervals
+        above = above_level(self._bounds, level, np.column_stack([cuts[:-1], cuts[1:]]), most, most)
         if above is None:
             return None
         angles, gains = above
@@ -139,16 +144,18 @@ class CircleModel:
         centres = self.response.expansion(angles, np.zeros(len(angles))).coefficients[:, 0]
         gains = np.sqrt(largest_eigenvalues(_square(centres[:, None])[:, 0]))
 
+        settings = self.response.settings
+
         def distance(theta: float) -> float:
             return _distance(self.response, theta)
 
-        return highest_peak(self.response.derivatives, distance, (angles, gains), self.rtol, (0.0, np.pi))
+        return highest_peak(self.response.derivatives, distance, (angles, gains), self.rtol, (0.0, np.pi), settings)
 
     def _bounds(self, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gain at the centres that rounding does not exclude, and a bound of it on the intervals, both (N,)."""
         expansion = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
         square = _square(expansion.coefficients)
-        bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
+        bernstein = np.einsum("ab,kbij->kaij", _bernstein_matrix(2 * self.response.settings.order), square)
         k = square.shape[-1]
         highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
         gains = np.sqrt(largest_eigenvalues(square[:, 0]))
@@ -164,11 +171,12 @@ def _distance(response: CircleModes | CircleResolvents, theta: float) -> float:
 
 def _cuts(response: CircleModes | CircleResolvents, seeds: FloatArray, peak: float) -> FloatArray:
     """First cuts of half the circle: intervals that grow with the distance from the nearest pole and from the peak."""
-    steps = _distance(response, peak) * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
+    ratio = response.settings.circle_growth
+    steps = _distance(response, peak) * 2.0 ** np.arange(-response.settings.peak_cuts, 1.0)
     near = (response.gap < 0.3) & (response.angle >= 0.0)
     angle, gap = np.abs(response.angle[near]), response.gap[near]
-    growth = int(np.ceil(np.log(np.pi / max(float(gap.min(initial=1.0)), 1e-15)) / np.log(GROWTH)))
-    reach = 0.5 * gap * GROWTH ** np.arange(growth + 2)[:, None]
+    growth = int(np.ceil(np.log(np.pi / max(float(gap.min(initial=1.0)), 1e-15)) / np.log(ratio)))
+    reach = 0.5 * gap * ratio ** np.arange(growth + 2)[:, None]
     around = np.concatenate([angle - reach, angle + reach]).ravel()
     owner = np.tile(np.arange(len(angle)), 2 * len(reach))
     nearest = np.abs(around[:, None] - angle).argmin(axis=1) if len(angle) else owner
@@ -189,6 +197,7 @@ def _square(coefficients: ComplexArray) -> ComplexArray:
     return out
 
 
+@lru_cache(maxsize=8)
 def _bernstein_matrix(degree: int) -> FloatArray:
     """From coefficients of ``x^k``, x from -1 to 1, to Bernstein coefficients on that interval."""
     matrix = np.zeros((degree + 1, degree + 1))
@@ -200,10 +209,7 @@ def _bernstein_matrix(degree: int) -> FloatArray:
     return matrix
 
 
-_TO_BERNSTEIN = _bernstein_matrix(2 * ORDER)
-
-
-def discrete_h2(system: Matrices) -> float | None:
+def discrete_h2(system: Matrices, settings: NormSettings = SETTINGS) -> float | None:
     """H2 norm of a system in discrete time with at least one state; None for an unstable one.
 
     By the modal form, integer arithmetic, or sums by doubling, from the matrices that were given.
@@ -215,14 +221,30 @@ def discrete_h2(system: Matrices) -> float | None:
     """
     balanced_system, unit = in_units(system)
     limit = stability_limit(balanced_system)
-    form, stable = circle_modes(balanced_system, limit)
+    form, stable = circle_modes(balanced_system, limit, settings)
     if stable is False:
         return None
     if form is not None:
-        variance, error = _of_modes(form)
-        if error <= TRUSTED * variance:
+        # Variance of the output for white noise, and what rounding may have done to it
+        residues = form.residues
+        gap, radius = form.gap[:, None] + form.gap - form.gap[:, None] * form.gap, 1.0 - form.gap
+        phi = form.angle[:, None] - form.angle
+        turn = 2.0 * np.sin(0.5 * phi) ** 2 - 1j * np.sin(phi)
+        apart = gap + radius[:, None] * radius * turn  # 1 - pole_i conj(pole_j)
+        products = residues @ residues.conj().T
+        variance = max(float(np.sum(form.D**2) + np.sum(products / apart).real), 0.0)
+        distance = np.abs(apart)
+        sizes = form.sizes[:, None] * form.sizes
+        turned = sizes / distance**2
+        turned[np.diag_indices(len(turned))] = 0.0
+        root = np.sqrt(form.gap)
+        widest = np.sqrt(np.maximum(form.gap[:, None], form.gap))
+        response = float(np.sum(form.inexact / root) + 2.0 * np.sum(form.couplings / (root[:, None] * root * widest)))
+        rounding = 16.0 * EPS * float(np.sum(sizes / distance)) + 2.0 * ANGLE * float(turned.sum())
+        error = rounding + response * (2.0 * variance**0.5 + response)
+        if error <= settings.variance_error * variance:
             return unit * float(np.sqrt(variance))
-    if (quotient := Quotient.of(balanced_system)) is not None:
+    if (quotient := Quotient.of(balanced_system, settings)) is not None:
         return unit * float(np.sqrt(quotient.variance())) if quotient.stable(limit) else None
     # Variance by both Gramians, which must agree
     A, B, C, D = balanced_system
@@ -232,26 +254,6 @@ def discrete_h2(system: Matrices) -> float | None:
     direct = float(np.sum(D**2))
     first = direct + float(np.sum((C @ stein(A, B @ B.T)) * C))
     second = direct + float(np.sum((B.T @ stein(A.T, C.T @ C)) * B.T))
-    if not abs(first - second) <= AGREEMENT * abs(first):
+    if not abs(first - second) <= settings.gramians * abs(first):
         raise ArithmeticError(hidden)
     return unit * float(np.sqrt(max(first, 0.0)))
-
-
-def _of_modes(form: CircleModes) -> tuple[float, float]:
-    """Variance of the output for white noise, and what rounding may have done to it."""
-    residues = form.residues
-    gap, radius = form.gap[:, None] + form.gap - form.gap[:, None] * form.gap, 1.0 - form.gap
-    phi = form.angle[:, None] - form.angle
-    turn = 2.0 * np.sin(0.5 * phi) ** 2 - 1j * np.sin(phi)
-    apart = gap + radius[:, None] * radius * turn  # 1 - pole_i conj(pole_j)
-    products = residues @ residues.conj().T
-    variance = float(np.sum(form.D**2) + np.sum(products / apart).real)
-    distance = np.abs(apart)
-    sizes = form.sizes[:, None] * form.sizes
-    turned = sizes / distance**2
-    turned[np.diag_indices(len(turned))] = 0.0
-    root = np.sqrt(form.gap)
-    widest = np.sqrt(np.maximum(form.gap[:, None], form.gap))
-    response = float(np.sum(form.inexact / root) + 2.0 * np.sum(form.couplings / (root[:, None] * root * widest)))
-    rounding = 16.0 * EPS * float(np.sum(sizes / distance)) + 2.0 * ANGLE * float(turned.sum())
-    return max(variance, 0.0), rounding + response * (2.0 * max(variance, 0.0) ** 0.5 + response)

@@ -26,16 +26,11 @@ from lftkit.analysis.eigenvectors import (
     eigenvector_residual,
     modes,
 )
-from lftkit.analysis.hinf.level_iteration import INSIDE
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
-ORDER = 4  # of the expansions
 ANGLE = 1e-15  # rounding of the angle of a pole or of a point of the circle [rad]
-SETTLED = 0.25  # sum of a row of the residual over the distance of its pole from the circle, at most
-SEPARATE = 1e-11  # the same, above which the eigenvectors are corrected
 TWICE = 2.0**-74  # rounding of a product in twice the working precision
-RESOLVENTS = 200_000  # entries of the inverses that are held at once
-MAX_CONDITION = 1e12  # of the eigenvectors
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class Expansion:
 
     Parameters
     ----------
-    coefficients : ndarray, shape (N, ORDER + 1, p, m), complex
+    coefficients : ndarray, shape (N, K + 1, p, m), complex
     rest : ndarray, shape (N,)
         Norm of what the expansion leaves out, at most; infinite where it does not converge.
     rounding : ndarray, shape (N,)
@@ -72,6 +67,7 @@ class CircleModes:
     couplings : ndarray, shape (n, n)
         Magnitudes of the residual in modal coordinates, times the norms of the factors on both sides.
     D : ndarray, shape (p, m)
+    settings : NormSettings
     """
 
     angle: FloatArray
@@ -81,9 +77,11 @@ class CircleModes:
     inexact: FloatArray
     couplings: FloatArray
     D: FloatArray
+    settings: NormSettings = SETTINGS
 
     def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
         """Expansions around the angles `theta` (N,) [rad], for `half` (N,) to both sides."""
+        order, inside = self.settings.order, self.settings.inside
         t = np.tan(0.5 * half)[:, None]
         phi = theta[:, None] - self.angle
         turned = np.exp(1j * phi)
@@ -93,16 +91,16 @@ class CircleModes:
         q = more - 1.0
         size, reach = np.abs(weight), np.abs(q)
         moved = t * reach
-        converges = moved.max(axis=1, initial=0.0) < INSIDE
-        left = 1.0 - np.minimum(moved, INSIDE)
-        weights = np.empty((len(theta), ORDER + 1, len(self.gap)), dtype=complex)
+        converges = moved.max(axis=1, initial=0.0) < inside
+        left = 1.0 - np.minimum(moved, inside)
+        weights = np.empty((len(theta), order + 1, len(self.gap)), dtype=complex)
         weights[:, 0] = weight
         weights[:, 1] = (-1j * t) * more * weight
-        for k in range(1, ORDER):
+        for k in range(1, order):
             weights[:, k + 1] = (-1j * t) * q * weights[:, k]
         coefficients = (weights @ self.residues).reshape(*weights.shape[:2], *self.D.shape)
         coefficients[:, 0] += self.D
-        rest = (t * moved**ORDER * np.abs(more) * size / left) @ self.sizes
+        rest = (t * moved**order * np.abs(more) * size / left) @ self.sizes
         return Expansion(coefficients, np.where(converges, rest, np.inf), self._rounding(size / left))
 
     def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -124,7 +122,9 @@ class CircleModes:
         return np.asarray(8.0 * EPS * terms + near @ self.inexact + 2.0 * coupled + 2.0 * ANGLE * others)
 
 
-def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bool | None]:
+def circle_modes(
+    system: Matrices, limit: float, settings: NormSettings = SETTINGS
+) -> tuple[CircleModes | None, bool | None]:
     """Modal form of a balanced system, and whether all poles have a magnitude below `limit`.
 
     The form is None where the eigenvectors do not carry it, the answer is None where rounding hides it.
@@ -132,11 +132,11 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
     A, B, C, D = system
     n = len(A)
     eigen = modes(A)
-    if eigen.reciprocal_condition * MAX_CONDITION < 1.0:
+    if eigen.reciprocal_condition * settings.circle_condition < 1.0:
         return None, None
     off = _residual(A, eigen)
     gap, angle = _polar(eigen.poles, off)
-    if not np.all(np.abs(off).sum(axis=1) <= SEPARATE * np.abs(gap)):
+    if not np.all(np.abs(off).sum(axis=1) <= settings.separate * np.abs(gap)):
         eigen = corrected_modes(A, eigen)
         vectors = eigen.vectors + eigen.low
         eigen = Modes(eigen.poles, vectors, np.zeros((n, n)), lapack.dgetrf(vectors)[:2])
@@ -154,7 +154,7 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
         return None, None
     if np.any(gap <= band):
         return None, False
-    if np.any(reach > SETTLED * gap):
+    if np.any(reach > settings.settled * gap):
         return None, None
     left = complex_columns(eigen.poles, eigen.observed(C))
     # ``V^-1 B`` (n, m), complex, and the error of its rows (n,)
@@ -168,7 +168,8 @@ def circle_modes(system: Matrices, limit: float) -> tuple[CircleModes | None, bo
     rows, columns = np.sqrt(np.sum(np.abs(left) ** 2, axis=0)), np.sqrt(np.sum(np.abs(right) ** 2, axis=1))
     residues = (left.T[:, :, None] * right[:, None, :]).reshape(n, -1)
     inexact = rows * error + 4.0 * EPS * rows * columns
-    return CircleModes(angle, gap, residues, rows * columns, inexact, couplings * rows[:, None] * columns, D), True
+    couplings = couplings * rows[:, None] * columns
+    return CircleModes(angle, gap, residues, rows * columns, inexact, couplings, D, settings), True
 
 
 def _residual(A: FloatArray, eigen: Modes) -> ComplexArray:
@@ -205,6 +206,7 @@ class CircleResolvents:
     angle, gap : ndarray, shape (n,)
         Of the computed poles; only to place intervals. That they are inside the circle is shown by the expansions:
         where all of them converge, no pole can have crossed the circle by rounding.
+    settings : NormSettings
     """
 
     A: FloatArray
@@ -213,16 +215,17 @@ class CircleResolvents:
     D: FloatArray
     angle: FloatArray
     gap: FloatArray
+    settings: NormSettings = SETTINGS
 
     @classmethod
-    def of(cls, system: Matrices) -> CircleResolvents:
+    def of(cls, system: Matrices, settings: NormSettings = SETTINGS) -> CircleResolvents:
         """Response of a balanced system."""
         poles = modes(system[0]).poles
-        return cls(*system, np.asarray(np.angle(poles), dtype=float), 1.0 - np.abs(poles))
+        return cls(*system, np.asarray(np.angle(poles), dtype=float), 1.0 - np.abs(poles), settings)
 
     def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
         """Expansions around the angles `theta` (N,) [rad], for `half` (N,) to both sides."""
-        step = max(1, RESOLVENTS // self.A.size)
+        step = max(1, self.settings.resolvents // self.A.size)
         parts = [self._expansion(theta[k : k + step], half[k : k + step]) for k in range(0, len(theta), step)]
         return Expansion(*(np.concatenate([getattr(x, f.name) for x in parts]) for f in fields(Expansion)))
 
@@ -234,25 +237,25 @@ class CircleResolvents:
         return coefficients[0], coefficients[1] / t, 2.0 * coefficients[2] / (t * t)
 
     def _expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
-        n = len(self.A)
+        n, order, inside = len(self.A), self.settings.order, self.settings.inside
         z, t = np.exp(1j * theta)[:, None, None], np.tan(0.5 * half)
         R = inverses(z * np.eye(n) - self.A)
         Q = t[:, None, None] * (2.0 * z * R - np.eye(n))
         X = R @ self.B
-        coefficients = np.empty((len(theta), ORDER + 1, *self.D.shape), dtype=complex)
+        coefficients = np.empty((len(theta), order + 1, *self.D.shape), dtype=complex)
         coefficients[:, 0] = self.C @ X + self.D
         excited = np.sqrt(np.sum(np.abs(X) ** 2, axis=(1, 2)))
         X = 2.0 * t[:, None, None] * z * (R @ X)
         moved, seen = np.sqrt(np.sum(np.abs(X) ** 2, axis=(1, 2))), self.C.astype(complex) + 0.0 * z
         observed = np.sqrt(np.sum(np.abs(self.C @ R) ** 2, axis=(1, 2)))
-        for k in range(1, ORDER + 1):
+        for k in range(1, order + 1):
             coefficients[:, k] = (-1j) ** k * (self.C @ X)
             X, seen = Q @ X, seen @ Q
         reach = np.sqrt(np.sum(np.abs(Q) ** 2, axis=(1, 2)))
         rounding = 10.0 * n * EPS * (1.0 + float(np.sqrt(np.sum(self.A**2))))
         resolvent = np.sqrt(np.sum(np.abs(R) ** 2, axis=(1, 2)))
-        converges = (reach < INSIDE) & (rounding * resolvent < SETTLED * (1.0 - INSIDE))
-        left = 1.0 - np.minimum(reach, INSIDE)
+        converges = (reach < inside) & (rounding * resolvent < self.settings.settled * (1.0 - inside))
+        left = 1.0 - np.minimum(reach, inside)
         rest = np.sqrt(np.sum(np.abs(seen) ** 2, axis=(1, 2))) * moved / left
         error = 2.0 * rounding * observed * excited / left**2 + 8.0 * EPS * float(np.sqrt(np.sum(self.D**2)))
         return Expansion(coefficients, np.where(converges, rest, np.inf), error)

@@ -15,17 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from lftkit.analysis.hinf.level_iteration import Peak, UndecidedError
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings, Peak, UndecidedError
 from lftkit.arrays import FloatArray, Matrices
 
 Integers = NDArray[np.object_]
 
-MAX_STATES = 24
-LARGEST_EXPONENT = 400  # bits between the largest and the smallest digit of the matrices, at most
-MAX_DEPTH, MAX_PARTS = 120, 20_000  # halvings of an interval, intervals
-STARTS = 16  # points of each half of the circle from which a peak is searched
-SEARCH = 40  # steps of the search for a peak
-MARGIN = 2.0**-44  # relative size of an eigenvalue whose sign counts
+SIGN = 2.0**-44  # relative size of an eigenvalue whose sign counts
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
@@ -37,13 +32,13 @@ class Quotient:
     denominator: Integers
 
     @classmethod
-    def of(cls, system: Matrices) -> Quotient | None:
+    def of(cls, system: Matrices, settings: NormSettings = SETTINGS) -> Quotient | None:
         """Transfer matrix, or None for a system that is too large or of too wide a range."""
         n = len(system[0])
-        if n > MAX_STATES:
+        if n > settings.exact_states:
             return None
         scaled = [_integers(matrix) for matrix in system]
-        if any(bits > LARGEST_EXPONENT for _, bits in scaled):
+        if any(bits > settings.exact_bits for _, bits in scaled):
             return None
         (A, a), (B, b), (C, c), (D, d) = scaled
         identity = np.array([[int(i == k) for k in range(n)] for i in range(n)], dtype=object)
@@ -166,16 +161,19 @@ class ExactCircleModel:
     quotient : Quotient
     rtol : float
         Relative distance of the two sides.
+    settings : NormSettings
     """
 
     quotient: Quotient
     rtol: float
+    settings: NormSettings = SETTINGS
 
     def first_peak(self) -> Peak:
         """The peak near the best of some points of the circle."""
-        starts = [(half, k / STARTS) for half in self.quotient.halves for k in range(STARTS + 1)]
+        count = self.settings.exact_starts
+        starts = [(half, k / count) for half in self.quotient.halves for k in range(count + 1)]
         half, t = max(starts, key=lambda start: start[0].gain(start[1]))
-        return _peak(half, t, 1.0 / STARTS)
+        return _peak(half, t, 1.0 / count, self.settings.exact_steps)
 
     def bracket(self, peak: Peak) -> tuple[float, float]:
         """Gain at `peak` and the level above it, which is above zero."""
@@ -184,12 +182,12 @@ class ExactCircleModel:
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The peak near a point that exceeds the level."""
         for half in self.quotient.halves:
-            if (above := _above(half, level)) is not None:
-                return _peak(half, *above)
+            if (above := _above(half, level, self.settings)) is not None:
+                return _peak(half, *above, self.settings.exact_steps)
         return None
 
 
-def _above(half: _Half, level: float) -> tuple[float, float] | None:
+def _above(half: _Half, level: float, settings: NormSettings) -> tuple[float, float] | None:
     """A point above the level and the width of its interval; None: the gain stays below."""
     parts = [(0.0, 1.0, *half.excess(level), 0)]
     done = 0
@@ -203,20 +201,20 @@ def _above(half: _Half, level: float) -> tuple[float, float] | None:
         if min(signs) > 0:
             continue
         middle = 0.5 * (low + high)
-        if depth >= MAX_DEPTH or done >= MAX_PARTS or not low < middle < high:
+        if depth >= settings.exact_depth or done >= settings.exact_parts or not low < middle < high:
             raise UndecidedError("an interval of the circle is too small")
         (first, second), (one, two) = _split(real), _split(imaginary)
         parts += [(low, middle, first, one, depth + 1), (middle, high, second, two, depth + 1)]
     return None
 
 
-def _peak(half: _Half, t: float, width: float) -> Peak:
+def _peak(half: _Half, t: float, width: float, steps: int) -> Peak:
     """Peak near t, by golden section."""
     low, high = max(t - width, 0.0), min(t + width, 1.0)
     best, place = half.gain(t), t
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     ga, gb = half.gain(a), half.gain(b)
-    for _ in range(SEARCH):
+    for _ in range(steps):
         if ga >= gb:
             high, b, gb = b, a, ga
             a = high - GOLDEN * (high - low)
@@ -240,7 +238,7 @@ def _signs(real: Integers, imaginary: Integers) -> list[int]:
         bits = max(max(abs(v) for v in x.ravel()).bit_length() - 60, 0)
         matrix = (x >> bits).astype(float) + 1j * (y >> bits).astype(float)
         values = linalg.eigvalsh(matrix)
-        size = MARGIN * max(abs(values[0]), abs(values[-1]))
+        size = SIGN * max(abs(values[0]), abs(values[-1]))
         signs.append(1 if values[0] > size else -1 if values[0] < -size else 0)
     return signs
 

@@ -16,16 +16,11 @@ from scipy.linalg import lapack
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.level_iteration import Peak
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings, Peak
 from lftkit.analysis.hinf.peak_search import CANCELLATION, cancellation, direct_gain, highest_peak_of, peak_frequencies
 from lftkit.arrays import FloatArray, Matrices
 
-IMAGINARY = 1e-7  # real part of an imaginary eigenvalue over its magnitude, at most: one too many costs only a gain
-ROUNDING = 1e-13  # the same over the largest magnitude
-UNPAIRED = 3.0  # twice a real part over the distance from the reflection of another one, of an imaginary eigenvalue
 SQUARES = float(np.sqrt(10.0 * EPS))  # least gain over the sum of its terms' magnitudes that squares of gains show
-SAMPLES = 40  # frequencies at which these terms are looked at, at most
-WORKSPACE = 66  # numbers per row that LAPACK's routine for eigenvalues asks for, at most
 
 
 @dataclass(frozen=True)
@@ -42,19 +37,21 @@ class HamiltonianModel:
         Relative distance of the two sides.
     band : tuple of float
         Lowest and highest frequency [rad/s].
+    settings : NormSettings
     """
 
     system: Matrices
     response: FrequencyResponse
     rtol: float
     band: tuple[float, float] = (0.0, np.inf)
+    settings: NormSettings = SETTINGS
 
     @cached_property
     def _terms(self) -> float:
         """Largest sum of the magnitudes of a gain's terms at the resonances and poles in the band."""
         low, high = self.band
         omega = peak_frequencies(self.response.poles.tolist())
-        omega = np.clip(omega[:: -(-len(omega) // SAMPLES)], low, high)
+        omega = np.clip(omega[:: -(-len(omega) // self.settings.samples)], low, high)
         return max(_terms_at(self.system, float(w)) for w in omega)
 
     def first_peak(self) -> Peak:
@@ -85,7 +82,7 @@ class HamiltonianModel:
 
         Without crossings the gain is on one side of the level in the whole band, and its ends say on which.
         """
-        crossings = level_crossings(self.system, level)
+        crossings = level_crossings(self.system, level, self.settings)
         inside = crossings[(crossings > self.band[0]) & (crossings < self.band[1])]
         if not inside.size:
             end = max((Peak(omega, direct_gain(self.system, omega)) for omega in self.band), key=lambda one: one.gain)
@@ -105,7 +102,7 @@ class HamiltonianModel:
         """The highest peak near some of the frequencies inside the band, and its gain in the response."""
         low, high = self.band
         inside = np.unique(frequencies[(frequencies >= low) & (frequencies <= high)])
-        omega, gain, _ = highest_peak_of(self.response, inside, self.rtol, self.band)
+        omega, gain, _ = highest_peak_of(self.response, inside, self.rtol, self.settings, self.band)
         return Peak(omega, direct_gain(self.system, omega)), gain
 
 
@@ -118,7 +115,7 @@ def _terms_at(system: Matrices, omega: float) -> float:
     return float(linalg.norm(np.abs(C) @ states))
 
 
-def level_crossings(system: Matrices, level: float) -> FloatArray:
+def level_crossings(system: Matrices, level: float, settings: NormSettings = SETTINGS) -> FloatArray:
     """Frequencies at which a singular value of the response may equal `level` [rad/s], ascending.
 
     Eigenvalues count as imaginary generously, because the gain at the crossings and between them decides.
@@ -128,12 +125,12 @@ def level_crossings(system: Matrices, level: float) -> FloatArray:
     size = float(sizes.max(initial=0.0))
     gap = float(np.abs(1.0 - (linalg.svdvals(system[3]) / level) ** 2).min(initial=1.0))
     solved = EPS * size * max(1.0 / max(gap, EPS) - 1.0, 0.0)  # rounding where the level is near a gain of D
-    near = np.abs(real) <= IMAGINARY * sizes + ROUNDING * size + 2.0 * np.sqrt(solved * sizes)
+    near = np.abs(real) <= settings.imaginary * sizes + settings.displaced * size + 2.0 * np.sqrt(solved * sizes)
     # Others come in pairs, reflected at the axis, as far as rounding lets them: one without a partner is imaginary
     values = real + 1j * imaginary
     distance = np.abs(values[:, None] + values.conj())
     np.fill_diagonal(distance, np.inf)
-    near |= 2.0 * np.abs(real) <= UNPAIRED * np.asarray(distance.min(axis=1, initial=np.inf))
+    near |= 2.0 * np.abs(real) <= settings.unpaired * np.asarray(distance.min(axis=1, initial=np.inf))
     return np.asarray(np.unique(np.abs(imaginary[near])))
 
 
@@ -169,7 +166,8 @@ def hamiltonian_eigenvalues(system: Matrices, level: float) -> tuple[FloatArray,
     else:
         H[:n, n:] = b @ b.T
         H[n:, :n] = -(c.T @ c)
-    real, imaginary, _, _, info = lapack.dgeev(H, compute_vl=0, compute_vr=0, overwrite_a=1, lwork=WORKSPACE * 2 * n)
+    workspace = 66 * 2 * n  # what LAPACK asks for, at most
+    real, imaginary, _, _, info = lapack.dgeev(H, compute_vl=0, compute_vr=0, overwrite_a=1, lwork=workspace)
     if info:
         raise ArithmeticError(f"the eigenvalues of a Hamiltonian matrix of order {2 * n} did not converge")
     return real, imaginary

@@ -14,13 +14,10 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.level_iteration import AGREEMENT, INSIDE, PEAK_CUTS, Peak, UndecidedError, above_level
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings, Peak, UndecidedError, above_level
 from lftkit.analysis.hinf.peak_search import cancellation, direct_gain, highest_peak_of, peak_frequencies
-from lftkit.arrays import BoolArray, ComplexArray, FloatArray, Matrices
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.errors import InputError
-
-CHUNK = 40_000  # entries of the arrays of one step, so that they stay in the cache
-GROWTH = 4.0  # of the intervals away from a pole
 
 
 class InexactModesError(UndecidedError):
@@ -39,27 +36,29 @@ class IntervalModel:
         The same in modal form, all poles left of the imaginary axis.
     rtol : float
         Relative distance of the two sides.
+    settings : NormSettings
     """
 
     system: Matrices
     response: FrequencyResponse
     rtol: float
+    settings: NormSettings = SETTINGS
 
     def first_peak(self) -> Peak:
         """The highest peak near the resonances."""
-        return highest_peak_of(self.response, np.append(self._seeds, np.inf), self.rtol)
+        return highest_peak_of(self.response, np.append(self._seeds, np.inf), self.rtol, self.settings)
 
     def bracket(self, peak: Peak) -> tuple[float, float]:
         """Gain by a direct solution, which the modal form must reproduce, and the level above it."""
         value, noise = direct_gain(self.system, peak.omega), cancellation(self.response)
-        if abs(value - peak.gain) > max(AGREEMENT * self.rtol * value, noise):
+        if abs(value - peak.gain) > max(self.settings.agreement * self.rtol * value, noise):
             raise InexactModesError(f"the modal form has the gain {peak.gain}, a direct solution {value}")
         return value, value * (1.0 + self.rtol) if value > noise else value + noise
 
     def higher_peak(self, level: float, peak: Peak) -> Peak | None:
         """The highest peak near the first intervals that exceed the level."""
-        above = interval_test(self.response, level, self._seeds, peak.omega)
-        return None if above is None else highest_peak_of(self.response, above, self.rtol)
+        above = interval_test(self.response, level, self._seeds, peak.omega, self.settings)
+        return None if above is None else highest_peak_of(self.response, above, self.rtol, self.settings)
 
     @cached_property
     def _seeds(self) -> FloatArray:
@@ -67,7 +66,11 @@ class IntervalModel:
 
 
 def interval_test(
-    response: FrequencyResponse, level: float, seeds: FloatArray, peak: float | None = None
+    response: FrequencyResponse,
+    level: float,
+    seeds: FloatArray,
+    peak: float | None = None,
+    settings: NormSettings = SETTINGS,
 ) -> FloatArray | None:
     """Frequencies at which the largest singular value exceeds `level` [rad/s]; None: it stays below at all.
 
@@ -80,6 +83,8 @@ def interval_test(
         Frequencies [rad/s] at which the axis is first cut: resonances.
     peak : float, optional
         Frequency of the largest gain known [rad/s], where the cuts are closest.
+    settings : NormSettings
+        Of these `intervals`, `chunk`, `inside`, `growth` and `peak_cuts`.
 
     Raises
     ------
@@ -100,27 +105,34 @@ def interval_test(
     poles = response.poles
     residue = response.residue_norms
     top = 2.0 * float(np.abs(poles).max(initial=1.0))
-    cuts = _cuts(poles, seeds if peak is None else np.concatenate([seeds, _around(peak, poles)]), top)
-    step = max(1, CHUNK // max(len(poles), 1))
+    cuts = _cuts(poles, seeds, top, peak, settings)
+    most, step = settings.intervals, max(1, settings.chunk // max(len(poles), 1))
     ends, tail = np.column_stack([cuts[:-1], cuts[1:]]), np.array([[0.0, 1.0 / top]])
+    direct = largest_gains(response.D[None].astype(complex))[0]
 
     def up_to_top(centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-        hard = ~_clearly_below(response, residue, level, centre, half)
+        # Elsewhere the norms of D and of all modal terms add up to less than the level: no phase is needed
+        distance = np.sqrt((centre[:, None] - poles.imag) ** 2 + poles.real**2) - half[:, None]
+        with np.errstate(divide="ignore"):
+            total = np.where(distance.min(axis=1) > 0.0, (1.0 / np.maximum(distance, 1e-300)) @ residue, np.inf)
+        hard = ~(total + direct <= level)
         gain, bound = np.zeros(len(centre)), np.full(len(centre), level)
-        gain[hard], bound[hard] = _taylor_bound(response, residue, centre[hard], half[hard], False)
+        gain[hard], bound[hard] = _taylor_bound(response, residue, centre[hard], half[hard], False, settings)
         return gain, bound
 
-    above = above_level(up_to_top, level, ends, step)
+    above = above_level(up_to_top, level, ends, most, step)
     if above is not None:
         return above[0]
-    above = above_level(lambda centre, half: _taylor_bound(response, residue, centre, half, True), level, tail, step)
+    above = above_level(
+        lambda centre, half: _taylor_bound(response, residue, centre, half, True, settings), level, tail, most, step
+    )
     if above is None:
         return None
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / above[0])
 
 
-def _cuts(poles: ComplexArray, seeds: FloatArray, top: float) -> FloatArray:
+def _cuts(poles: ComplexArray, seeds: FloatArray, top: float, peak: float | None, settings: NormSettings) -> FloatArray:
     """First cuts of the axis: intervals that grow with the distance from the nearest lightly damped pole."""
     light = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.3 * np.abs(poles))]
     order = np.argsort(light.imag)
@@ -131,28 +143,12 @@ def _cuts(poles: ComplexArray, seeds: FloatArray, top: float) -> FloatArray:
     reach = decay.copy()
     while np.any(reach < np.maximum(below, above)):
         cuts += [(w - reach)[reach < 0.7 * below], (w + reach)[reach < 0.7 * above]]
-        reach = reach * GROWTH
+        reach = reach * settings.growth
+    if peak is not None and np.isfinite(peak):  # where its parabola has fallen by x^2, intervals of the length x pass
+        steps = np.abs(1j * peak - poles).min() * 2.0 ** np.arange(-settings.peak_cuts, 1.0)
+        cuts += [np.array([peak]), peak - steps, peak + steps]
     every = np.unique(np.concatenate(cuts))
     return np.asarray(every[(every >= 0.0) & (every <= top)])
-
-
-def _around(peak: float, poles: ComplexArray) -> FloatArray:
-    """Cuts around a peak: where its parabola has fallen by x^2, intervals of the length x pass."""
-    if not np.isfinite(peak):
-        return np.zeros(0)
-    steps = np.abs(1j * peak - poles).min() * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
-    return np.concatenate([[peak], peak - steps, peak + steps])
-
-
-def _clearly_below(
-    response: FrequencyResponse, residue: FloatArray, level: float, centre: FloatArray, half: FloatArray
-) -> BoolArray:
-    """Intervals on which the norms of D and of all modal terms add up to less than the level: no phase needed."""
-    poles = response.poles
-    distance = np.sqrt((centre[:, None] - poles.imag) ** 2 + poles.real**2) - half[:, None]
-    with np.errstate(divide="ignore"):
-        total = np.where(distance.min(axis=1) > 0.0, (1.0 / np.maximum(distance, 1e-300)) @ residue, np.inf)
-    return np.asarray(total + largest_gains(response.D[None].astype(complex))[0] <= level)
 
 
 def _taylor_bound(
@@ -161,6 +157,7 @@ def _taylor_bound(
     centre: FloatArray,
     half: FloatArray,
     inverse: bool,
+    settings: NormSettings = SETTINGS,
 ) -> tuple[FloatArray, FloatArray]:
     """Gain at the centres and a bound of it on the whole intervals, both (N,)."""
     p, m = response.D.shape
@@ -175,7 +172,7 @@ def _taylor_bound(
         ratio = -1j * zeroth
         first = ratio * zeroth
     size = np.sqrt(ratio.real**2 + ratio.imag**2)
-    inside = half * size.max(axis=1) < INSIDE
+    inside = half * size.max(axis=1) < settings.inside
     gain, bound = np.zeros(len(centre)), np.full(len(centre), np.inf)
     if inside.any():
         zeroth, first, ratio, size = zeroth[inside], first[inside], ratio[inside], size[inside]

@@ -13,13 +13,8 @@ from scipy.linalg import LinAlgError, lapack
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response
-from lftkit.analysis.hinf.level_iteration import Peak
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings, Peak
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
-
-MAX_STEPS = 20
-FALL = 0.01  # of a step that would raise the gain by less than this times the tolerance: it is not taken
-STARTS = 3  # frequencies from which a peak is searched
-RIVAL = 0.7  # of the largest gain: frequencies below are no starts
 
 Responses = Callable[[float], tuple[ComplexArray, ComplexArray, ComplexArray]]
 CANCELLATION = 100.0 * EPS  # rounding of a gain over the sum of the magnitudes of the modal terms
@@ -90,7 +85,11 @@ def peak_frequencies(poles: Iterable[complex]) -> FloatArray:
 
 
 def highest_peak_of(
-    response: FrequencyResponse, frequencies: FloatArray, rtol: float, band: tuple[float, float] = (0.0, np.inf)
+    response: FrequencyResponse,
+    frequencies: FloatArray,
+    rtol: float,
+    settings: NormSettings,
+    band: tuple[float, float] = (0.0, np.inf),
 ) -> Peak:
     """Highest peak of a response near the best of some frequencies, see :func:`highest_peak`."""
 
@@ -98,7 +97,7 @@ def highest_peak_of(
         return float(np.abs(1j * omega - response.poles).min())
 
     gains = largest_gains(response.at(frequencies))
-    return highest_peak(response.with_derivatives, distance, (frequencies, gains), rtol, band)
+    return highest_peak(response.with_derivatives, distance, (frequencies, gains), rtol, band, settings)
 
 
 def highest_peak(
@@ -107,8 +106,9 @@ def highest_peak(
     tried: tuple[FloatArray, FloatArray],
     rtol: float,
     band: tuple[float, float],
+    settings: NormSettings,
 ) -> Peak:
-    """Highest peak near the best `STARTS` of the frequencies tried.
+    """Highest peak near the best of the frequencies tried.
 
     Parameters
     ----------
@@ -122,20 +122,24 @@ def highest_peak(
         As in :func:`climb`.
     band : tuple of float
         Lowest and highest frequency; the search starts inside and does not leave it.
+    settings : NormSettings
+        Of these `starts` and `rival`, and as in :func:`climb`.
     """
     frequencies, gains = tried
-    chosen = np.argsort(gains)[::-1][:STARTS]
+    chosen = np.argsort(gains)[::-1][: settings.starts]
     best, place = float(gains[chosen[0]]), float(frequencies[chosen[0]])
-    for k in chosen[gains[chosen] >= RIVAL * best]:
+    for k in chosen[gains[chosen] >= settings.rival * best]:
         start = float(frequencies[k])
         if band[0] < start < band[1]:
-            omega, gain = climb(responses, start, float(gains[k]), distance(start), rtol)
+            omega, gain = climb(responses, start, float(gains[k]), distance(start), rtol, settings)
             if gain > best and band[0] <= omega <= band[1]:
                 best, place = gain, omega
     return Peak(place, best)
 
 
-def climb(responses: Responses, omega: float, gain: float, limit: float, rtol: float) -> tuple[float, float]:
+def climb(
+    responses: Responses, omega: float, gain: float, limit: float, rtol: float, settings: NormSettings = SETTINGS
+) -> tuple[float, float]:
     """Frequency and gain of the peak near `omega`.
 
     Parameters
@@ -150,13 +154,15 @@ def climb(responses: Responses, omega: float, gain: float, limit: float, rtol: f
         Longest step [rad/s]: the distance of the nearest pole.
     rtol : float
         Relative distance of the gain from the peak at which the search ends.
+    settings : NormSettings
+        Of these `climb_steps` and `fall`.
     """
     best, low, high = omega, 0.0, np.inf
-    for _ in range(MAX_STEPS):
+    for _ in range(settings.climb_steps):
         square, slope, curvature = squared_gain(*responses(omega))
         if square > gain * gain:
             best, gain = omega, square**0.5
-        if slope * slope <= -4.0 * FALL * rtol * square * curvature:  # what the step would add to the square
+        if slope * slope <= -4.0 * settings.fall * rtol * square * curvature:  # what the step would add to the square
             break
         low, high = (omega, high) if slope > 0.0 else (low, omega)
         step = -slope / curvature if curvature < 0.0 else (limit if slope > 0.0 else -limit)

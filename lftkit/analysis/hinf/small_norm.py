@@ -19,21 +19,12 @@ from scipy.linalg import lapack
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.hinf.hamiltonian_norm import hamiltonian_eigenvalues
-from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
+from lftkit.analysis.hinf.level_iteration import SETTINGS, NormSettings, Peak, UndecidedError
 from lftkit.analysis.hinf.peak_search import climb, direct_gain, largest_gain, peak_frequencies, response_at
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.systems.sampled.bilinear import discrete_point, to_continuous, unwarped_frequency
 
-MAX_STATES = 40
-SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
-CANCELLED = 100.0  # roundings in the square of a level, relative to the square of the sum of the modal terms
-SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
 AT_CIRCLE = 16.0 * EPS  # 1 - |z|^2 of a pole over the number of states, below which another way says what is stable
-LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
-CLIMB = 0.1  # part of `rtol` to which a peak is climbed
-DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
-DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
-MAX_CONDITION = 1e4  # of the matrix that is inverted
 
 
 class HalfPlane(NamedTuple):
@@ -58,8 +49,8 @@ class HalfPlane(NamedTuple):
     condition: float
 
     @classmethod
-    def of(cls, system: Matrices) -> Iterator[HalfPlane]:
-        """The maps that are well conditioned, first by the sign of the trace.
+    def of(cls, system: Matrices, largest: float) -> Iterator[HalfPlane]:
+        """The maps whose condition is at most the `largest`, first by the sign of the trace.
 
         The second one is for a peak at ``z = -sign``, which the first one has at infinity.
         """
@@ -70,7 +61,7 @@ class HalfPlane(NamedTuple):
                 mapped = to_continuous(A * sign, B * sign, C, D, rcond=0.0)
                 shifted, inverse = A * sign + one, 0.5 * (one - mapped[0])
                 condition = float(abs(shifted).sum(axis=0).max() * abs(inverse).sum(axis=0).max())
-                if condition <= MAX_CONDITION:
+                if condition <= largest:
                     yield cls(mapped, system, sign, condition)
 
     def angle(self, omega: float) -> float:
@@ -81,14 +72,6 @@ class HalfPlane(NamedTuple):
     def response(self, omega: float) -> ComplexArray:
         """Response (p, m) of the matrices that were given, at the point of the circle of `omega`."""
         return response_at(self.given, self.sign * (-1.0 if omega == np.inf else discrete_point(1j * omega)))
-
-
-def hidden(rtol: float) -> float:
-    """Smallest norm over the sum of the modal terms whose level the Hamiltonian matrix tells within `rtol`.
-
-    Its eigenvalues say the square of the level: where terms cancel, rounding of theirs can hide a peak.
-    """
-    return float((CANCELLED * EPS / rtol) ** 0.5)
 
 
 class SmallModel(NamedTuple):
@@ -117,6 +100,7 @@ class SmallModel(NamedTuple):
         No sum of the magnitudes of the modal terms exceeds it.
     direct : float
         Norm of D.
+    settings : NormSettings
     """
 
     system: Matrices
@@ -130,9 +114,12 @@ class SmallModel(NamedTuple):
     rounding: float
     terms: float
     direct: float
+    settings: NormSettings
 
     @classmethod
-    def of(cls, system: Matrices, rtol: float, origin: HalfPlane | None = None) -> SmallModel:
+    def of(
+        cls, system: Matrices, rtol: float, origin: HalfPlane | None = None, settings: NormSettings = SETTINGS
+    ) -> SmallModel:
         """Model of a balanced system (A, B, C, D) in continuous time.
 
         Parameters
@@ -144,6 +131,7 @@ class SmallModel(NamedTuple):
         origin : HalfPlane, optional
             Of a system that is an exact map of another one up to rounding: the gain is that of the other one, and
             nothing is decided by what the map may have lost.
+        settings : NormSettings
 
         Raises
         ------
@@ -167,15 +155,15 @@ class SmallModel(NamedTuple):
         values = list(map(complex, parts, heights))
         rounding = _rounding(max(map(abs, values)), origin) / reciprocal
         terms = float((abs(residues).max(axis=1) / -real).sum())
-        if rounding > SEPARATION * rtol**0.5 * decay:
+        if rounding > settings.separation * rtol**0.5 * decay:
             raise UndecidedError("the damping is near rounding")
         # 1 - |z|^2 of the poles z = (1 + s) / (1 - s)
         if origin is not None and min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values) < AT_CIRCLE * n:
             raise UndecidedError("a pole is near the unit circle")
-        if not terms + float(abs(D).max()) < LARGE:
+        if not terms + float(abs(D).max()) < settings.large:
             raise UndecidedError("powers of the gains are no numbers")
-        condition = 1.0 / reciprocal
-        return cls(system, rtol, origin, poles, residues, values, decay, condition, rounding, terms, largest_gain(D))
+        condition, direct = 1.0 / reciprocal, largest_gain(D)
+        return cls(system, rtol, origin, poles, residues, values, decay, condition, rounding, terms, direct, settings)
 
     def first_peak(self) -> Peak:
         """The peak near the best of zero, the resonances and the magnitudes of the poles."""
@@ -183,10 +171,22 @@ class SmallModel(NamedTuple):
 
     def bracket(self, peak: Peak) -> tuple[float, float]:
         """Gain by a direct solution, which the modal form must reproduce, and the level above it."""
-        value = self._direct_gain(peak.omega)
-        if abs(value - peak.gain) > AGREEMENT * self.rtol * value:
+        omega, settings = peak.omega, self.settings
+        # A direct solution is refined where rounding could be felt
+        felt = settings.direct if self.origin is None else settings.direct_of_map
+        refined = omega < np.inf and self.rounding > felt * self.rtol * self._distance(omega)
+        if self.origin is None:
+            value = direct_gain(self.system, omega, refined=refined)
+        elif refined:
+            raise UndecidedError("rounding of the map is felt")
+        else:
+            value = largest_gain(self.origin.response(omega))
+        if abs(value - peak.gain) > settings.agreement * self.rtol * value:
             raise UndecidedError("the modal form differs from a direct solution")
-        if value <= max(hidden(self.rtol) * self.terms, 1.0 / LARGE):
+        # The eigenvalues of the Hamiltonian matrix say the square of the level: where terms cancel, their rounding can
+        # hide a peak
+        hidden = (settings.cancelled * EPS / self.rtol) ** 0.5
+        if value <= max(hidden * self.terms, 1.0 / settings.large):
             raise UndecidedError("the modal terms cancel")
         return value, value * (1.0 + self.rtol)
 
@@ -212,7 +212,7 @@ class SmallModel(NamedTuple):
         omega, gain = self._best(np.array(crossings + middles))
         if gain > level:
             return self._climbed(omega, gain)
-        if self.rounding > AGREEMENT * self.rtol * self.decay or gap <= SMALL_GAP:
+        if self.rounding > self.settings.agreement * self.rtol * self.decay or gap <= self.settings.small_gap:
             raise UndecidedError("crossings by rounding, and the modal form does not tell the gains apart")
         return None
 
@@ -244,21 +244,12 @@ class SmallModel(NamedTuple):
         """Peak near `omega`."""
         if omega == np.inf or omega == 0.0:
             return Peak(omega, gain)
-        return Peak(*climb(self.with_derivatives, omega, gain, self._distance(omega), CLIMB * self.rtol))
+        rtol = self.settings.climbed * self.rtol
+        return Peak(*climb(self.with_derivatives, omega, gain, self._distance(omega), rtol, self.settings))
 
     def _distance(self, omega: float) -> float:
         """Distance from j omega to the nearest pole [rad/s]."""
         return min(abs(pole - 1j * omega) for pole in self.values)
-
-    def _direct_gain(self, omega: float) -> float:
-        """Gain by a direct solution, refined where rounding could be felt."""
-        felt = DIRECT if self.origin is None else DIRECT_OF_MAP
-        refined = omega < np.inf and self.rounding > felt * self.rtol * self._distance(omega)
-        if self.origin is None:
-            return direct_gain(self.system, omega, refined=refined)
-        if refined:
-            raise UndecidedError("rounding of the map is felt")
-        return largest_gain(self.origin.response(omega))
 
 
 def _rounding(size: float, origin: HalfPlane | None) -> float:

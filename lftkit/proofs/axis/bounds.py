@@ -20,8 +20,9 @@ from lftkit.errors import InputError
 from lftkit.proofs.axis.proof import AxisModel, AxisProof
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
-from lftkit.proofs.state_space.bounds import SHARE, ProvenBounds, least_level, named_member, smallest_unstable
-from lftkit.proofs.state_space.cells import NARROW, NO_SCALE, Cell
+from lftkit.proofs.settings import BOUNDS
+from lftkit.proofs.state_space.bounds import ProvenBounds, least_level, named_member, smallest_unstable
+from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.cover import WHOLE
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
@@ -30,18 +31,7 @@ from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL, Interval, Strip
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.system import System
 
-PART = 0.1
-"""Part of the band, relative to its frequency, for which a box is bisected."""
-RAISED = (1.1, 1.25, 1.5, 2.0, 5.0, 20.0, 1000.0)
-"""Factors of the level at which parts that are left over are tried, each for half of the time that is left."""
-LOWERED = (1.0, 0.9, 0.75, 0.5, 0.25)
-"""Factors of the aim at which stability is tried one after the other, likewise."""
-BASIS = 1e-11
-"""Smallest singular value of a basis of eigenvectors, with columns of norm 1, that counts as one."""
 SEPARATE = "the nominal member must be in the box, stable, with separate poles, got another"
-FIRST = 0.7
-"""Part of the time for the first attempt."""
-
 Box = tuple[Interval, ...]
 Piece = tuple[bool, Box, Interval]
 
@@ -54,6 +44,7 @@ class _Axis:
     model: AxisModel
     disks: list[DiskChannels]
     pieces: list[Piece]
+    options: BoundOptions
     strips: dict[bool, list[Strip]] = field(default_factory=lambda: {False: [], True: []})
     worst: DiskMember | None = None
 
@@ -65,6 +56,7 @@ class _Axis:
         box: Sequence[Interval],
         band: Interval,
         radii: Mapping[str, float] | None = None,
+        options: BoundOptions | None = None,
     ) -> _Axis:
         """An empty proof for a system whose channels are sorted, those of real elements first.
 
@@ -78,11 +70,12 @@ class _Axis:
         """
         if not system.elements:
             raise InputError("the system must have uncertain elements, got none")
+        options = options or BoundOptions()
         q, disks = len(system.channels), disks_of(system, radii)
         inner = slice(0, q if kind == "stability" else None)
         names = [p.name for p in system.parameters]
         groups = [tuple(i for i, channel in enumerate(system.channels) if channel == name) for name in names]
-        poles, T, X = modal_form(system.A)
+        poles, T, X = modal_form(system.A, options.settings.basis)
         fastest = 4.0 * float(np.abs(poles).max(initial=0.25))
         border = 2.0 ** math.ceil(math.log2(max(fastest, band[0], 1e-100)))
         model = AxisModel(
@@ -109,18 +102,23 @@ class _Axis:
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.system.nominal_stable():
             raise InputError(SEPARATE)
-        widths = [p.upper - p.lower or NO_SCALE for p in system.parameters]
-        whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
+        widths = [p.upper - p.lower or options.cells.no_scale for p in system.parameters]
+        least = [options.cells.narrow * width for width in widths]  # deviations are wide enough for scalings
+        whole = tuple(
+            (min(low, -half), max(high, half)) if high - low < half else (low, high)
+            for (low, high), half in zip(proof.deviations, least)
+        )
+        whole += proof.deviations[len(widths) :]
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
         if math.isinf(band[1]):
             pieces.append((True, whole, (0.0, 1.0 / border)))
-        return cls(proof, model, disks, pieces)
+        return cls(proof, model, disks, pieces, options)
 
-    def prove(self, level: float, until: float, seed: int) -> bool:
+    def prove(self, level: float, until: float) -> bool:
         """Prove the pieces that are left, those of one band together; True if none is left now."""
         waiting, self.pieces = _together(self.pieces), []
-        options = BisectionOptions(PART, seed=seed)
+        options = BisectionOptions(self.options.settings.axis_part, seed=self.options.seed)
         for number, (beyond, box, band) in enumerate(waiting):
             if time.monotonic() > until or (self.worst is not None and self.worst.gain >= level):
                 self.pieces += waiting[number:]
@@ -181,10 +179,12 @@ def gain_over_axis(
     ValueError
         The nominal member is not in the box, is not stable, or its poles can't be separated; no uncertain element.
     """
-    start, gap, wall_limit, seed = time.monotonic(), options.gap, options.wall_limit, options.seed
-    disks = disks_of(system)
-    worst = DiskSearch(system, box, band, seed).worst_member() if disks else worst_member(system, box, band, seed=seed)
-    axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
+    start, gap, wall_limit, settings = time.monotonic(), options.gap, options.wall_limit, options.settings
+    if disks_of(system):
+        worst = DiskSearch(system, box, band, options.seed, options.search).worst_member()
+    else:
+        worst = worst_member(system, box, band, seed=options.seed, settings=options.search)
+    axis = _Axis.of(system, "gain", box, band, options=options) if np.isfinite(worst.gain) else None
 
     def bounds(upper: float, status: str) -> tuple[ProvenBounds, Member]:
         proof = axis.finished(upper) if axis is not None and np.isfinite(upper) else None
@@ -194,41 +194,37 @@ def gain_over_axis(
     if axis is None:
         return bounds(np.inf, "unstable")
     while True:
-        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, least_level(system, worst))
+        least = least_level(system, worst, settings)
+        target = level if level is not None else max((1.0 + settings.share * gap) * worst.gain, least)
         if worst.gain >= target:
             return bounds(np.inf, "violated")
-        closed = axis.prove(target, start + FIRST * wall_limit, seed)
+        closed = axis.prove(target, start + settings.first * wall_limit)
         if axis.worst is None or axis.worst.gain <= worst.gain:
             break
-        worst, before = _improved(system, box, band, seed, axis.worst, worst), worst
+        # A member that was met in the proof, climbed
+        met, before = axis.worst, worst
+        if met.disks:
+            reached: Member = DiskSearch(system, box, band, options.seed, options.search).climbed(met)
+        else:
+            reached = member_gain(system, met.point, band)
+            reached = climbed(system, box, band, reached, settings=options.search)  # an unstable one as it is
+        worst = reached if reached.gain > worst.gain else worst
         if np.isinf(worst.gain):
             return bounds(np.inf, "unstable")
-        if closed or worst.gain <= before.gain * (1.0 + 1e-6) or time.monotonic() - start > FIRST * wall_limit:
+        if closed or worst.gain <= before.gain * (1.0 + 1e-6) or time.monotonic() - start > settings.first * wall_limit:
             break
     if level is not None and worst.gain >= level:
         return bounds(np.inf, "violated")
     upper = target
-    for factor in () if closed else RAISED:
+    for factor in () if closed else settings.axis_raised:
         upper = factor * max(target, worst.gain)
         now = time.monotonic()
-        if axis.prove(upper, now + 0.5 * (start + wall_limit - now), seed):
+        if axis.prove(upper, now + 0.5 * (start + wall_limit - now)):
             break
     if axis.pieces:
         return bounds(np.inf, "out_of_time")
-    aim = max((1.0 + gap) * worst.gain, least_level(system, worst)) if level is None else level
-    done = upper <= aim
-    return bounds(upper, "closed" if done else "out_of_time")
-
-
-def _improved(system: System, box: list[Interval], band: Interval, seed: int, met: DiskMember, worst: Member) -> Member:
-    """The better of the worst member and one that was met in a proof, climbed."""
-    if met.disks:
-        climbing = DiskSearch(system, box, band, seed).climbed(met)
-        return climbing if climbing.gain > worst.gain else worst
-    member = member_gain(system, met.point, band)
-    if not np.isinf(member.gain):
-        member = climbed(system, box, band, member)
-    return member if member.gain > worst.gain else worst
+    aim = max((1.0 + gap) * worst.gain, least_level(system, worst, settings)) if level is None else level
+    return bounds(upper, "closed" if upper <= aim else "out_of_time")
 
 
 def stability_over_axis(
@@ -242,21 +238,21 @@ def stability_over_axis(
 
     `known`: the smallest factor with an unstable member, and the member, where that was searched already.
     """
-    until, gap, seed = time.monotonic() + options.wall_limit, options.gap, options.seed
+    until, gap, settings = time.monotonic() + options.wall_limit, options.gap, options.settings
     nominal = np.array([p.nominal for p in system.parameters])
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):
         return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
-    factor, worst = known or smallest_unstable(system, box, largest, seed)
+    factor, worst = known or smallest_unstable(system, box, largest, options.seed, options.search)
     point = named_member(system, worst)
-    aim = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
+    aim = factor / (1.0 + settings.share * gap) if np.isfinite(factor) else largest
     left: tuple[Cell, ...] = ()
-    for number, part in enumerate(LOWERED):
+    for number, part in enumerate(settings.axis_lowered):
         scaled = scaled_box(system, box, part * aim), WHOLE, scaled_radii(system, part * aim)
-        axis = _Axis.of(system, "stability", *scaled)
+        axis = _Axis.of(system, "stability", *scaled, options)
         now = time.monotonic()
-        share = FIRST if number == 0 else 0.5
-        if axis.prove(1.0, now + share * (until - now), seed):
+        share = settings.first if number == 0 else 0.5
+        if axis.prove(1.0, now + share * (until - now)):
             lower = part * aim
             closed = (np.isinf(factor) and part == 1.0) or factor <= (1.0 + gap) * lower
             status = "closed" if closed else "out_of_time"
@@ -265,13 +261,13 @@ def stability_over_axis(
     return ProvenBounds(0.0, factor, point, worst.frequency, None, "out_of_time", left)
 
 
-def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def modal_form(A: FloatArray, least: float = BOUNDS.basis) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Poles of A, its eigenvectors as columns and their inverse, as far as they are separate.
 
     Raises
     ------
     ValueError
-        A has no basis of eigenvectors in double precision.
+        A has no basis of eigenvectors: with columns of norm 1, its smallest singular value is `least` or below.
     """
     if not len(A):
         return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex)
@@ -279,7 +275,7 @@ def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]
     poles, T = linalg.eig(balanced)
     factors, pivots, _ = linalg.lapack.zgetrf(np.asarray(T, complex))
     inverse, singular = linalg.lapack.zgetri(factors, pivots)
-    if singular or not 1.0 / linalg.norm(inverse, 2) > BASIS:
+    if singular or not 1.0 / linalg.norm(inverse, 2) > least:
         raise InputError(SEPARATE)
     return np.asarray(poles, complex), np.asarray(scale[:, None] * T, complex), np.asarray(inverse / scale, complex)
 
@@ -295,9 +291,3 @@ def _together(pieces: Sequence[Piece]) -> list[Piece]:
         else:
             joined.append((beyond, box, (low, high)))
     return joined
-
-
-def _widened(ends: Interval, width: float) -> Interval:
-    """Deviations that contain those given, wide enough for scalings."""
-    least = NARROW * width
-    return (min(ends[0], -least), max(ends[1], least)) if ends[1] - ends[0] < least else ends

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,18 +18,39 @@ from scipy import linalg, optimize
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
+from lftkit.support.settings import AlgorithmSettings
 
-ITERATIONS = 200
-NEWTON = 40
-SINGULAR = 1e-11
-"""Smallest singular value of ``I - M Delta`` that counts as zero."""
 sl_optimize: Any = optimize
-LOCAL_ITERATIONS = 200
-FAR = 1e6
-"""Largest scalar to begin with."""
 TINY = 1e-300
 Perturbation = tuple[float, ComplexArray]
 """Size of the largest block of a member of the structure, and its matrix (w by z)."""
+
+
+@dataclass(frozen=True)
+class PerturbationSettings(AlgorithmSettings):
+    """Numbers of the bounds of a structured singular value.
+
+    Attributes
+    ----------
+    power_steps : steps of the power iteration, at most
+    newton_steps : Newton steps to a singular ``I - M Delta``, at most
+    singular : smallest singular value of ``I - M Delta`` that counts as zero
+    far : largest scalar with which a local search begins
+    local_steps : steps of a local search, at most
+    least : level, as a part of the norm of M, below which nothing is proven
+    levels : levels that scalings are to prove, at most
+    """
+
+    power_steps: int = 200
+    newton_steps: int = 40
+    singular: float = 1e-11
+    far: float = 1e6
+    local_steps: int = 200
+    least: float = 1e-9
+    levels: int = 80
+
+
+SETTINGS = PerturbationSettings()
 
 
 class SmallestPerturbation:
@@ -41,8 +63,7 @@ class SmallestPerturbation:
     ----------
     M : ndarray, complex, shape (z, w)
     structure : sequence of UncertaintyBlock
-    iterations : int
-        Most steps of a search.
+    settings : PerturbationSettings
     sides : ndarray, shape (real scalars, 2), optional
         Magnitudes of the smallest and the largest value of each real scalar in a perturbation of size 1; 1 and 1 by
         default.
@@ -52,10 +73,10 @@ class SmallestPerturbation:
         self,
         M: ComplexArray,
         structure: Sequence[UncertaintyBlock],
-        iterations: int = LOCAL_ITERATIONS,
+        settings: PerturbationSettings = SETTINGS,
         sides: FloatArray | None = None,
     ) -> None:
-        self.M, self.parts, self.iterations = M, list(parts(structure)), iterations
+        self.M, self.parts, self.settings = M, list(parts(structure)), settings
         self.sides = np.ones((sum(block.kind == REAL for block in structure), 2)) if sides is None else sides
         self.width = M.shape[1]
         scalars = [part for part in self.parts if part[0].kind != FULL]
@@ -88,7 +109,7 @@ class SmallestPerturbation:
         real = values[self.real].real
         side = np.where(real < 0.0, self.sides[:, 0], self.sides[:, 1])
         values[self.real] = np.where(side > 0.0, real, 0.0)  # zero where there is no value of their sign
-        values = values / np.maximum(1.0, np.abs(values) / FAR)
+        values = values / np.maximum(1.0, np.abs(values) / self.settings.far)
         x[self._re], x[self._im] = values.real, values.imag[~self.real]
         sizes = [np.sqrt(float(np.vdot(w[w_of], w[w_of]).real) / self._square(w, z)) for z, w_of in self.full]
         x[-1] = max([1e-6, *self.real_sizes(values[self.real].real), *np.abs(values[~self.real]), *sizes])
@@ -108,7 +129,7 @@ class SmallestPerturbation:
                     {"type": "eq", "fun": self.equalities, "jac": self.equality_slopes},
                     {"type": "ineq", "fun": self.inequalities, "jac": self.inequality_slopes},
                 ],
-                options={"maxiter": self.iterations, "ftol": 1e-10},
+                options={"maxiter": self.settings.local_steps, "ftol": 1e-10},
             )
         return self._delta(result.x) if np.all(np.isfinite(result.x)) else None
 
@@ -199,9 +220,9 @@ def lower_bound(
     *,
     starts: int,
     seed: int,
-    iterations: int = LOCAL_ITERATIONS,
     sides: FloatArray | None = None,
     enough: float = np.inf,
+    settings: PerturbationSettings = SETTINGS,
 ) -> tuple[float, ComplexArray | None]:
     """One over the norm of the smallest perturbation found, and the perturbation; 0 and None if none was found.
 
@@ -213,14 +234,13 @@ def lower_bound(
         Vectors to begin with.
     seed : int
         Of these.
-    iterations : int
-        Most steps of a local search, where there are real scalars.
     sides : ndarray, shape (real scalars, 2), optional
         Of the local search, see :class:`SmallestPerturbation`.
     enough : float
         Bound that ends the search.
+    settings : PerturbationSettings
     """
-    search = _Search(M, structure, iterations, sides)
+    search = _Search(M, structure, settings, sides)
     rng = np.random.default_rng(seed)
     perturbations: list[Perturbation] = []
     for number in range(starts):
@@ -239,11 +259,15 @@ def lower_bound(
 
 class _Search:
     def __init__(
-        self, M: ComplexArray, structure: Sequence[UncertaintyBlock], iterations: int, sides: FloatArray | None
+        self,
+        M: ComplexArray,
+        structure: Sequence[UncertaintyBlock],
+        settings: PerturbationSettings,
+        sides: FloatArray | None,
     ) -> None:
-        self.M, self.structure, self.parts = M, structure, list(parts(structure))
+        self.M, self.structure, self.parts, self.settings = M, structure, list(parts(structure)), settings
         self.real = any(block.kind == REAL for block in structure)
-        self.local = SmallestPerturbation(M, structure, iterations, sides)
+        self.local = SmallestPerturbation(M, structure, settings, sides)
         self.singular = linalg.svd(M)[2].conj() if M.size else np.zeros((0, 0), complex)
 
     def first(self, number: int, rng: np.random.Generator) -> ComplexArray:
@@ -259,7 +283,7 @@ class _Search:
         back = b.copy()
         a = self.M @ b
         level = 0.0
-        for _ in range(ITERATIONS):
+        for _ in range(self.settings.power_steps):
             a = self.M @ b
             before, level = level, float(linalg.norm(a))
             if level <= TINY:
@@ -324,11 +348,11 @@ class _Search:
     def _singular(self, delta: ComplexArray) -> Perturbation | None:
         """The perturbation after Newton steps of least change to a singular ``I - M Delta``; None if they fail."""
         unit = np.eye(len(self.M))
-        for _ in range(NEWTON):
+        for _ in range(self.settings.newton_steps):
             if not np.all(np.isfinite(delta)):
                 return None
             left, values, right = linalg.svd(unit - self.M @ delta)
-            if values[-1] <= SINGULAR:
+            if values[-1] <= self.settings.singular:
                 return self._finished(delta)
             row, column = left[:, -1].conj() @ self.M, right[-1].conj()
             slopes, moves = [], []
@@ -362,4 +386,4 @@ class _Search:
         sizes += self.local.real_sizes(np.array(reals, dtype=float)).tolist()
         least = float(linalg.svd(np.eye(len(self.M)) - self.M @ delta, compute_uv=False)[-1])
         size = max(sizes)
-        return (size, delta) if least <= 10.0 * SINGULAR and 0.0 < size < np.inf else None
+        return (size, delta) if least <= 10.0 * self.settings.singular and 0.0 < size < np.inf else None

@@ -12,8 +12,6 @@ from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 from lftkit.systems.arguments import checked
 
-BALANCING_SWEEPS = 8
-
 
 @checked
 def real_block(repeated: int = 1) -> UncertaintyBlock:
@@ -33,10 +31,10 @@ def full_block(rows: int, columns: int | None = None) -> UncertaintyBlock:
     return UncertaintyBlock(FULL, rows, rows if columns is None else columns)
 
 
-def balanced(M: ComplexArray, inner: int) -> FloatArray:
+def balanced(M: ComplexArray, inner: int, sweeps: int = 8) -> FloatArray:
     """Diagonal scales of the channels, and one of the gain's block last, that bring rows and columns of M in balance.
 
-    Osborne's iteration; the scales are s in ``s_i M_ij / s_j``.
+    Osborne's iteration, with so many `sweeps`; the scales are s in ``s_i M_ij / s_j``.
     """
     squares = np.zeros((inner + 1, inner + 1))
     power = np.abs(M) ** 2
@@ -46,7 +44,7 @@ def balanced(M: ComplexArray, inner: int) -> FloatArray:
     np.fill_diagonal(squares, 0.0)
     scale = np.ones(inner + 1)
     floor = 1e-30 * float(squares.max(initial=0.0)) or 1.0
-    for _ in range(BALANCING_SWEEPS):
+    for _ in range(sweeps):
         for i in range(inner + 1):
             row = float(scale[i] ** 2 * (squares[i] / scale**2).sum()) + floor
             column = float((squares[:, i] * scale**2).sum() / scale[i] ** 2) + floor

@@ -21,34 +21,14 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.sampled_loop.model import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import Branching, NodeScalings, ScalingTest
+from lftkit.proofs.sampled_loop.settings import SETTINGS, LoopSettings
 from lftkit.proofs.trusted.proof import REAL, Interval, Strip
 from lftkit.proofs.trusted.sampled_loop import require_box
 from lftkit.proofs.trusted.strips import windows_of
+from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
 
 Box = tuple[Interval, ...]
-FIRST_STEP, SHORTEST, LONGEST = 3e-3, 5e-5, 0.1
-"""Relative steps of frequency: at the start of a strip, at least, at most."""
-CENTRING = 40
-"""Most Newton steps to a centre."""
-FOLLOWING = 8
-"""The same from the scalings of the frequency before."""
-BISECTIONS = 5
-"""Most bisections of a step in the check of a prover."""
-SLOW = 0.1
-"""Part of the plant's slowest pole below which scalings are D alone and the whole band is bisected at once."""
-LOWEST = 1e-3
-"""Least frequency of scalings, as a part of the one before; below it the same ones are used."""
-TURN = 1.6
-"""Widest interval of an angle [rad] there; without G an angle is never any angle."""
-SLOW_STEPS = 1.0, 2.0
-"""Relative steps of frequency there: at the start, at most."""
-AIMS = (1.0, 0.1, 0.01)
-"""Parts of the level for which scalings are centred, one after the other. Where the gain is far below the level, the
-centre for the level itself is so far out that the inequality is lost in rounding; one for less proves the level too.
-"""
-SLOW_DEEPEST = 14
-"""Most bisections of the box there."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +47,8 @@ class BisectionOptions:
         Of these members.
     renewed : int
         Bisections after which the parameters' gains are measured anew, in the box that is left.
+    settings : LoopSettings
+        Numbers of the steps over the band, of the scalings and of the choice of what to bisect.
     """
 
     part: float = 0.01
@@ -74,10 +56,10 @@ class BisectionOptions:
     samples: int = 64
     seed: int = 0
     renewed: int = 8
+    settings: LoopSettings = SETTINGS
 
     def __post_init__(self) -> None:
-        if not self.part > 0.0:
-            raise InputError(f"part must be positive, got {self.part}")
+        as_positive(self.part, "part")
         if self.deepest < 0 or self.samples < 1:
             raise InputError(f"deepest must be at least 0 and samples 1, got {self.deepest} and {self.samples}")
 
@@ -151,8 +133,8 @@ def prove_level(
     if not part:
         require_box(box)
     start, options = time.process_time(), options or BisectionOptions()
-    slow, rng = SLOW * model.slowest, np.random.default_rng(options.seed)
-    state = _State(model, level, until, options, rng, LoopBounds(), slow, Branching(model, level, until))
+    branching = Branching(model, level, until, settings=options.settings)
+    state = _State(model, level, until, options, np.random.default_rng(options.seed), LoopBounds(), branching)
     with one_thread():
         if known:
             for strip in known:
@@ -171,13 +153,17 @@ class _State:
     options: BisectionOptions
     rng: np.random.Generator
     found: LoopBounds
-    slow: float
     branching: Branching
+
+    @property
+    def slow(self) -> float:
+        """Frequency [rad/s] below which scalings are D alone."""
+        return self.options.settings.slow * self.model.slowest
 
     @property
     def lowest(self) -> float:
         """Least frequency of scalings [rad/s]."""
-        return LOWEST * self.slow
+        return self.options.settings.lowest * self.slow
 
     def _over(self, box: Box, low: float, high: float) -> bool:
         """Whether it ends here: time is up, or a member exceeds the level."""
@@ -190,14 +176,14 @@ class _State:
         """Prove a box from `low` to `high`, both slow."""
         if self._over(box, low, high):
             return
-        wide = [k for k, (a, b) in enumerate(box) if self.model.angle[k] and b - a > TURN]
+        wide = [k for k, (a, b) in enumerate(box) if self.model.angle[k] and b - a > self.options.settings.turn]
         reached, axis = low, wide[0] if wide else 0
         if not wide:
             reached, losses, _ = self._strip(box, low, high, self.level, static=True)
             axis = int(np.argmax(losses))
         if reached >= high:
             return
-        if depth == SLOW_DEEPEST or self.model.kinds[axis] != REAL:
+        if depth == self.options.settings.slow_deepest or self.model.kinds[axis] != REAL:
             self.found.uncovered.append((box, (reached, high)))
             return
         if not wide:
@@ -212,7 +198,7 @@ class _State:
             if time.monotonic() > self.until:
                 self.found.uncovered.append((strip.box, (float(strip.nodes[number]), float(strip.nodes[-1]))))
                 break
-            windows = windows_of(self.model, strip, number, self.level, BISECTIONS)
+            windows = windows_of(self.model, strip, number, self.level, self.options.settings.bisections)
             self.found.windows += windows
             held.append(windows > 0)
         number = 0
@@ -236,7 +222,7 @@ class _State:
         while at < high:
             if self._over(box, at, high):
                 return
-            for aim in AIMS:
+            for aim in self.options.settings.aims:
                 reached, losses, closed = self._strip(box, at, high, aim * self.level)
                 if reached > at or not closed:
                     break
@@ -259,25 +245,28 @@ class _State:
 
         Returns the frequency reached, the losses of the parameters there and whether there are scalings at `low`.
         """
-        first = ScalingTest(self.model, box, max(low, self.lowest), aim, static)
+        settings = self.options.settings
+        first = ScalingTest(self.model, box, max(low, self.lowest), aim, static, settings)
         node, y = self._centre(first, [])
         losses = first.losses(y)
         if node is None:
             return low, losses, False
         nodes = [replace(node, omega=low)]
-        step, longest = SLOW_STEPS if static else (FIRST_STEP, LONGEST)
+        step = settings.slow_first if static else settings.first_step
+        longest = settings.slow_longest if static else settings.longest
         while nodes[-1].omega < high and time.monotonic() <= self.until:
             omega = max(nodes[-1].omega, self.lowest) * (1.0 + step)
             omega = high if omega > high / (1.0 + 0.5 * step) else omega
-            test = ScalingTest(self.model, box, omega, aim, static)
+            test = ScalingTest(self.model, box, omega, aim, static, settings)
             following, y = self._centre(test, nodes[-2:])
             windows = 0
             if following is not None:
-                windows = windows_of(self.model, strip_of(box, [nodes[-1], following]), 0, self.level, BISECTIONS)
+                pair = strip_of(box, [nodes[-1], following])
+                windows = windows_of(self.model, pair, 0, self.level, settings.bisections)
             if following is None or not windows:
                 losses = test.losses(y)
-                step *= 0.4
-                if step < SHORTEST:
+                step *= settings.shorter
+                if step < settings.shortest:
                     break
                 continue
             self.found.windows += windows
@@ -299,12 +288,12 @@ class _State:
         for guess in guesses:
             y = test.variables(guess)
             if test.allowed(y):
-                y = test.centred(y, FOLLOWING)
+                y = test.centred(y, self.options.settings.following)
                 return test.scalings(y), y
         scalings, reached = test.feasible(test.variables(before[-1]) if before else None)
         if scalings is None:
             return None, reached
-        y = test.centred(scalings, CENTRING)
+        y = test.centred(scalings, self.options.settings.centring)
         return test.scalings(y), y
 
     def _look(self, box: Box, low: float, high: float) -> None:

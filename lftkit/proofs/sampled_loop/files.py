@@ -93,7 +93,7 @@ def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
     plant: dict[str, Any] = {"parameters": proof.names, **{name: getattr(proof.model, name) for name in MODEL}}
     if proof.model.added:
         plant |= {name: getattr(proof.model, name) for name in ADDED}
-    plant, arrays = plant, {name: np.asarray(getattr(proof.model, name)) for name in OF_ARRAYS}
+    arrays = {name: np.asarray(getattr(proof.model, name)) for name in OF_ARRAYS}
     header = header_entries(kind, claim, plant, about=dict(proof.about))
     write_content(path, (header, arrays | packed(strips, len(proof.names))))
 

@@ -21,9 +21,6 @@ from lftkit.proofs.trusted.proof import Box, Interval, Strip
 from lftkit.proofs.trusted.stability import WIDEST, deviation_share
 from lftkit.proofs.trusted.strips import Responses, ends_of, is_circle
 
-ENOUGH = 0.7
-"""Share at the middle of a window below which its width is what has to be less."""
-
 
 class SearchedResponses(Responses, Protocol):
     """Responses for which scalings are searched; ``complex`` and ``full`` elements are never bisected."""
@@ -144,13 +141,16 @@ def middle_of(model: SearchedResponses, box: Sequence[Interval]) -> Matrices:
     return cz, sz, cw, sw
 
 
-def to_bisect(model: Loop, M: Polynomial, part: Box) -> int | None:
-    """Parameter to bisect where the channels are M over a window, or None where a narrower window is what helps."""
+def to_bisect(model: Loop, M: Polynomial, part: Box, enough: float = 0.7) -> int | None:
+    """Parameter to bisect where the channels are M over a window, or None where a narrower window is what helps.
+
+    The latter is so where the share at the middle of the window is `enough` or less.
+    """
     wide = [k for k, (low, high) in enumerate(part) if model.angle[k] and high - low > WIDEST]
     if wide:
         return wide[0]
     at = constant(M.c[0])
-    return widest(model, at, part) if deviation_share(model, at, part) > ENOUGH else None
+    return widest(model, at, part) if deviation_share(model, at, part) > enough else None
 
 
 def widest(model: Loop, M: Polynomial, part: Box) -> int:

@@ -12,32 +12,13 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import balanced
 from lftkit.proofs.sampled_loop.model import SearchedResponses, from_middle
+from lftkit.proofs.sampled_loop.settings import SETTINGS, LoopSettings
 from lftkit.proofs.state_space.barrier import ANY_REAL, COMPLEX, FULL, REAL, BarrierBlock, newton_step
-from lftkit.proofs.state_space.scaling_search import CENTRED, GROWTH, barrier_problem
+from lftkit.proofs.state_space.scaling_search import barrier_problem, newton_path
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 
-PENALTY = 1e-3
-"""Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
-SINGLE = 1e-37, 1e38
-"""Magnitudes between which scalings are rounded to single precision."""
-FIXED = 1e-3
-"""Gain about its own loop that a fixed parameter is given."""
-PRECISION = 1e-7
-"""Distance to the optimal margin at which a test without scalings is given up."""
 Box = tuple[Interval, ...]
-HELD = 0.02
-"""Part of its interval in which a parameter is held."""
-POINTS = 0.0, 0.5, 1.0
-"""Where it is held, as parts of the interval."""
-RATIO = 1.06
-"""Between two levels that are told apart."""
-BELOW, ABOVE = 6, 12
-"""Levels below and above the one to be proven."""
-NEAR = 0.05
-"""Part of a frequency within which measured gains are used again."""
-SMALL = 1e-3
-"""Gain of a parameter that has none, in levels: it is bisected after the others."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +43,23 @@ class ScalingTest:
     level : float
     static : bool
         D alone. Near frequency zero, where all responses are real, G is of no use and its centre is far out.
+    settings : LoopSettings
     """
 
     def __init__(
-        self, model: SearchedResponses, box: Sequence[Interval], omega: float, level: float, static: bool = False
+        self,
+        model: SearchedResponses,
+        box: Sequence[Interval],
+        omega: float,
+        level: float,
+        static: bool = False,
+        settings: LoopSettings = SETTINGS,
     ) -> None:
-        self.model, self.omega = model, omega
+        self.model, self.omega, self.settings = model, omega, settings
         self.groups = list(map(list, model.groups))
         q, d = model.sizes[0], model.sizes[3]
         z, e = model.at(omega)
-        box = [_opened(ends, z[np.ix_(group, group)]) for ends, group in zip(box, self.groups)]
+        box = [_opened(ends, z[np.ix_(group, group)], settings.fixed) for ends, group in zip(box, self.groups)]
         inner, w = from_middle(model, box, z)
         out = e[:, :q] @ w
         out[:, q:] += e[:, q:]
@@ -93,7 +81,7 @@ class ScalingTest:
         self.gain = d > 0
         if self.gain:
             blocks.append(BarrierBlock(FULL, maps[q:], inputs[q:]))
-        self.problem = barrier_problem(blocks, PENALTY)
+        self.problem = barrier_problem(blocks, settings.penalty)
 
     def _scale(self, maps: ComplexArray) -> FloatArray:
         """Scales of the channels, and that of the gain last, that balance the maps; those of a matrix are equal."""
@@ -120,12 +108,22 @@ class ScalingTest:
                 d, g = (part[0, 0] * np.eye(len(group)) for part in (d, g))
             size = np.outer(self.scale[group], self.scale[group])
             square, single = self.factors[k]
-            D.append(_hermitian(size * d / square))
-            G.append(_hermitian(size * g / single))
+            D.append(self._rounded(size * d / square))
+            G.append(self._rounded(size * g / single))
         factor = 1.0
         if self.gain:
             factor = float(self.problem.matrices(y, len(self.groups))[0][0, 0].real) * float(self.scale[-1]) ** 2
         return NodeScalings(self.omega, tuple(D), tuple(G), factor)
+
+    def _rounded(self, matrix: ComplexArray) -> ComplexArray:
+        """Hermitian part in single precision: files are half as large, and what is stored is what is checked.
+
+        In double precision where single precision has no such numbers.
+        """
+        low, high = self.settings.single
+        half = 0.5 * (matrix + matrix.conj().T)
+        size = float(np.abs(half).max(initial=0.0))
+        return np.asarray(half.astype(np.complex64) if low < size < high else half, dtype=complex)
 
     def variables(self, scalings: NodeScalings) -> FloatArray:
         """The problem's variables of scalings of a neighbouring frequency."""
@@ -145,29 +143,21 @@ class ScalingTest:
         """Whether variables prove the level at this frequency, but for rounding."""
         return bool(np.isfinite(self.problem.value(y, 0.0)))
 
-    def feasible(self, before: FloatArray | None = None, steps: int = 80) -> tuple[FloatArray | None, FloatArray]:
+    def feasible(self, before: FloatArray | None = None) -> tuple[FloatArray | None, FloatArray]:
         """Variables that prove the level, None if there are none; the variables reached. Begins at those `before`."""
-        problem = self.problem
-        y = problem.start() if before is None else problem.raised(before, 1e-9)
-        weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
-        for _ in range(steps):
-            slope, curvature = problem.derivatives(y, weight)
-            step = newton_step(curvature, -slope, problem.trace)
-            decrement = math.sqrt(max(float(-slope @ step), 0.0))
-            y = problem.line_search(y, step, weight, decrement)
+        problem, settings = self.problem, self.settings
+        y = start = problem.start() if before is None else problem.raised(before, 1e-9)
+        steps = newton_path(problem, start, settings.newton_steps, growth=settings.growth, centred=settings.centred)
+        for y, gap, centre in steps:
             if y[0] < 0.0:
-                y = y.copy()
-                y[0] = 0.0
-                return y, y
-            if decrement > CENTRED:
-                continue
-            gap = problem.degree / weight
-            if y[0] - 2.0 * gap > 0.0 or gap < PRECISION:
+                proving = y.copy()
+                proving[0] = 0.0
+                return proving, proving
+            if centre and (y[0] - 2.0 * gap > 0.0 or gap < settings.precision):
                 break
-            weight *= GROWTH
         return None, y
 
-    def centred(self, y: FloatArray, steps: int, until: float = 0.3) -> FloatArray:
+    def centred(self, y: FloatArray, steps: int) -> FloatArray:
         """Towards the analytic centre of all variables that prove the level; it holds for a wider band."""
         for _ in range(steps):
             slope, curvature = self.problem.derivatives(y, 0.0)
@@ -175,7 +165,7 @@ class ScalingTest:
             step[1:] = newton_step(curvature[1:, 1:], -slope[1:], self.problem.trace[1:])
             decrement = math.sqrt(max(float(-slope @ step), 0.0))
             y = self.problem.line_search(y, step, 0.0, decrement)
-            if decrement < until:
+            if decrement < self.settings.centred:
                 break
         return y
 
@@ -185,14 +175,14 @@ class ScalingTest:
         return np.where([kind == REAL for kind in self.model.kinds], losses, -np.inf)
 
 
-def _opened(ends: Interval, scaling: ComplexArray) -> Interval:
+def _opened(ends: Interval, scaling: ComplexArray, fixed: float) -> Interval:
     """The interval of a parameter, and a narrow one about a parameter that is fixed, whose D would be infinite.
 
     `scaling`: from its channels to themselves. Scalings for a wider interval hold for the fixed value.
     """
     if ends[1] > ends[0]:
         return ends
-    half = FIXED / max(float(np.abs(scaling).sum(axis=1).max(initial=0.0)), 10.0 * FIXED)
+    half = fixed / max(float(np.abs(scaling).sum(axis=1).max(initial=0.0)), 10.0 * fixed)
     return ends[0] - half, ends[1] + half
 
 
@@ -204,16 +194,6 @@ def _factors(angle: bool, low: float, high: float) -> tuple[float, float]:
     if is_circle(low, high):
         return 1.0, 2.0
     return 2.0 * math.sin(0.5 * half) ** 2, 2.0 * math.tan(0.5 * half)
-
-
-def _hermitian(matrix: ComplexArray) -> ComplexArray:
-    """Hermitian part in single precision: files are half as large, and what is stored is what is checked.
-
-    In double precision where single precision has no such numbers.
-    """
-    half = 0.5 * (matrix + matrix.conj().T)
-    size = float(np.abs(half).max(initial=0.0))
-    return np.asarray(half.astype(np.complex64) if SINGLE[0] < size < SINGLE[1] else half, dtype=complex)
 
 
 @dataclass
@@ -232,12 +212,14 @@ class Branching:
         To be proven.
     until : float
         ``time.monotonic()`` after which nothing is measured.
+    settings : LoopSettings
     """
 
     model: SearchedResponses
     level: float
     until: float = math.inf
     known: list[tuple[Box, float, FloatArray | None]] = field(default_factory=list)
+    settings: LoopSettings = SETTINGS
 
     def axis(self, box: Box, root: Box, omega: float, losses: FloatArray) -> int | None:
         """Parameter to bisect; None where all elements are disks, which are whole.
@@ -265,28 +247,29 @@ class Branching:
                     losses[k] = 0.5 * float(np.max(losses))
             return int(np.argmax(losses))
         left = [(b - a) / (high - low) if high > low else 0.0 for (a, b), (low, high) in zip(box, root)]
-        return int(np.argmax(np.where(real, (gains + SMALL) * left, -np.inf)))
+        return int(np.argmax(np.where(real, (gains + self.settings.small) * left, -np.inf)))
 
     def _gains(self, root: Box, omega: float) -> FloatArray | None:
         """Levels gained by holding each parameter; None where none can be proven of the box."""
         for box, at, gains in self.known:
-            if box == root and abs(omega - at) <= NEAR * at:
+            if box == root and abs(omega - at) <= self.settings.near * at:
                 return gains
         gains = self._measured(root, omega)
         self.known.append((root, omega, gains))
         return gains
 
     def _measured(self, root: Box, omega: float) -> FloatArray | None:
-        whole = self._least(root, omega, ABOVE)
+        settings = self.settings
+        whole = self._least(root, omega, settings.above)
         if whole is None:
             return None
         gains = np.zeros(len(root))
         for axis, (low, high) in enumerate(root):
             if self.model.kinds[axis] != REAL:
                 continue
-            worst = -BELOW
-            for point in POINTS if high > low else ():
-                at, width = low + point * (high - low), HELD * (high - low)
+            worst = -settings.below
+            for point in settings.points if high > low else ():
+                at, width = low + point * (high - low), settings.held * (high - low)
                 held = *root[:axis], (max(low, at - width), min(high, at + width)), *root[axis + 1 :]
                 least = self._least(held, omega, whole - 1)
                 worst = whole if least is None else max(worst, least)
@@ -299,7 +282,7 @@ class Branching:
         """Number of the least level that is proven, at most `most`; None where that isn't."""
         if not self._holds(box, omega, most):
             return None
-        least, no = most, -BELOW - 1
+        least, no = most, -self.settings.below - 1
         while least - no > 1:
             middle = (least + no) // 2
             if self._holds(box, omega, middle):
@@ -311,4 +294,5 @@ class Branching:
     def _holds(self, box: Box, omega: float, number: int) -> bool:
         if time.monotonic() > self.until:
             return False
-        return ScalingTest(self.model, box, omega, self.level * math.pow(RATIO, number)).feasible()[0] is not None
+        level = self.level * math.pow(self.settings.ratio, number)
+        return ScalingTest(self.model, box, omega, level, settings=self.settings).feasible()[0] is not None

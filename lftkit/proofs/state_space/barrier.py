@@ -8,7 +8,7 @@ complex ones the same without G, full blocks ``d (z* z - w* w)``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,8 +19,6 @@ from scipy import linalg, sparse
 from lftkit.arrays import ComplexArray, FloatArray
 
 REAL, ANY_REAL, COMPLEX, FULL = "real", "any real", "complex", "full"
-SMALL = 64
-"""Largest product of the sizes of two blocks whose second derivatives are formed in one piece."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +67,12 @@ class BarrierProblem:
     penalty : float
         Weight of ``|G|^2 / 2`` in the objective with barrier. Where all responses are nearly real, G costs nothing and
         its centre is far out, so that the inequality is lost in rounding.
+    small : int
+        Largest product of the sizes of two blocks whose second derivatives are formed in one piece.
     """
 
-    def __init__(self, blocks: Sequence[BarrierBlock], penalty: float = 0.0) -> None:
-        self.blocks = tuple(blocks)
+    def __init__(self, blocks: Sequence[BarrierBlock], penalty: float = 0.0, small: int = 64) -> None:
+        self.blocks, self.small = tuple(blocks), small
         self.N = self.blocks[0].Z.shape[1]
         self.slices: list[tuple[slice | None, slice | None]] = []
         self.at: list[tuple[slice, slice]] = []
@@ -153,13 +153,17 @@ class BarrierProblem:
 
     def value(self, y: FloatArray, weight: float) -> float:
         """Objective with barrier; infinite outside."""
-        total = weight * y[0] + 0.5 * float(self.penalty @ y**2)
-        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *(D for _, D in self._positive(y))):
+        objective = weight * y[0] + 0.5 * float(self.penalty @ y**2)
+        return self.with_barrier(objective, y, (D for _, D in self._positive(y)))
+
+    def with_barrier(self, objective: float, y: FloatArray, scalings: Iterable[ComplexArray]) -> float:
+        """An objective less the logarithms of the determinants of ``s I - F(y)`` and of scalings; infinite outside."""
+        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *scalings):
             factor, info = linalg.lapack.zpotrf(matrix, lower=1)
             if info:
                 return np.inf
-            total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
-        return float(total)
+            objective -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
+        return float(objective)
 
     def _positive(self, y: FloatArray) -> list[tuple[slice, ComplexArray]]:
         """The matrices D with the slices of their variables."""
@@ -210,7 +214,7 @@ class BarrierProblem:
         for i in number:
             for j in number[number.index(i) :]:
                 k, m = (self.blocks[n].Z.shape[0] for n in (i, j))
-                if k * m <= SMALL:
+                if k * m <= self.small:
                     whole = [slice(self.at[n][0].start, self.at[n][1].stop) for n in (i, j)]
                     rows, columns = (self._variables(n) for n in (i, j))
                     A, B = inner[whole[0], whole[1]], inner[whole[1], whole[0]]

@@ -17,6 +17,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.proofs.options import BoundOptions
+from lftkit.proofs.settings import BOUNDS, SEARCH, BoundSettings, SearchSettings
 from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached
 from lftkit.proofs.state_space.cover import WHOLE, CellCover, posed_cells
@@ -35,13 +36,6 @@ from lftkit.proofs.trusted.cells import frequencies
 from lftkit.support.progress import Progress
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, RealParameter
-
-SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
-"""Level for a gain of zero: its inverse square is finite, and it is this part of the gain of paths that cancel."""
-SHARE = 0.9
-"""Part of the gap at which a proof aims."""
-ATTEMPTS = 12
-"""Factors of the box that are tried for stability, each 0.7 of the one before unless an unstable member was found."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +107,7 @@ def require_nominal(system: System, box: Sequence[tuple[float, float]]) -> None:
         raise InputError("box must contain the nominal values, got another")
 
 
-def least_level(system: System, worst: Member) -> float:
+def least_level(system: System, worst: Member, settings: BoundSettings = BOUNDS) -> float:
     """Level to be proven where the largest gain found is zero, or rounding of paths that cancel.
 
     In continuous time; the same in all units of signals, states and parameters, unless nothing goes through at all.
@@ -125,12 +119,12 @@ def least_level(system: System, worst: Member) -> float:
         unit = np.eye(len(A), dtype=complex)
         *_, inverse, info = linalg.lapack.zgesv(1j * worst.frequency * unit - A, unit)
         paths = paths if info else paths + np.abs(C) @ np.abs(inverse) @ np.abs(B)
-    least = NEGLIGIBLE * float(linalg.norm(paths))
+    least = settings.negligible * float(linalg.norm(paths))
     if least == 0.0 and worst.gain == 0.0:
         q = len(system.channels)
         sides = (system.B[:, q:], system.D[:, q:]), (system.C[q:], system.D[q:])
-        least = NEGLIGIBLE * max(float(np.hypot(linalg.norm(a), linalg.norm(b))) for a, b in sides)
-    return max(least, SMALLEST)
+        least = settings.negligible * max(float(np.hypot(linalg.norm(a), linalg.norm(b))) for a, b in sides)
+    return max(least, settings.smallest)
 
 
 @dataclass
@@ -155,11 +149,12 @@ class GainByCells:
         self.worst = self.searched()
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
-        self.least = least_level(self.axis, self.worst)
+        self.least = least_level(self.axis, self.worst, self.options.settings)
         if self._violated():
             return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.over)
-        cover = CellCover.of(self.system, claim, Cell(tuple(self.box), self.over))
+        cells = self.options.cells
+        cover = CellCover.of(self.system, claim, Cell(tuple(self.box), self.over), settings=cells)
         with Progress("worst-case gain", self.options.progress) as bar:
             closed = cover.run(self._target, self._failed, start + 0.8 * wall_limit, max_tests, bar)
         if np.isinf(self.worst.gain):
@@ -174,7 +169,7 @@ class GainByCells:
         point = np.array([0.5 * (low + high) for low, high in self.box])
         whole = self.over == WHOLE
         stable = stable_member(self.system, claim, point) if whole else None
-        posed = posed_cells(self.system, claim, self.box, start + wall_limit, max_tests)
+        posed = posed_cells(self.system, claim, self.box, start + wall_limit, max_tests, cells)
         if posed is None or (whole and stable is None):
             return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.over),))
         claim["claim"]["level"] = upper
@@ -183,18 +178,21 @@ class GainByCells:
 
     def searched(self) -> Member:
         """The worst member that a search of the box finds before cells are proven."""
-        return worst_member(self.axis, self.box, self.over, seed=self.options.seed)
+        options = self.options
+        return worst_member(self.axis, self.box, self.over, seed=options.seed, settings=options.search)
 
     def _at_middle(self, cell: Cell) -> Member:
         """A member of a cell, or one that it leads to."""
         member = member_gain(self.axis, cell.middle(), self.over)
-        return climbed(self.axis, self.box, self.over, member, 60) if member.gain > 0.98 * self.worst.gain else member
+        if not member.gain > 0.98 * self.worst.gain:
+            return member
+        return climbed(self.axis, self.box, self.over, member, 60, self.options.search)
 
     def _target(self) -> float:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
-        return max((1.0 + SHARE * self.options.gap) * self.worst.gain, self.least)
+        return max((1.0 + self.options.settings.share * self.options.gap) * self.worst.gain, self.least)
 
     def _violated(self) -> bool:
         return self.level is not None and self.worst.gain >= self.level
@@ -216,7 +214,7 @@ class DiskGainByCells(GainByCells):
 
     def searched(self) -> Member:
         """The worst member that a search finds, values of complex and dynamic elements included."""
-        self._search = DiskSearch(self.axis, self.box, self.over, self.options.seed)
+        self._search = DiskSearch(self.axis, self.box, self.over, self.options.seed, self.options.search)
         return self._search.worst_member()
 
     def _at_middle(self, cell: Cell) -> Member:
@@ -224,12 +222,15 @@ class DiskGainByCells(GainByCells):
         return self._search.gain_near(cell.middle(), 0.5 * (low + high) if np.isfinite(high) else 2.0 * low)
 
 
-def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
+def smallest_unstable(
+    axis: System, box: list[tuple[float, float]], largest: float, seed: int, settings: SearchSettings = SEARCH
+) -> tuple[float, Member]:
     """Smallest factor of the box that is found to have an unstable member, infinite if none was, and the member."""
-    factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
+    real = without_disks(axis)
+    factor, point, frequency = smallest_unstable_factor(real, box, largest, seed=seed, settings=settings)
     worst = Member(np.inf, point, frequency)
     if disks_of(axis):
-        unstable = DiskSearch(axis, box, WHOLE, seed).unstable(min(largest, factor))
+        unstable = DiskSearch(axis, box, WHOLE, seed, settings).unstable(min(largest, factor))
         if unstable is not None and unstable[0] < factor:
             factor, worst = unstable
     return factor, worst
@@ -280,15 +281,16 @@ class StabilityByCells:
         first = reached(self.system, member_gain(self.axis, self.nominal, WHOLE, gain=False))
         if np.isinf(first.gain):
             return ProvenBounds(0.0, 0.0, named_member(self.system, first), first.frequency, None, "unstable")
-        self.factor, self.worst = smallest_unstable(self.axis, self.box, self.largest, self.options.seed)
+        options, settings = self.options, self.options.settings
+        self.factor, self.worst = smallest_unstable(self.axis, self.box, self.largest, options.seed, options.search)
         target = self._aim()
         proof, lower = None, 0.0
         left: tuple[Cell, ...] = ()
-        with Progress("robust stability", self.options.progress) as bar:
-            for _ in range(ATTEMPTS):
+        with Progress("robust stability", options.progress) as bar:
+            for _ in range(settings.attempts):
                 if time.monotonic() > self.until:
                     break
-                proof, unstable, left = self._attempt(target, self.options.max_tests if few is None else few, bar)
+                proof, unstable, left = self._attempt(target, options.max_tests if few is None else few, bar)
                 if proof is not None:
                     lower = target
                     break
@@ -298,16 +300,16 @@ class StabilityByCells:
                     continue
                 if few is not None:
                     break
-                target *= 0.7
-        gap = self.options.gap
-        closed = proof is not None and (np.isinf(self.factor) or self.factor <= (1.0 + gap) * lower)
+                target *= settings.lowered
+        closed = proof is not None and (np.isinf(self.factor) or self.factor <= (1.0 + options.gap) * lower)
         worst, left = reached(self.system, self.worst), cells_of_system(self.system, () if proof else left)
         point, status = named_member(self.system, worst), "closed" if closed else "out_of_time"
         return ProvenBounds(lower, self.factor, point, worst.frequency, proof, status, left)
 
     def _aim(self) -> float:
         """Factor to be proven."""
-        return self.factor / (1.0 + SHARE * self.options.gap) if np.isfinite(self.factor) else self.largest
+        share = self.options.settings.share
+        return self.factor / (1.0 + share * self.options.gap) if np.isfinite(self.factor) else self.largest
 
     def _attempt(
         self, target: float, tests: int, bar: Progress
@@ -315,7 +317,7 @@ class StabilityByCells:
         """Proof of a factor, or an unstable member that was found, and the cells that are open."""
         ends, radii = scaled_box(self.system, self.box, target), scaled_radii(self.system, target)
         claim = statement(self.system, "stability", ends, None, WHOLE, radii)
-        cover = CellCover.of(self.system, claim, Cell(tuple(ends), WHOLE))
+        cover = CellCover.of(self.system, claim, Cell(tuple(ends), WHOLE), settings=self.options.cells)
         members: list[Member] = []
 
         def unstable(cell: Cell) -> bool:
@@ -327,7 +329,9 @@ class StabilityByCells:
         closed = cover.run(lambda: 1.0, unstable, 0.3 * time.monotonic() + 0.7 * self.until, tests, bar)
         left = tuple(cell for *_, cell in cover.open)
         stable = stable_member(self.system, claim, self.nominal) if closed and not members else None
-        posed = posed_cells(self.system, claim, ends, self.until, tests) if stable is not None else None
+        posed = (
+            posed_cells(self.system, claim, ends, self.until, tests, self.options.cells) if stable is not None else None
+        )
         proof = finished(claim, cover.proven, stable, posed) if stable is not None and posed is not None else None
         return proof, members[0] if members else None, left
 

@@ -17,22 +17,11 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import balanced
+from lftkit.proofs.settings import CELLS, CellSettings
 from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, Scalings
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.proofs.state_space.scaling_search import find_scalings
 from lftkit.systems.system import System
-
-NARROW = 1e-7
-"""Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
-NO_SCALE = 1e-20
-"""Range, in the optimisation, of a parameter that has one value; in any unit it is without influence."""
-FREE, BOUND = 1e6, 1e-6
-"""Entries of G above which it has run away in a direction that costs nothing, and the penalty that then holds it: where
-a parameter sees no state, or the states nothing, responses are real and their part of G has no effect."""
-WIDE = 4.0
-"""Ratio of frequencies above which a band is bisected before the parameters."""
-DEEP = 16.0
-"""A parameter whose interval, as a part of its range, is this much narrower than the widest one counts less."""
 
 
 class SingularCellError(ArithmeticError):
@@ -121,10 +110,17 @@ class CellTest:
         Whether the gain from all inputs to all outputs is bounded; otherwise stability alone.
     radii : mapping of str to float, optional
         Of complex and dynamic elements in the place of their own.
+    settings : CellSettings
     """
 
-    def __init__(self, system: System, gain: bool, radii: Mapping[str, float] | None = None) -> None:
-        self.system, self.gain = system, gain
+    def __init__(
+        self,
+        system: System,
+        gain: bool,
+        radii: Mapping[str, float] | None = None,
+        settings: CellSettings = CELLS,
+    ) -> None:
+        self.system, self.gain, self.settings = system, gain, settings
         self.disks = disks_of(system, radii)
         q = len(system.channels)
         columns = system.B.shape[1] if gain else q
@@ -157,9 +153,9 @@ class CellTest:
                 both = channels[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
                 scale[channels] = float(np.exp(np.mean(np.log(scale[both]))))
         blocks = self._blocks(maps, scale)
-        optimum = find_scalings(blocks, until=until)
-        if optimum.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in optimum.G) > FREE:
-            optimum = find_scalings(blocks, until=until, penalty=BOUND)
+        optimum, settings = find_scalings(blocks, until=until, settings=self.settings), self.settings
+        if optimum.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in optimum.G) > settings.free:
+            optimum = find_scalings(blocks, until=until, penalty=settings.penalty, settings=settings)
         axis = self._axis(optimum, cell)
         if optimum.margin <= 0.0:
             return None, axis
@@ -175,8 +171,8 @@ class CellTest:
         centre, width, endless = self._frequency_interval(cell.band)
         # Centres of (value - nominal) and half widths; of a disk zero and its radius
         ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
-        ranges = np.array([p.upper - p.lower or NO_SCALE for p in self.system.parameters])
-        widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
+        ranges = np.array([p.upper - p.lower or self.settings.no_scale for p in self.system.parameters])
+        widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), self.settings.narrow * ranges)
         centres = 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal)
         radii = [disk.radius for disk in self.disks]
         centres, widths = np.concatenate([centres, np.zeros(len(radii))]), np.concatenate([widths, radii])
@@ -208,7 +204,7 @@ class CellTest:
         if np.isinf(high):
             width = max(self.reference, low)
             return low + width, width, True
-        return 0.5 * (low + high), max(0.5 * (high - low), NARROW * max(high, 1e-300)), False
+        return 0.5 * (low + high), max(0.5 * (high - low), self.settings.narrow * max(high, 1e-300)), False
 
     def _blocks(self, M: ComplexArray, scale: FloatArray) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
@@ -237,7 +233,9 @@ class CellTest:
         is. The losses of narrow intervals are therefore taken in proportion to their width.
         """
         low, high = cell.band
-        if self.n and min(high, 2.0 * self.fastest) > WIDE * max(low, 0.5 * self.slowest):  # poles over a wide band
+        if self.n and min(high, 2.0 * self.fastest) > self.settings.wide * max(
+            low, 0.5 * self.slowest
+        ):  # poles over a wide band
             return len(self.nominal)
         first = 1 if self.n else 0
         losses = list(scalings.losses[first : first + len(self.nominal)])
@@ -247,7 +245,7 @@ class CellTest:
             for (lower, upper), p in zip(cell.intervals, self.system.parameters)
         ]
         for i, part in enumerate(parts):
-            losses[i] *= min(1.0, DEEP * part / max(parts)) if part else 0.0
+            losses[i] *= min(1.0, self.settings.deep * part / max(parts)) if part else 0.0
         return int(np.argmax(losses))
 
     def _unscaled(

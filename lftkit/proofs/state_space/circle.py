@@ -20,9 +20,6 @@ from lftkit.proofs.state_space.search import Member
 from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 from lftkit.systems.system import System
 
-OUTWARD = 1e-14
-"""Relative amount by which a band is widened, for the rounding of the tangent."""
-
 
 def over_axis(system: System) -> System:
     """The system in continuous time whose frequency is ``tan(omega dt / 2)``; itself, if it is in continuous time.
@@ -61,7 +58,7 @@ def band_over_axis(band: tuple[float, float], dt: float) -> tuple[float, float]:
     low, high = (warped_frequency(0.5 * dt * end) for end in band)
     if not low < math.inf:
         raise InputError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {band[0]}")
-    return (1.0 - OUTWARD) * low, (1.0 + OUTWARD) * high
+    return (1.0 - 1e-14) * low, (1.0 + 1e-14) * high  # outward, for the rounding of the tangent
 
 
 def reached(system: System, member: Member) -> Member:

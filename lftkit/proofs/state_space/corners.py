@@ -15,14 +15,8 @@ from scipy import linalg
 
 from lftkit.analysis.batched_linalg import determinants, eigenvalues, inverses
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.settings import SEARCH, SearchSettings
 from lftkit.systems.system import System
-
-STEPS = 6
-"""Most corners that the derivatives of one pole lead to."""
-FLIPS = 12
-"""Most parameters that are turned over one after the other."""
-BELOW = 1.0 - 1e-4
-"""Part of the smallest factor so far at which an unstable corner is looked for next."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +29,12 @@ class CornerSearch:
         Without inputs and outputs, channels of each parameter adjacent; at least one state and one parameter.
     ends : ndarray, shape (parameters, 2)
         Lower and upper deviation of each parameter from its nominal value.
+    settings : SearchSettings
     """
 
     system: System
     ends: FloatArray
+    settings: SearchSettings = SEARCH
 
     def offset(self, signs: FloatArray) -> FloatArray:
         """Deviations at corners, shape of `signs` (..., parameters) with entries -1 and 1."""
@@ -60,7 +56,7 @@ class CornerSearch:
     def climb(self, start: FloatArray, factor: float) -> FloatArray:
         """Corner with the rightmost pole that was found from `start`, of the box scaled by a factor."""
         best, largest = start, float(self._abscissas(start[None], factor)[0])
-        for _ in range(FLIPS):
+        for _ in range(self.settings.flips):
             if np.isinf(largest):
                 break
             turned = best * (1.0 - 2.0 * np.eye(len(best)))  # one parameter after the other
@@ -77,7 +73,7 @@ class CornerSearch:
         poles, slopes = self._slopes(factor * self.offset(corner))
         for number in np.flatnonzero(poles.imag >= 0.0):
             pole, slope, at = poles[number], slopes[number], corner
-            for _ in range(STEPS):
+            for _ in range(self.settings.pole_steps):
                 following = self._fastest(slope, at)
                 if np.array_equal(following, at):
                     break
@@ -160,7 +156,7 @@ def earliest_unstable_corner(
             reached = search.climb(start, factor)
             if search.unstable(reached, factor):
                 best, corner = min(factor, ray_factor(reached)), reached
-                factor = BELOW * best
+                factor = search.settings.corner_below * best
                 waiting = [reached, *waiting[number + 1 :], *waiting[:number]]
                 break
         else:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.proofs.settings import CELLS, CellSettings
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.circle import over_axis, static_part
 from lftkit.proofs.state_space.proof import proven_cell
@@ -21,8 +22,6 @@ from lftkit.systems.system import System
 
 WHOLE = (0.0, np.inf)
 """Band of all frequencies."""
-RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
-"""Factors of the level at which cells that are left over are tried."""
 
 
 @dataclass
@@ -36,12 +35,19 @@ class CellCover:
     number: Any = field(default_factory=itertools.count)
 
     @classmethod
-    def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> CellCover:
+    def of(
+        cls,
+        system: System,
+        claim: dict[str, Any],
+        cell: Cell,
+        static: bool = False,
+        settings: CellSettings = CELLS,
+    ) -> CellCover:
         """One open cell; `static`: of the channels without states."""
         part = static_part(system) if static else over_axis(system)
         radii = {disk["name"]: disk["radius"] for disk in claim["plant"].get("disks", [])}
         gain = claim["claim"]["property"] == "gain" and not static
-        cover = cls(CellTest(part, gain, radii), Inequality(claim, static), [])
+        cover = cls(CellTest(part, gain, radii, settings), Inequality(claim, static), [])
         cover.push(0.0, cell)
         return cover
 
@@ -86,7 +92,7 @@ class CellCover:
     def leftover(self, level: float, until: float) -> float:
         """Try the open cells at higher levels; the level at which all are proven, infinite if some are not."""
         highest = level
-        for factor in RAISED:
+        for factor in self.test.settings.raised:
             waiting, self.open = self.open, []
             for rank, number, cell in waiting:
                 if time.monotonic() > until or self.prove(cell, factor * level, until) is not None:
@@ -99,11 +105,16 @@ class CellCover:
 
 
 def posed_cells(
-    system: System, claim: dict[str, Any], box: Sequence[tuple[float, float]], until: float, tests: int
+    system: System,
+    claim: dict[str, Any],
+    box: Sequence[tuple[float, float]],
+    until: float,
+    tests: int,
+    settings: CellSettings = CELLS,
 ) -> list[dict[str, Any]] | None:
     """Cells that show that members are well posed, of a system in discrete time; None if they do not cover the box."""
     if not system.dt:
         return []
-    cover = CellCover.of(system, claim, Cell(tuple(box), WHOLE), static=True)
+    cover = CellCover.of(system, claim, Cell(tuple(box), WHOLE), static=True, settings=settings)
     with Progress("well-posed members", False) as bar:
         return cover.proven if cover.run(lambda: 1.0, lambda cell: False, until, tests, bar) else None

@@ -17,8 +17,9 @@ from scipy import linalg, optimize
 
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.lower import PerturbationSettings, lower_bound
 from lftkit.proofs.blocks.structure import balanced_matrix
+from lftkit.proofs.settings import SEARCH, SearchSettings
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, structure_of
 from lftkit.proofs.state_space.search import Member, member_gain
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
@@ -28,26 +29,6 @@ from lftkit.uncertainty.elements import DynamicElement, RealParameter
 
 sl_optimize: Any = optimize
 Interval = tuple[float, float]
-GRID = 30
-"""Frequencies between a tenth of the slowest pole and ten times the fastest, beside those of the poles."""
-REFINED = 2
-"""Best frequencies of the grid about which the axis is searched."""
-CLOSE = 0.5
-"""Frequencies of the grid at which no element of less than twice the size asked for makes the loop singular are left
-out of the search; about others there may be one between the frequencies of the grid."""
-EVALUATIONS = 12
-NEAR, REAL_AT_ENDS = 1e-3, 1e-9
-"""Least frequency above zero over that of the slowest pole, and that of the fastest over the largest finite one; phase
-[rad] that counts as zero at the ends of the axis, where dynamics are real."""
-GAIN_STARTS = (2, 8)
-"""Members with which the search for a gain at a frequency begins: on the grid, and at the best frequency."""
-FIRST, LATER = (1, 40), (4, 200)
-"""Vectors with which the search for a singular loop begins, and steps of a local search: over the axis, and at the best
-frequency."""
-ASCENTS, CLIMBED = 40, 1e-7
-"""Most steps of an ascent; least relative increase that is worth another one."""
-SHORT = 1e-3
-"""Shortest step of an ascent, as a part of the way to the point that the slopes name."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +50,14 @@ class DiskSearch:
     band : (low, high)
         Frequencies [rad/s].
     seed : int
+    settings : SearchSettings
     """
 
     system: System
     box: Sequence[Interval]
     band: Interval
     seed: int
+    settings: SearchSettings = SEARCH
 
     @cached_property
     def disks(self) -> list[DiskChannels]:
@@ -106,9 +89,11 @@ class DiskSearch:
     def frequencies(self) -> FloatArray:
         """Grid of the band, its ends included."""
         poles = self.system.poles()
-        (least, most), (low, high) = pole_range(poles, zero=0.0), self.band
-        grid = frequency_grid(poles, 0.1 * least, 10.0 * most, points=GRID, offsets=(0.0,))
-        near = ([NEAR * min(least, high)] if low == 0.0 else []) + ([max(most, low) / NEAR] if high == np.inf else [])
+        (least, most), (low, high), margin = pole_range(poles, zero=0.0), self.band, self.settings.near
+        grid = frequency_grid(poles, 0.1 * least, 10.0 * most, points=self.settings.grid, offsets=(0.0,))
+        near = ([margin * min(least, high)] if low == 0.0 else []) + (
+            [max(most, low) / margin] if high == np.inf else []
+        )
         grid = np.unique([low, *near, *grid[(grid >= low) & (grid <= high)], high])
         return np.asarray(grid)
 
@@ -129,7 +114,7 @@ class DiskSearch:
         ceilings = np.array([ceiling(float(w)) for w in omega])
         values, best = np.full(len(omega), -np.inf), (-np.inf, float(omega[0]), None)
         for k in np.argsort(-ceilings, kind="stable"):
-            if ceilings[k] <= max(best[0], CLOSE * floor):
+            if ceilings[k] <= max(best[0], self.settings.close * floor):
                 break
             values[k], what = at(float(omega[k]))
             if values[k] > best[0]:
@@ -143,12 +128,12 @@ class DiskSearch:
                 best = value, w, what
             return -value
 
-        for k in [k for k in np.argsort(-values, kind="stable") if values[k] > -np.inf][:REFINED]:
+        for k in [k for k in np.argsort(-values, kind="stable") if values[k] > -np.inf][: self.settings.refined]:
             low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
             high = high if np.isfinite(high) else 10.0 * max(low, 1e-300)
             low = low if low > 0.0 else 1e-3 * high
             if low < high:
-                options = {"maxiter": EVALUATIONS, "xatol": 1e-7}
+                options = {"maxiter": self.settings.evaluations, "xatol": 1e-7}
                 sl_optimize.minimize_scalar(
                     objective, bounds=(math.log(low), math.log(high)), method="bounded", options=options
                 )
@@ -161,10 +146,11 @@ class DiskSearch:
 
         Sides are measured from the nominal values, which the box contains.
         """
-        first = partial(self._singular_at, starts=FIRST[0], iterations=FIRST[1])
-        value, omega, member = self.worst(first, ceiling=self._ceiling, floor=1.0 / largest)
+        first, later = zip(self.settings.singular_starts, self.settings.singular_steps)
+        over_axis = partial(self._singular_at, starts=first[0], iterations=first[1])
+        value, omega, member = self.worst(over_axis, ceiling=self._ceiling, floor=1.0 / largest)
         if member is not None:
-            closely = self._singular_at(omega, *LATER)
+            closely = self._singular_at(omega, *later)
             value, member = closely if closely[0] > value else (value, member)
         if not value * largest > 1.0:
             return None
@@ -176,7 +162,8 @@ class DiskSearch:
         widest = self._widest
         sides = np.abs(self.deviations) / np.where(widest > 0.0, widest, 1.0)[:, None]
         scaled = self._scaled(self.response(omega))
-        value, perturbation = lower_bound(*scaled, starts=starts, seed=self.seed, iterations=iterations, sides=sides)
+        settings = PerturbationSettings(local_steps=iterations)
+        value, perturbation = lower_bound(*scaled, starts=starts, seed=self.seed, sides=sides, settings=settings)
         if perturbation is None:
             return 0.0, None
         # Deviations of the real elements and values of the others in a perturbation of the scaled response
@@ -190,9 +177,9 @@ class DiskSearch:
             size = (rows, columns) if disk.full else (1, 1)
             values[disk.name] = disk.radius * perturbation[row : row + size[0], column : column + size[1]]
             row, column = row + rows, column + columns
-        real, values = reals * self._widest, values
+        real = reals * self._widest
         dynamics = [values[e.name] for e in self.system.elements if isinstance(e, DynamicElement)]
-        if at_end(omega) and any(linalg.norm(v.imag) > REAL_AT_ENDS * linalg.norm(v) for v in dynamics):
+        if at_end(omega) and any(linalg.norm(v.imag) > self.settings.real_at_ends * linalg.norm(v) for v in dynamics):
             return 0.0, None
         return value, (self.nominal + real, values)
 
@@ -219,10 +206,10 @@ class DiskSearch:
         """Member of the box with the largest gain found."""
 
         def first(omega: float) -> tuple[float, Any]:
-            return self.gain_of(self.response(omega), GAIN_STARTS[0], at_end(omega))
+            return self.gain_of(self.response(omega), self.settings.gain_starts[0], at_end(omega))
 
         value, omega, point = self.worst(first, lambda w, member: self._climbed_to(w, *member))
-        closely = self.gain_of(self.response(omega), GAIN_STARTS[1], at_end(omega))
+        closely = self.gain_of(self.response(omega), self.settings.gain_starts[1], at_end(omega))
         value, point = max((value, point), closely, key=lambda pair: pair[0])
         return DiskMember(value, point[0], omega, point[1])
 
@@ -280,10 +267,10 @@ class DiskSearch:
     ) -> tuple[float, tuple[FloatArray, dict[str, ComplexArray]]]:
         """Gain at the end of steps towards the members that the slopes name, and the member."""
         gain, towards = self._gain(M, real, values)
-        for _ in range(ASCENTS):
+        for _ in range(self.settings.ascents):
             length, before = 1.0, gain
             aim_real, aim_values = towards(real, values)
-            while length >= SHORT:
+            while length >= self.settings.short:
                 tried = []
                 for part in (length, 0.5 * length):
                     new_real = real + part * (aim_real - real)
@@ -294,7 +281,7 @@ class DiskSearch:
                     gain, towards, real, values = best
                     break
                 length *= 0.25
-            if not gain > before * (1.0 + CLIMBED):
+            if not gain > before * (1.0 + self.settings.climbed):
                 break
         return gain, (self.nominal + real, values)
 
@@ -312,7 +299,6 @@ class DiskSearch:
                 delta[np.ix_(of_disk[: disk.outputs], of_disk[: disk.inputs])] = values[disk.name]
             else:
                 delta[of_disk, of_disk] = values[disk.name][0, 0]
-        delta = delta
         *_, inner, singular = linalg.lapack.zgesv(np.eye(q) - M[:q, :q] @ delta, M[:q]) if q else (M[:0], 0)
         if singular:
             return np.inf, lambda a, b: (a, b)

@@ -18,16 +18,6 @@ from lftkit.systems.sampled.bilinear import warped_frequency
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, RealParameter, width
 
-REAL = 1e-9
-"""Phase [rad] that counts as zero."""
-CLEAR = 1e-12
-"""Distance of poles of sampled dynamics from z = 1 and -1; phases that would need a smaller one count as zero."""
-AT_ENDS = 1e-6
-"""Frequency [rad/s] in the place of zero, and one over that of infinity, where dynamics are real; of samples that times
-half the period."""
-NEAREST = 1e-9
-"""Least frequency of samples, times half the period, at which dynamics have a value; and one over the largest."""
-
 
 @dataclass(frozen=True)
 class DiskChannels:
@@ -123,7 +113,16 @@ def scaled_radii(system: System, factor: float) -> dict[str, float]:
     return {disk.name: factor * disk.radius for disk in disks_of(system)}
 
 
-def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System:
+def dynamics_with(
+    matrix: ComplexArray,
+    omega: float,
+    dt: float = 0.0,
+    *,
+    real: float = 1e-9,
+    clear: float = 1e-12,
+    at_ends: float = 1e-6,
+    nearest: float = 1e-9,
+) -> System:
     """Stable dynamics of the same largest gain at all frequencies whose value at one of them is a matrix of rank one.
 
     ``u v*`` becomes ``a(s) b(s)'``, the entries of a and b all-pass systems ``g (s - c) / (s + c)``. At the ends of the
@@ -137,6 +136,15 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
         Frequency [rad/s].
     dt : float
         Period of dynamics in discrete time.
+    real : float
+        Phase [rad] that counts as zero.
+    clear : float
+        Distance of poles of sampled dynamics from z = 1 and -1; phases that would need a smaller one count as zero.
+    at_ends : float
+        Frequency [rad/s] in the place of zero, and one over that of infinity, where dynamics are real; of samples that
+        times half the period.
+    nearest : float
+        Least frequency of samples, times half the period, at which dynamics have a value; and one over the largest.
 
     Examples
     --------
@@ -146,12 +154,12 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     """
     where = warped_frequency(omega, dt) if dt else omega
     half = 0.5 * dt or 1.0
-    at, clear = half * abs(where), CLEAR if dt else 0.0
+    at, clear = half * abs(where), clear if dt else 0.0
     if not 0.0 < at < math.inf:
-        at = AT_ENDS if at == 0.0 else 1.0 / AT_ENDS
+        at = at_ends if at == 0.0 else 1.0 / at_ends
     elif dt:
-        at = min(max(at, NEAREST), 1.0 / NEAREST)
-    least = max(REAL, 2.0 * clear * max(at, 1.0 / at))
+        at = min(max(at, nearest), 1.0 / nearest)
+    least = max(real, 2.0 * clear * max(at, 1.0 / at))
     value = np.atleast_2d(np.asarray(matrix, complex))
     left, sizes, right = linalg.svd(value)
     (A, B, C, D), (E, F, G, H) = (_all_passes(side, at / half, least, dt) for side in (left[:, 0], right[0]))

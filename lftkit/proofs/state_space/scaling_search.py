@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.settings import CELLS, CellSettings
 from lftkit.proofs.state_space.barrier import (
     FULL,
     BarrierBlock,
@@ -24,13 +25,6 @@ from lftkit.proofs.state_space.barrier import (
     positive_inverse,
     products,
 )
-
-GROWTH = 8.0
-"""Factor by which the weight of the objective grows from one centre to the next."""
-CENTRED = 0.3
-"""Newton decrement at which a point counts as centred."""
-DENSE = 20_000
-"""Most entries of all forms with which they are kept as matrices."""
 
 
 class ScalarBarrierProblem(BarrierProblem):
@@ -151,13 +145,8 @@ class DenseBarrierProblem(BarrierProblem):
         scales = y[self.single]
         if not np.all(scales > 0.0):
             return np.inf
-        total = weight * y[0] + 0.5 * float(self.penalty @ y**2) - float(np.sum(np.log(scales)))
-        for matrix in (y[0] * np.eye(self.N) - self.sum_of_forms(y), *self._repeated_scalings(y)):
-            factor, info = linalg.lapack.zpotrf(matrix, lower=1)
-            if info:
-                return np.inf
-            total -= 2.0 * float(np.sum(np.log(np.diag(factor).real)))
-        return float(total)
+        objective = weight * y[0] + 0.5 * float(self.penalty @ y**2) - float(np.sum(np.log(scales)))
+        return self.with_barrier(objective, y, self._repeated_scalings(y))
 
     def _repeated_scalings(self, y: FloatArray) -> list[ComplexArray]:
         return [(hermitian_basis(k) @ y[part]).reshape(k, k) for part, k in self.repeated]
@@ -182,10 +171,12 @@ class DenseBarrierProblem(BarrierProblem):
         return slope + self.penalty * y, np.asarray(curvature)
 
 
-def barrier_problem(blocks: Sequence[BarrierBlock], penalty: float = 0.0) -> BarrierProblem:
+def barrier_problem(
+    blocks: Sequence[BarrierBlock], penalty: float = 0.0, settings: CellSettings = CELLS
+) -> BarrierProblem:
     """The barrier problem of some blocks, in the form that is fastest for their sizes."""
-    problem = BarrierProblem(blocks, penalty)
-    if problem.count * problem.N**2 <= DENSE:
+    problem = BarrierProblem(blocks, penalty, settings.small)
+    if problem.count * problem.N**2 <= settings.dense:
         return DenseBarrierProblem(blocks, penalty)
     single = all(block.kind == FULL or len(block.Z) == 1 for block in blocks)
     return ScalarBarrierProblem(blocks, penalty) if single else problem
@@ -198,6 +189,7 @@ def find_scalings(
     until: float = np.inf,
     precision: float = 1e-7,
     penalty: float = 0.0,
+    settings: CellSettings = CELLS,
 ) -> Scalings:
     """Scalings of trace one with a margin as large as it gets, or as soon as the sign of it is certain.
 
@@ -213,25 +205,58 @@ def find_scalings(
         Smallest distance to the optimal margin that is worth a step.
     penalty : float
         Of :class:`lftkit.proofs.state_space.barrier.BarrierProblem`.
+    settings : CellSettings
+        Of these `growth`, `centred`, `dense` and `small`.
     """
     if not blocks:  # are members of a system without elements well posed: no signal is left to show it for
         return Scalings(1.0, (), (), np.zeros(0))
-    problem = barrier_problem(blocks, penalty)
-    y = problem.start()
+    problem = barrier_problem(blocks, penalty, settings)
+    y = start = problem.start()
+    steps = newton_path(problem, start, iterations, growth=settings.growth, centred=settings.centred, until=until)
+    for y, gap, centre in steps:
+        if y[0] < 0.0 and gap < 0.5 * -y[0]:
+            break
+        if centre and (y[0] - 2.0 * gap > 0.0 or gap < precision):
+            break
+    return problem.result(y)
+
+
+def newton_path(
+    problem: BarrierProblem, y: FloatArray, iterations: int, *, growth: float, centred: float, until: float = np.inf
+) -> Iterator[tuple[FloatArray, float, bool]]:
+    """Newton steps along the centres of a problem towards its optimum, from variables inside.
+
+    Parameters
+    ----------
+    problem : BarrierProblem
+    y : ndarray
+        Variables to begin with.
+    iterations : int
+        Most steps.
+    growth : float
+        Factor by which the weight of the objective grows from one centre to the next.
+    centred : float
+        Newton decrement at which a point counts as a centre.
+    until : float
+        ``time.monotonic()`` after which it stops.
+
+    Yields
+    ------
+    y : ndarray
+        The variables.
+    gap : float
+        Distance of a centre from the optimum.
+    centre : bool
+        Whether the point is one.
+    """
     weight = -2.0 * float(problem.derivatives(y, 0.0)[0][0])
     for _ in range(iterations):
         if time.monotonic() > until:
-            break
+            return
         slope, curvature = problem.derivatives(y, weight)
         step = newton_step(curvature, -slope, problem.trace)
         decrement = math.sqrt(max(float(-slope @ step), 0.0))
         y = problem.line_search(y, step, weight, decrement)
-        gap = problem.degree / weight
-        if y[0] < 0.0 and gap < 0.5 * -y[0]:
-            break
-        if decrement > CENTRED:
-            continue
-        if y[0] - 2.0 * gap > 0.0 or gap < precision:
-            break
-        weight *= GROWTH
-    return problem.result(y)
+        yield y, problem.degree / weight, decrement <= centred
+        if decrement <= centred:
+            weight *= growth

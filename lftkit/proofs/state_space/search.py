@@ -16,24 +16,11 @@ from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.settings import SEARCH, SearchSettings
 from lftkit.proofs.state_space.corners import CornerSearch, abscissas, earliest_unstable_corner
 from lftkit.systems.system import System
 
 sl_optimize: Any = optimize
-MAX_CORNERS = 64
-SAMPLES = 20
-"""Random members among which the worst one is looked for, and half of the directions to unstable ones."""
-ALL_CORNERS = 6
-"""Most parameters of which all corners are looked at; of more, corners are searched by derivatives of the poles."""
-CLIMBS, CORNER_STEPS, SLOPES = 4, 10, 80
-"""Members from which the gain is climbed there, most corners that the slopes lead to, and most gains afterwards."""
-RANDOM_CORNERS = 16
-"""Random corners to begin with there, beside those that the derivatives at the nominal member give."""
-RAY_STEPS = 48
-PRECISION = 1e-9
-"""Relative, of the first factor on a ray with an unstable member."""
-LARGE = 1e300
-"""Finite number in the place of an infinite one, for the search of a root."""
 
 
 @dataclass(frozen=True)
@@ -88,37 +75,43 @@ def worst_member(
     band: tuple[float, float],
     *,
     seed: int = 0,
+    settings: SearchSettings = SEARCH,
 ) -> Member:
     """The member with the largest gain among middle, corners and random ones, improved by a local search."""
     ends = np.array(box, dtype=float).reshape(-1, 2)
     rng, size = np.random.default_rng(seed), len(ends)
-    corners = list(itertools.islice(itertools.product((0.0, 1.0), repeat=size), 2**size if size <= ALL_CORNERS else 0))
+    corners = list(
+        itertools.islice(itertools.product((0.0, 1.0), repeat=size), 2**size if size <= settings.all_corners else 0)
+    )
     shares = [np.full(size, 0.5), *(np.array(c) for c in corners)]
-    if size > ALL_CORNERS:
+    if size > settings.all_corners:
         if band == (0.0, np.inf):
-            shares += _unstable_shares(system, ends, seed)
-        shares += list(rng.integers(0, 2, (MAX_CORNERS, size)).astype(float))
-    shares += list(rng.random((SAMPLES, size))) if size else []
+            shares += _unstable_shares(system, ends, seed, settings)
+        shares += list(rng.integers(0, 2, (settings.more_corners, size)).astype(float))
+    shares += list(rng.random((settings.samples, size))) if size else []
     members = []
     for share in shares:
         members.append(member_gain(system, ends[:, 0] + share * (ends[:, 1] - ends[:, 0]), band))
         if np.isinf(members[-1].gain):
             return members[-1]
     members.sort(key=lambda member: -member.gain)
-    if size <= ALL_CORNERS:
-        return climbed(system, box, band, members[0])
-    return max((climbed(system, box, band, start) for start in members[:CLIMBS]), key=lambda member: member.gain)
+    starts = members[: 1 if size <= settings.all_corners else settings.climbs]
+    return max((climbed(system, box, band, start, settings=settings) for start in starts), key=lambda top: top.gain)
 
 
-def _unstable_shares(system: System, ends: FloatArray, seed: int) -> list[FloatArray]:
+def _unstable_shares(system: System, ends: FloatArray, seed: int, settings: SearchSettings) -> list[FloatArray]:
     """A corner of the box that is unstable, if one is found."""
     nominal = np.array([p.nominal for p in system.parameters])
     if not system.order or np.any(nominal < ends[:, 0]) or np.any(nominal > ends[:, 1]):
         return []
     bare = system.select(inputs=(), outputs=())
-    search = CornerSearch(bare, ends - nominal[:, None])
-    corner = earliest_unstable_corner(search, 1.0, lambda corner: 0.0, samples=RANDOM_CORNERS, seed=seed)[1]
+    search, samples = CornerSearch(bare, ends - nominal[:, None], settings), settings.random_corners
+    corner = earliest_unstable_corner(search, 1.0, lambda corner: 0.0, samples=samples, seed=seed)[1]
     return [] if corner is None else [0.5 * (1.0 + corner)]
+
+
+class _Unstable(Exception):
+    """Ends a climb: an unstable member is as bad as can be."""
 
 
 def climbed(
@@ -127,70 +120,54 @@ def climbed(
     band: tuple[float, float],
     start: Member,
     evaluations: int = 150,
+    settings: SearchSettings = SEARCH,
 ) -> Member:
-    """Local search for a larger gain from `start`, inside the box: by slopes where there are many parameters."""
+    """Local search for a larger gain from `start`, inside the box.
+
+    Where there are many parameters it is an ascent of the logarithm of the peak, whose slopes are those of the gain at
+    the frequency of the peak.
+    """
     ends = np.array(box, dtype=float).reshape(-1, 2)
     width = ends[:, 1] - ends[:, 0]
     if not np.any(width > 0.0) or np.isinf(start.gain):
         return start
-    if len(ends) > ALL_CORNERS:
-        return _climbed_by_slopes(system, ends, band, start)
-    best = start
+    best, bounds = start, [(0.0, 1.0)] * len(ends)
 
-    def objective(share: FloatArray) -> float:
+    def shares(member: Member) -> FloatArray:
+        return np.asarray(np.clip((member.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0), 0.0, 1.0))
+
+    def member_at(share: FloatArray) -> Member:
         nonlocal best
         point = np.clip(ends[:, 0] + np.clip(share, 0.0, 1.0) * width, ends[:, 0], ends[:, 1])
         member = member_gain(system, point, band)
-        if member.gain > best.gain:
-            best = member
-        return -min(member.gain, 1e300)
+        best = member if member.gain > best.gain else best
+        return member
 
-    first = (start.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
-    optimize.minimize(
-        objective,
-        np.clip(first, 0.0, 1.0),
-        method="Powell",
-        bounds=[(0.0, 1.0)] * len(ends),
-        options={"maxfev": evaluations, "xtol": 1e-3, "ftol": 1e-4},
-    )
-    return best
-
-
-class _Unstable(Exception):
-    """Ends a climb: an unstable member is as bad as can be."""
-
-
-def _climbed_by_slopes(system: System, ends: FloatArray, band: tuple[float, float], start: Member) -> Member:
-    """Ascent of the logarithm of the peak; its slopes are those of the gain at the frequency of the peak."""
-    best, width = start, ends[:, 1] - ends[:, 0]
-
-    def objective(share: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal best
-        point = np.clip(ends[:, 0] + np.clip(share, 0.0, 1.0) * width, ends[:, 0], ends[:, 1])
-        member = member_gain(system, point, band)
-        if member.gain > best.gain:
-            best = member
+    def logarithm(share: FloatArray) -> tuple[float, FloatArray]:
+        member = member_at(share)
         if np.isinf(member.gain):
             raise _Unstable
         if not member.gain > 0.0:
             return 0.0, np.zeros(len(width))
         return -float(np.log(member.gain)), -gain_slopes(system, member) * width / member.gain
 
+    if len(ends) <= settings.all_corners:
+        sl_optimize.minimize(
+            lambda share: -min(member_at(share).gain, 1e300),
+            shares(start),
+            method="Powell",
+            bounds=bounds,
+            options={"maxfev": evaluations, "xtol": 1e-3, "ftol": 1e-4},
+        )
+        return best
     with suppress(_Unstable, linalg.LinAlgError):
-        for _ in range(CORNER_STEPS):
+        for _ in range(settings.corner_steps):
             before = best.gain
-            objective(np.where(gain_slopes(system, best) > 0.0, 1.0, 0.0))
+            logarithm(np.where(gain_slopes(system, best) > 0.0, 1.0, 0.0))
             if best.gain <= before * (1.0 + 1e-9):
                 break
-        first = (best.point - ends[:, 0]) / np.where(width > 0.0, width, 1.0)
-        sl_optimize.minimize(
-            objective,
-            np.clip(first, 0.0, 1.0),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(0.0, 1.0)] * len(ends),
-            options={"maxfun": SLOPES, "ftol": 1e-7},
-        )
+        options = {"maxfun": settings.slopes, "ftol": 1e-7}
+        sl_optimize.minimize(logarithm, shares(best), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return best
 
 
@@ -243,6 +220,7 @@ def smallest_unstable_factor(
     largest: float,
     *,
     seed: int = 0,
+    settings: SearchSettings = SEARCH,
 ) -> tuple[float, FloatArray, float]:
     """Smallest factor found at which the scaled box has an unstable member, the member, its frequency [rad/s].
 
@@ -257,16 +235,15 @@ def smallest_unstable_factor(
 
     def factor_of(direction: FloatArray) -> float:
         length = float(np.abs(direction).max(initial=0.0))
-        return ray_factor(system, offset(direction / length), largest) if length > 0.0 else np.inf
+        return ray_factor(system, offset(direction / length), largest, settings) if length > 0.0 else np.inf
 
-    corners = [np.array(c) for c in itertools.product((-1.0, 1.0), repeat=size)] if size <= ALL_CORNERS else []
-    if size > ALL_CORNERS and system.order:
-        corner = earliest_unstable_corner(
-            CornerSearch(system, ends), largest, factor_of, samples=RANDOM_CORNERS, seed=seed
-        )[1]
+    corners = [np.array(c) for c in itertools.product((-1.0, 1.0), repeat=size)] if size <= settings.all_corners else []
+    if size > settings.all_corners and system.order:
+        search = CornerSearch(system, ends, settings)
+        corner = earliest_unstable_corner(search, largest, factor_of, samples=settings.random_corners, seed=seed)[1]
         corners += [corner] if corner is not None else []
     starts = corners + list(np.eye(size)) + list(-np.eye(size))
-    starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (2 * SAMPLES, size))] if size else []
+    starts += [d / np.abs(d).max() for d in rng.uniform(-1.0, 1.0, (2 * settings.samples, size))] if size else []
     if not starts:
         return np.inf, nominal, 0.0
     factors = [factor_of(d) for d in starts]
@@ -289,24 +266,25 @@ def smallest_unstable_factor(
     return best, point, member_gain(system, point, (0.0, np.inf), gain=False).frequency
 
 
-def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
-    """First factor on a ray from the nominal member with an unstable member, to 1e-9; infinite if there is none."""
+def ray_factor(system: System, offset: FloatArray, largest: float, settings: SearchSettings = SEARCH) -> float:
+    """First factor on a ray from the nominal member with an unstable member; infinite if there is none."""
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])
-    grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
+    precision = settings.precision
+    grid = largest * np.linspace(0.0, 1.0, settings.ray_points + 1)[1:] ** 1.5
     abscissae = abscissas(system, grid[:, None] * per_channel)
     if not np.any(abscissae >= 0.0):
         return np.inf
     first = int(np.argmax(abscissae >= 0.0))
 
     def abscissa(factor: float) -> float:
-        return min(float(abscissas(system, factor * per_channel[None])[0]), LARGE)
+        return min(float(abscissas(system, factor * per_channel[None])[0]), 1e300)  # finite, for the search of the root
 
     low, high = float(grid[first - 1]) if first else 0.0, float(grid[first])
     if abscissa(low) >= 0.0:  # at the nominal member
-        return first_true(lambda factor: abscissa(factor) >= 0.0, [high], PRECISION)
-    root = sl_optimize.brentq(abscissa, low, high, xtol=1e-300, rtol=0.1 * PRECISION, maxiter=200, disp=False)
-    beyond = (min(root * (1.0 + part * PRECISION), high) for part in (0.2, 0.5, 1.0, 10.0, 1e3))
+        return first_true(lambda factor: abscissa(factor) >= 0.0, [high], precision)
+    root = sl_optimize.brentq(abscissa, low, high, xtol=1e-300, rtol=0.1 * precision, maxiter=200, disp=False)
+    beyond = (min(root * (1.0 + part * precision), high) for part in (0.2, 0.5, 1.0, 10.0, 1e3))
     return next((factor for factor in beyond if abscissa(factor) >= 0.0), high)
 
 

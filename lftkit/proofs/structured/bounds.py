@@ -12,7 +12,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray
 from lftkit.errors import InputError
-from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.lower import SETTINGS, PerturbationSettings, lower_bound
 from lftkit.proofs.blocks.structure import balanced_matrix
 from lftkit.proofs.state_space.barrier import BarrierBlock
 from lftkit.proofs.state_space.scaling_search import find_scalings
@@ -20,11 +20,6 @@ from lftkit.proofs.trusted.proof import FULL, REAL, ProofError
 from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu, checked_matrix, parts
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
-
-LEAST = 1e-9
-"""Level, as a part of the norm of M, below which nothing is proven."""
-STEPS = 80
-"""Most levels that are tried."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,13 @@ class MuBounds:
 
 @checked
 def mu(
-    M: ArrayLike, structure: Sequence[UncertaintyBlock], *, rtol: float = 1e-4, starts: int = 8, seed: int = 0
+    M: ArrayLike,
+    structure: Sequence[UncertaintyBlock],
+    *,
+    rtol: float = 1e-4,
+    starts: int = 8,
+    seed: int = 0,
+    settings: PerturbationSettings = SETTINGS,
 ) -> MuBounds:
     """Structured singular value ``1 / min {norm(Delta): I - M Delta singular}`` (mussv of the Robust Control Toolbox).
 
@@ -68,6 +69,8 @@ def mu(
         Vectors from which perturbations are searched, as long as the bounds differ by more than `rtol`.
     seed : int
         Of these.
+    settings : PerturbationSettings
+        Numbers of both bounds.
 
     Returns
     -------
@@ -98,16 +101,22 @@ def mu(
     matrix = checked_matrix(M, structure)  # type: ignore[arg-type]
     with one_thread():
         balanced = balanced_matrix(matrix, structure)[0]
-        lower, perturbation = lower_bound(balanced, structure, starts=1, seed=seed)
-        upper, certificate = upper_bound(matrix, structure, lower, rtol)
+        lower, perturbation = lower_bound(balanced, structure, starts=1, seed=seed, settings=settings)
+        upper, certificate = upper_bound(matrix, structure, lower, rtol, settings)
         enough = upper / (1.0 + rtol)
         if starts > 1 and lower < enough:
-            lower, perturbation = lower_bound(balanced, structure, starts=starts, seed=seed, enough=enough)
+            lower, perturbation = lower_bound(
+                balanced, structure, starts=starts, seed=seed, enough=enough, settings=settings
+            )
     return MuBounds(lower, upper, perturbation, certificate)
 
 
 def upper_bound(
-    M: ComplexArray, structure: Sequence[UncertaintyBlock], lower: float, rtol: float
+    M: ComplexArray,
+    structure: Sequence[UncertaintyBlock],
+    lower: float,
+    rtol: float,
+    settings: PerturbationSettings = SETTINGS,
 ) -> tuple[float, MuCertificate | None]:
     """Least level that scalings prove, to `rtol`, and their certificate, which passes :func:`check_mu`.
 
@@ -118,6 +127,7 @@ def upper_bound(
     lower : float
         A lower bound of mu.
     rtol : float
+    settings : PerturbationSettings
 
     Returns
     -------
@@ -129,8 +139,8 @@ def upper_bound(
         return 0.0, None
     scaling = _Scaling(M, structure)
     level, best = scaling.plain()
-    no = max(lower, LEAST * norm) / (1.0 + rtol)
-    for _ in range(STEPS):
+    no = max(lower, settings.least * norm) / (1.0 + rtol)
+    for _ in range(settings.levels):
         if level <= no * (1.0 + rtol) ** 2:
             break
         middle = math.sqrt(level * no)

@@ -22,9 +22,6 @@ from lftkit.errors import InputError
 from lftkit.support.regular_solve import lu_factors
 from lftkit.support.scalars import as_positive
 
-RCOND = 1e-13
-"""Reciprocal condition number below which a system counts as one with a pole that has no image."""
-
 Point = TypeVar("Point", complex, ComplexArray)
 
 
@@ -74,8 +71,12 @@ def unwarped_frequency(omega: float, dt: float = 2.0) -> float:
     return 2.0 / dt * math.atan(0.5 * dt * omega)
 
 
-def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:
+def to_discrete(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, *, rcond: float = 1e-13
+) -> Matrices:
     """Matrices of the discrete-time system of period `dt` [s]; shapes (n, n), (n, m), (p, n), (p, m) stay.
+
+    A pole counts as one at 2 / dt where the reciprocal condition number of ``I - dt / 2 A`` is below `rcond`.
 
     Raises
     ------
@@ -91,14 +92,14 @@ def to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: 
     n = len(A)
     if n == 0:
         return A, B, C, D
-    factors = _factors(np.eye(n) - 0.5 * dt * A, f"s = 2 / dt = {2.0 / dt} rad/s", RCOND)
+    factors = _factors(np.eye(n) - 0.5 * dt * A, f"s = 2 / dt = {2.0 / dt} rad/s", rcond)
     a = linalg.lu_solve(factors, np.eye(n) + 0.5 * dt * A)
     b = linalg.lu_solve(factors, B) * dt
     return a, b, linalg.lu_solve(factors, C.T, trans=1).T, D + 0.5 * C @ b
 
 
 def to_continuous(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float = 2.0, *, rcond: float = RCOND
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float = 2.0, *, rcond: float = 1e-13
 ) -> Matrices:
     """Matrices of the continuous-time system that :func:`to_discrete` takes to the given ones.
 

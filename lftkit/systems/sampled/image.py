@@ -13,9 +13,6 @@ from lftkit.errors import InputError
 from lftkit.systems.sampled.bilinear import to_continuous, to_discrete, warped_frequency
 from lftkit.systems.system import System
 
-DEADBEAT = 1e-12
-"""Magnitude of z below which a pole counts as this fast."""
-
 
 def image_of(model: System) -> System:
     """Continuous system with the response of the discrete `model` at ``s = (2 / T) (z - 1) / (z + 1)``.
@@ -50,6 +47,6 @@ def band_of_image(band: tuple[float, float], dt: float) -> tuple[float, float]:
     return warped_frequency(band[0], dt), warped_frequency(band[1], dt)
 
 
-def rates(z: ComplexArray, dt: float) -> ComplexArray:
-    """``log(z) / dt`` [rad/s] of poles."""
-    return np.asarray(np.log(np.where(np.abs(z) < DEADBEAT, DEADBEAT, z.astype(complex))) / dt)
+def rates(z: ComplexArray, dt: float, deadbeat: float = 1e-12) -> ComplexArray:
+    """``log(z) / dt`` [rad/s] of poles; one of a smaller magnitude than `deadbeat` counts as this fast."""
+    return np.asarray(np.log(np.where(np.abs(z) < deadbeat, deadbeat, z.astype(complex))) / dt)

@@ -16,9 +16,6 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 
-ROWS = 256
-"""Rows of inputs whose products :meth:`OrderedProduct.recur` keeps at a time."""
-
 
 def add_up(columns: FloatArray, values: FloatArray, products: FloatArray, sums: FloatArray) -> None:
     """Write the columns (m, p) of a matrix times `values` (m,) into `sums` (p,), two rows or more, from left to right.
@@ -70,24 +67,24 @@ class OrderedProduct:
         np.add.reduce(self._products, axis=0, out=self._sums)
         return self._sums[: self._size]
 
-    def recur(self, inputs: FloatArray) -> FloatArray:
+    def recur(self, inputs: FloatArray, together: int = 256) -> FloatArray:
         """Results (k, p) for the rows of `inputs` (k, i), the last values; the first ones are the last results'.
 
-        Bit for bit those of k calls, in a third of the time.
+        Bit for bit those of k calls, in a third of the time; the products of so many rows are kept `together`.
         """
         first = len(self.values) - inputs.shape[1]
         of_states, of_inputs = self.columns[:first], self.columns[first:]
         results: FloatArray = np.zeros((len(inputs), self._size))
-        products = np.zeros((min(len(inputs), ROWS), *self.columns.shape))
+        products = np.zeros((min(len(inputs), together), *self.columns.shape))
         sums = np.zeros((len(products) + 1, len(self._sums)))
         sums[0, :first] = self.values[:first]
-        for begin in range(0, len(inputs), ROWS):
-            rows = inputs[begin : begin + ROWS]
+        for begin in range(0, len(inputs), together):
+            rows = inputs[begin : begin + together]
             np.multiply(of_inputs, rows[:, :, None], out=products[: len(rows), first:])
             for product, before, after in zip(products[: len(rows)], sums[:, :first, None], sums[1:]):
                 np.multiply(of_states, before, out=product[:first])
                 np.add.reduce(product, axis=0, out=after)
-            results[begin : begin + ROWS] = sums[1 : len(rows) + 1, : self._size]
+            results[begin : begin + together] = sums[1 : len(rows) + 1, : self._size]
             sums[0] = sums[len(rows)]
         self.values[:first] = sums[0, :first]
         return results

@@ -11,11 +11,11 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 
 UNIT = 2.0**-53
 """Unit roundoff of double precision."""
-POWERS = 256
-"""Ticks of a block."""
 
 
-def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[FloatArray]) -> FloatArray:
+def rounding_bound(
+    system: SampledSystem, state: FloatArray, inputs: Iterable[FloatArray], block: int = 256
+) -> FloatArray:
     r"""Largest difference of two evaluations of a system from one state on the same inputs, in any orders of summation.
 
     A row of ``[[A, B], [C, D]]`` times ``z = (x, u)`` with m products is wrong by at most ``m u / (1 - m u)`` times
@@ -30,6 +30,8 @@ def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[Fl
         At the first tick.
     inputs : iterable of ndarray, shapes (k, m)
         One part of the ticks after another, so that a long run need not be in memory.
+    block : int
+        Ticks that are evaluated together: a power of two.
 
     Returns
     -------
@@ -47,7 +49,7 @@ def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[Fl
     """
     with np.errstate(over="ignore", invalid="ignore"):
         powers, ahead = np.eye(system.order)[None], system.A
-        while len(powers) < POWERS:
+        while len(powers) < block:
             powers, ahead = np.concatenate([powers, powers @ ahead]), ahead @ ahead
         largest: FloatArray = np.zeros(sum(system.C.shape))
         ticks = 0
@@ -57,7 +59,7 @@ def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[Fl
         products = sum(system.B.shape)
         wrong = 4.0 * products * UNIT / (1.0 - products * UNIT) * largest
         passed, responses = np.zeros(system.C.shape), system.C @ powers
-        for _ in range(0, ticks, POWERS):
+        for _ in range(0, ticks, block):
             passed += np.abs(responses).sum(axis=0)
             responses = responses @ ahead
         bound = passed @ wrong[: system.order] + wrong[system.order :]
@@ -67,18 +69,19 @@ def rounding_bound(system: SampledSystem, state: FloatArray, inputs: Iterable[Fl
 def _largest_sums(
     system: SampledSystem, state: FloatArray, inputs: FloatArray, powers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest ``sum |M_ij z_j|`` of each row in a part of a run, and the states after it; `powers` are A^0 to A^256."""
+    """Largest ``sum |M_ij z_j|`` of each row in a part of a run, and the states after it; `powers`: A^0, A, ..."""
+    size = len(powers) - 1
     largest: FloatArray = np.zeros(sum(system.C.shape))
     whole = np.abs(np.block([[system.A, system.B], [system.C, system.D]]))
-    blocks = -(-len(inputs) // POWERS)
-    padded = np.zeros((blocks, POWERS, inputs.shape[1]))
+    blocks = -(-len(inputs) // size)
+    padded = np.zeros((blocks, size, inputs.shape[1]))
     padded.reshape(-1, inputs.shape[1])[: len(inputs)] = inputs
-    forced = np.zeros((blocks, POWERS + 1, system.order))
-    for j in range(POWERS):  # of all blocks at once, from zero states
+    forced = np.zeros((blocks, size + 1, system.order))
+    for j in range(size):  # of all blocks at once, from zero states
         forced[:, j + 1] = forced[:, j] @ system.A.T + padded[:, j] @ system.B.T
-    for first, block, inputs_of_block in zip(range(0, len(inputs), POWERS), forced, padded):
-        count = min(POWERS, len(inputs) - first)
-        states = powers @ state + block
+    for first, of_block, inputs_of_block in zip(range(0, len(inputs), size), forced, padded):
+        count = min(size, len(inputs) - first)
+        states = powers @ state + of_block
         sums = np.hstack([np.abs(states[:count]), np.abs(inputs_of_block[:count])]) @ whole.T
         largest, state = np.maximum(largest, sums.max(axis=0)), states[count]
     return largest, state

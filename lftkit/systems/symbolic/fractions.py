@@ -16,11 +16,6 @@ import numpy as np
 Term = tuple[int, tuple[str, ...]]
 """Power of s, and names of elements, each as often as its power, in order."""
 
-MOST_TERMS = 10_000
-"""Of a product, before equal ones are summed: above it the fraction is given up."""
-RANK = 1e-13
-"""Part of the largest of the terms that are summed below which their sum is rounding."""
-
 
 @dataclass(frozen=True)
 class ElementPolynomial:
@@ -55,7 +50,7 @@ def _summed(terms: Iterable[tuple[Term, float]]) -> ElementPolynomial:
     for term, number in terms:
         total[term] = total.get(term, 0.0) + number
         largest[term] = max(largest.get(term, 0.0), abs(number))
-    return ElementPolynomial({term: number for term, number in total.items() if abs(number) > RANK * largest[term]})
+    return ElementPolynomial({term: number for term, number in total.items() if abs(number) > 1e-13 * largest[term]})
 
 
 @dataclass(frozen=True)
@@ -94,7 +89,7 @@ class Fraction:
     def _short(self, other: Fraction) -> bool:
         """Whether products of their polynomials have few terms."""
         longest = (max(len(f.numerator.terms), len(f.denominator.terms)) for f in (self, other))
-        return math.prod(longest) <= MOST_TERMS
+        return math.prod(longest) <= 10_000  # of a product, before equal ones are summed
 
     def inverse(self) -> Fraction | None:
         """Denominator over numerator; None of zero."""

@@ -14,9 +14,6 @@ from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import Element, RealParameter, width
 
-RANK = 1e-13
-"""Entries below this fraction of the largest are zero when a coefficient is factored."""
-
 
 @dataclass(frozen=True)
 class Affine:
@@ -48,7 +45,7 @@ def rank_factors(M: FloatArray) -> tuple[FloatArray, FloatArray]:
     rest = np.array(M, dtype=float)
     size = np.abs(rest).max(initial=0.0)
     left, right = [], []
-    while rest.size and np.abs(rest).max() > RANK * size:
+    while rest.size and np.abs(rest).max() > 1e-13 * size:  # below it is rounding
         i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)
         column, row = rest[:, j] / rest[i, j], rest[i].copy()
         left.append(column)

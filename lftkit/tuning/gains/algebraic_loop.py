@@ -14,10 +14,6 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 
-LEAST = 1e-3
-"""Magnitude of the eigenvalues of ``I - D22 K`` that the descents keep: without feedback all are 1."""
-NEAR = 0.3  # of the limit: values below say nothing to a descent
-
 
 @dataclass(frozen=True)
 class WellPosedness:
@@ -27,13 +23,19 @@ class WellPosedness:
     name: str = "distance of the algebraic loop from being singular"
 
 
-def algebraic_values(D22: FloatArray, K: FloatArray) -> list[tuple[float, FloatArray]]:
-    """``LEAST / |eigenvalue|`` of ``I - D22 K`` for the small eigenvalues, with gradients by K.
+def algebraic_values(
+    D22: FloatArray, K: FloatArray, *, least: float = 1e-3, near: float = 0.3
+) -> list[tuple[float, FloatArray]]:
+    """``least / |eigenvalue|`` of ``I - D22 K`` for the small eigenvalues, with gradients by K.
 
     Parameters
     ----------
     D22 : ndarray, shape (y, u)
     K : ndarray, shape (u, y)
+    least : float
+        Magnitude of the eigenvalues that the descents keep: without feedback all are 1.
+    near : float
+        Values below say nothing to a descent.
 
     Examples
     --------
@@ -49,9 +51,9 @@ def algebraic_values(D22: FloatArray, K: FloatArray) -> list[tuple[float, FloatA
     poles, left, right = solved
     size = np.maximum(np.abs(poles), 1e-300)
     values = []
-    for i in np.flatnonzero((LEAST / size > NEAR) & (poles.imag >= 0.0)):
+    for i in np.flatnonzero((least / size > near) & (poles.imag >= 0.0)):
         scale = left[:, i].conj() @ right[:, i]
         slope = -np.outer(D22.T @ left[:, i].conj(), right[:, i]) / (scale if abs(scale) > 1e-14 else 1e-14)
-        gradient = -LEAST / size[i] ** 3 * np.real(poles[i].conj() * slope)
-        values.append((float(LEAST / size[i]), np.asarray(gradient)))
+        gradient = -least / size[i] ** 3 * np.real(poles[i].conj() * slope)
+        values.append((float(least / size[i]), np.asarray(gradient)))
     return values

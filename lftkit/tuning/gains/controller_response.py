@@ -12,9 +12,6 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import ComplexArray, FloatArray
 
-MAX_CONDITION = 1e4  # of the eigenvectors of A_K, above which its resolvent is solved for at every frequency
-ORIGIN = 1e-12  # [rad/s] frequency at which the limit of an integrator at zero frequency is taken
-
 
 @dataclass(frozen=True)
 class ControllerFactors:
@@ -56,7 +53,7 @@ def controller_at(K: FloatArray, order: int, omega: FloatArray) -> ControllerFac
         response = np.broadcast_to(K, (len(omega), *K.shape)).astype(complex)
         return ControllerFactors(response, response[:, :, :0], response[:, :0])
     finite = np.isfinite(omega)
-    w = np.where(finite, np.where(omega == 0.0, ORIGIN, omega), 1.0)
+    w = np.where(finite, np.where(omega == 0.0, 1e-12, omega), 1.0)  # the limit of an integrator at zero frequency
     poles, residues = controller_modes(K, n)
     if residues is not None:
         r = 1.0 / (1j * w[:, None] - poles)
@@ -88,7 +85,7 @@ def _modes(data: bytes, shape: tuple[int, int], n: int) -> Modes:
     K = np.frombuffer(data).reshape(shape)
     poles, V = cast("tuple[ComplexArray, ComplexArray]", linalg.eig(K[:n, :n]))
     values = linalg.svdvals(V)
-    if values[-1] * MAX_CONDITION <= values[0]:
+    if values[-1] * 1e4 <= values[0]:  # the resolvent is solved for at every frequency
         return poles, None
     left, right = np.vstack([V, K[n:, :n] @ V]), linalg.solve(V, np.hstack([np.eye(n), K[:n, n:]]))
     return poles, left.T[:, :, None] * right[:, None, :]

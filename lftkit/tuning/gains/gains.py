@@ -14,10 +14,6 @@ from lftkit.analysis.batched_linalg import gains_above, leading_pairs, solve
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
 
-REFINEMENTS = 12
-HIGH_CELL, MAX_CELLS = 0.9, 60  # cells of the grid with both ends above this fraction of the peak are halved
-NEAR_MULTIPLE = 0.98  # singular values this close to the largest give subgradients of their own
-
 
 @dataclass(frozen=True)
 class GainPeak:
@@ -66,11 +62,9 @@ class LoopGains:
         *,
         closed_loop_poles: ComplexArray,
         band: float,
-        floor: float = 0.0,
-        max_peaks: int = 24,
         gradients: bool = True,
     ) -> list[list[GainPeak]]:
-        """For each requirement the local maxima above `band` times its largest gain (and above `floor`).
+        """For each requirement the local maxima above `band` times its largest gain.
 
         Parameters
         ----------
@@ -81,10 +75,6 @@ class LoopGains:
             Poles of the (stable) closed loop [rad/s], which say where the grid must be finer.
         band : float
             Between 0 and 1.
-        floor : float
-            Peaks below this value are of no interest (the largest one is always given).
-        max_peaks : int
-            Largest number of peaks for a requirement.
         """
         which = self._which
         sets = [self.grid]
@@ -103,23 +93,39 @@ class LoopGains:
             parts = [gains_above(response[i], min(band, 0.5)) for response in responses]
             w, gains = self._split_high_cells(omega, np.concatenate(parts)[index], gain_matrix, order, i)
             top = float(gains.max())
-            maxima = _local_maxima(gains, max(band * top, min(floor, top)))[:max_peaks]
+            padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+            maximal = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (gains >= band * top)
+            maxima = np.flatnonzero(maximal)
+            maxima = maxima[np.argsort(-gains[maxima], kind="stable")][:24]
             at, value = self._refined(w, gains, maxima, gain_matrix, order, i)
-            if gradients:
-                also = _shoulders(gains, band * top, maxima)
-                at, value = np.concatenate([at, w[also]]), np.concatenate([value, gains[also]])
-            by_gain.append(self._with_gradients(gain_matrix, order, i, at, value, gradients))
+            if not gradients:
+                by_gain.append([GainPeak(float(v), float(peak), None) for v, peak in zip(value, at)])
+                continue
+            # Points of the grid beside the peaks are lower bounds of the norm in their own right (Apkarian and Noll's
+            # extended set of frequencies): a step sees a peak that would grow there, most of all at zero frequency
+            also = np.setdiff1d(np.flatnonzero(gains >= band * top), maxima)
+            if len(also) > 10:
+                also = also[np.unique(np.linspace(0, len(also) - 1, 10).astype(int))]
+            at = np.concatenate([at, w[also]])
+            s, rows, columns = singular_slopes(self.plant, self.plant.arrays(at, (i,)), gain_matrix, order, i)
+            peaks = (
+                GainPeak(float(s[j, k]), float(at[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
+                for j in range(len(at))
+                for k in range(s.shape[1])
+                if s[j, k] >= 0.98 * s[j, 0]  # those this close to the largest give subgradients of their own
+            )
+            by_gain.append(sorted(peaks, key=lambda peak: -peak.value))
         return by_gain
 
     def _split_high_cells(
         self, w: FloatArray, gains: FloatArray, K: FloatArray, order: int, i: int
     ) -> tuple[FloatArray, FloatArray]:
         """Add the middle of every cell whose ends are both near the top: a peak may hide between two high points."""
-        high = gains >= HIGH_CELL * gains.max()
+        high = gains >= 0.9 * gains.max()
         cells = np.flatnonzero(high[:-1] & high[1:] & np.isfinite(w[1:]))
         if len(cells) == 0:
             return w, gains
-        cells = cells[np.argsort(-(gains[cells] + gains[cells + 1]), kind="stable")][:MAX_CELLS]
+        cells = cells[np.argsort(-(gains[cells] + gains[cells + 1]), kind="stable")][:60]
         middle = 0.5 * (w[cells] + w[cells + 1])
         index = np.argsort(np.concatenate([w, middle]), kind="stable")
         added = np.concatenate([gains, self._gains(K, order, middle, i)])
@@ -137,7 +143,7 @@ class LoopGains:
         p = maxima[act]
         x = np.column_stack([w[p - 1], w[p], w[p + 1]])
         y = np.column_stack([gains[p - 1], gains[p], gains[p + 1]])
-        for step in range(REFINEMENTS):
+        for step in range(12):
             trial = _trial_points(x, y, step)
             _narrow(x, y, trial, self._gains(K, order, trial, i))
             if np.all(x[:, 2] - x[:, 0] <= 1e-7 * x[:, 1]):
@@ -147,22 +153,6 @@ class LoopGains:
                 break
         omega[act], value[act] = x[:, 1], y[:, 1]
         return omega, value
-
-    def _with_gradients(
-        self, K: FloatArray, order: int, i: int, omega: FloatArray, value: FloatArray, gradients: bool
-    ) -> list[GainPeak]:
-        if not gradients:
-            return [GainPeak(float(v), float(w), None) for v, w in zip(value, omega)]
-        s, rows, columns = singular_slopes(self.plant, self.plant.arrays(omega, (i,)), K, order, i)
-        return sorted(
-            (
-                GainPeak(float(s[j, k]), float(omega[j]), np.real(np.outer(rows[j, k], columns[j, :, k])))
-                for j in range(len(omega))
-                for k in range(s.shape[1])
-                if s[j, k] >= NEAR_MULTIPLE * s[j, 0]
-            ),
-            key=lambda peak: -peak.value,
-        )
 
 
 def singular_slopes(
@@ -179,25 +169,6 @@ def singular_slopes(
     row = solve(S.swapaxes(1, 2), (U.conj().swapaxes(1, 2) @ P12).swapaxes(1, 2))
     forward = P21 @ V
     return s, controller.rows(row.swapaxes(1, 2)), controller.columns(forward + arrays.P22 @ (M @ forward))
-
-
-def _local_maxima(gains: FloatArray, level: float) -> IntArray:
-    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-    top = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (gains >= level)
-    maxima = np.flatnonzero(top)
-    return maxima[np.argsort(-gains[maxima], kind="stable")]
-
-
-def _shoulders(gains: FloatArray, level: float, peaks: IntArray, max_points: int = 10) -> IntArray:
-    """Grid points above `level` beside the peaks (Apkarian and Noll's extended set of frequencies).
-
-    Each is a lower bound of the norm in its own right; with them a step sees a peak that would grow beside the present
-    one, most of all at zero frequency.
-    """
-    high = np.setdiff1d(np.flatnonzero(gains >= level), peaks)
-    if len(high) > max_points:
-        high = high[np.unique(np.linspace(0, len(high) - 1, max_points).astype(int))]
-    return high
 
 
 def _trial_points(x: FloatArray, y: FloatArray, step: int) -> FloatArray:

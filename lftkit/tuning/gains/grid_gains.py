@@ -15,11 +15,6 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.gains.controller_response import ControllerFactors, controller_modes
 from lftkit.tuning.gains.plant_responses import Arrays, PlantResponses
 
-EVERY, SMALL_GAIN, SMALL_SHARE = 4, 0.1, 0.1
-"""Of the frequencies where every gain is below this fraction of its peak, and every contribution to an H2 norm below
-this fraction of the mean one, only each fourth is kept."""
-MAX_GRAMS = 64  # frequencies in the Gauss-Newton matrix of one requirement and model
-
 
 @dataclass
 class _Closed:
@@ -76,16 +71,19 @@ class GridGains:
         return {i: smooth_gains(T[i], power) for i in self.hinf}, norms
 
     def essential(self, K: FloatArray, *, h2: bool) -> BoolArray:
-        """Mask (N,) of the frequencies at which a gain is not small, and of every fourth of the others."""
+        """Mask (N,) of the frequencies at which a gain is not small, and of every fourth of the others.
+
+        It is small below a tenth of its peak, a contribution to an H2 norm below a tenth of the mean one.
+        """
         closed = self._closed(K, self.hinf + (self.h2 if h2 else ())).responses
-        kept = np.arange(len(self.arrays.omega)) % EVERY == 0
+        kept = np.arange(len(self.arrays.omega)) % 4 == 0
         kept[[0, -1]] = True
         for i, T in closed.items():
             squares = np.sum(T.real**2 + T.imag**2, axis=(1, 2))
             if i in self.hinf:
-                kept |= squares > SMALL_GAIN**2 * squares.max(initial=0.0)
+                kept |= squares > 0.1**2 * squares.max(initial=0.0)
             else:
-                kept |= squares * self.widths > SMALL_SHARE * self._square(T) / len(kept)
+                kept |= squares * self.widths > 0.1 * self._square(T) / len(kept)
         return np.asarray(kept)
 
     def _square(self, T: ComplexArray) -> float:
@@ -162,14 +160,14 @@ class GridGains:
         slope = np.real(np.tensordot(left, back.swapaxes(1, 2), axes=((0, 1), (0, 1))))
         return np.asarray(self.calibration.get(i, 1.0) / np.sqrt(np.pi * max(self._square(T), 1e-300)) * slope)
 
-    def gauss_newton(self, K: FloatArray, i: int, weights: FloatArray) -> FloatArray:
+    def gauss_newton(self, K: FloatArray, i: int, weights: FloatArray, most: int = 64) -> FloatArray:
         """``sum_k w_k (left Gram) (x) (right Gram)`` of ``dT = left dK right``: the squared size of dT in dK.
 
-        Shape (a, b, a, b) for K (a, b). The sum is over at most :data:`MAX_GRAMS` of the frequencies whose weights are
+        Shape (a, b, a, b) for K (a, b). The sum is over at most `most` of the frequencies whose weights are
         positive, each for its neighbours.
         """
         index = np.flatnonzero(weights > 0.0)
-        step = -(-len(index) // MAX_GRAMS)
+        step = -(-len(index) // most)
         ends = np.arange(0, len(index), step)
         sums = np.add.reduceat(weights[index], ends)
         heaviest = [int(start + np.argmax(weights[index[start : start + step]])) for start in ends]

@@ -24,12 +24,6 @@ from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.requirements.gains import band_edges
 from lftkit.tuning.requirements.sector import SectorGain
 
-MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
-ORIGIN = 1e-9, 1e-13  # poles up to these count as at the origin: [rad/s], and relative to the largest one
-PER_DECADE = 50
-
-GRID_OFFSETS = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # around a pole: its gain changes by less than 2.5 between them
-
 
 @dataclass(frozen=True)
 class Arrays:
@@ -60,7 +54,7 @@ class Arrays:
 def _apart_from_origin(poles: ComplexArray) -> FloatArray:
     """Magnitudes of poles [rad/s] other than those that rounding may have moved from the origin; at least one."""
     sizes = np.abs(poles)
-    apart = sizes[sizes > min(ORIGIN[0], ORIGIN[1] * sizes.max(initial=0.0))]
+    apart = sizes[sizes > min(1e-9, 1e-13 * sizes.max(initial=0.0))]
     return apart if len(apart) else np.ones(1)
 
 
@@ -108,15 +102,14 @@ class PlantResponses:
         self._rows = [_positions(rz, model.output_indices(r.outputs)) for r in requirements]
         self._weights = [(_weight(r.weight_in), _weight(r.weight_out), 1.0 / r.bound) for r in requirements]
 
-    def grid(self, per_decade: int = PER_DECADE) -> FloatArray:
+    def grid(self, per_decade: int = 50) -> FloatArray:
         """Frequencies [rad/s] from 0 to infinity, fine around every lightly damped pole of plant and weights."""
         poles = [self._response.poles]
         poles += [w.poles for pair in self._weights for w in pair[:2] if w is not None]
         every = np.concatenate(poles)
         sizes = _apart_from_origin(every)
-        inner = frequency_grid(
-            every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=GRID_OFFSETS
-        )
+        offsets = (0.0, 0.4, 1.0, 2.5, 6.0, 15.0)  # the gain of a pole changes by less than 2.5 between them
+        inner = frequency_grid(every, sizes.min() / 30.0, sizes.max() * 30.0, per_decade=per_decade, offsets=offsets)
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
         at_origin = np.any(np.abs(every) < sizes.min())
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
@@ -125,7 +118,7 @@ class PlantResponses:
     def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
         """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
         for w in self._response.on_axis:
-            distance = MIN_DISTANCE * (w if w > self._slowest else self._slowest)
+            distance = 1e-4 * (w if w > self._slowest else self._slowest)
             omega = np.where(np.abs(omega - w) < distance, w + distance, omega)
         return omega
 

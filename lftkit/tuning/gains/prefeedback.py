@@ -15,19 +15,27 @@ from scipy import linalg
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.synthesis.extended_plant import loop_inverse
 
-UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
-SUFFICIENT = 2e-3  # damping ratio that is enough for every pole
-SIZES = np.geomspace(1e-6, 1e6, 25)  # of F, relative to 1 / gain of the plant
-DIRECTIONS = 4
-MAX_CONDITION = 1e3  # of I - F D22
-MAX_ORDER, MAX_TRIED = 100, 12  # of a plant whose poles are computed for every F; number of them for larger ones
-LEAST_PRODUCT = 1e-10  # of left and right eigenvectors of unit length: those of a defective pole have none
 
-
-def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) -> FloatArray:
+def prefeedback(
+    A: FloatArray,
+    B2: FloatArray,
+    C2: FloatArray,
+    D22: FloatArray,
+    *,
+    undamped: float = 1e-4,
+    sufficient: float = 2e-3,
+    largest: int = 100,
+    most: int = 12,
+) -> FloatArray:
     """Static F (u, y) after which no pole is undamped; zero where none is, and where F cannot move it.
 
-    Shapes (n, n), (n, u), (y, n), (y, u).
+    Parameters
+    ----------
+    A, B2, C2, D22 : ndarray, shapes (n, n), (n, u), (y, n), (y, u)
+    undamped, sufficient : float
+        Damping ratios below which a pole counts as undamped, and which are enough for every pole.
+    largest, most : int
+        States up to which the poles are computed for every F; number of them for larger plants.
     """
     zero: FloatArray = np.zeros((B2.shape[1], len(C2)))
     if len(A) == 0 or zero.size == 0:
@@ -35,25 +43,26 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
     poles = linalg.eigvals(A)
     scale = float(np.median(np.abs(poles))) or 1.0
     best, most_damped = zero, _least_damping(poles, scale)
-    if most_damped >= UNDAMPED:
+    if most_damped >= undamped:
         return zero
     rng = np.random.default_rng(0)
     shifted = A - (scale + float(np.abs(poles.real).max())) * np.eye(len(A))
     gain = max(float(np.abs(C2 @ linalg.solve(shifted, B2)).max()) + float(np.abs(D22).max(initial=0.0)), 1e-300)
-    directions = [rng.standard_normal(zero.shape) for _ in range(DIRECTIONS)]
-    tried = [[sign * d * size / gain for d in directions for sign in (1.0, -1.0)] for size in SIZES]
-    if len(A) > MAX_ORDER:
-        tried = [[F] for F in _promising(A, B2, C2, [F for of_size in tried for F in of_size], scale)]
+    random = [rng.standard_normal(zero.shape) for _ in range(4)]
+    sizes = np.geomspace(1e-6, 1e6, 25)
+    tried = [[sign * d * size / gain for d in random for sign in (1.0, -1.0)] for size in sizes]
+    if len(A) > largest:
+        tried = [[F] for F in _promising(A, B2, C2, [F for of_size in tried for F in of_size], scale)[:most]]
     for of_size in tried:
         for F in of_size:
             inner = np.eye(len(F)) - F @ D22
             values = linalg.svdvals(inner)
-            if values[0] > MAX_CONDITION * values[-1]:
+            if values[0] > 1e3 * values[-1]:
                 continue
             damping = _least_damping(linalg.eigvals(A + B2 @ linalg.solve(inner, F @ C2)), scale)
             if damping > most_damped:
                 best, most_damped = F, damping
-        if most_damped > SUFFICIENT:
+        if most_damped > sufficient:
             break
     return best
 
@@ -61,17 +70,18 @@ def prefeedback(A: FloatArray, B2: FloatArray, C2: FloatArray, D22: FloatArray) 
 def _promising(
     A: FloatArray, B2: FloatArray, C2: FloatArray, tried: list[FloatArray], scale: float
 ) -> list[FloatArray]:
-    """The matrices F that damp the poles most as far as the first derivatives of the poles say."""
+    """The matrices F by how much they damp the poles as far as the first derivatives of the poles say, best first."""
     solved: Any = linalg.eig(A, left=True, right=True)  # the stubs say two results
     poles, left, right = solved
     product = np.sum(left.conj() * right, axis=0)
-    rows = (left.conj() / np.where(np.abs(product) < LEAST_PRODUCT, LEAST_PRODUCT, product)).T @ B2
+    # the left and right eigenvectors of a defective pole are orthogonal
+    rows = (left.conj() / np.where(np.abs(product) < 1e-10, 1e-10, product)).T @ B2
     size, moved = np.maximum(np.abs(poles), 1e-6 * scale), []
     for F in tried:
         change = np.sum((rows @ F) * (C2 @ right).T, axis=1)
         far = np.count_nonzero(np.abs(change) > 0.5 * size)  # for which a first derivative says little
         moved.append(_least_damping(poles + change, scale) if far <= 0.1 * len(poles) else -1.0)
-    return [tried[k] for k in np.argsort(-np.array(moved), kind="stable")[:MAX_TRIED]]
+    return [tried[k] for k in np.argsort(-np.array(moved), kind="stable")]
 
 
 def _least_damping(poles: Any, scale: float) -> float:

@@ -24,8 +24,6 @@ from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import HinfGain, TuningRequirement
 from lftkit.tuning.requirements.gains import as_weight
 
-SLOWEST, FASTEST = 1e-4, 1e4  # of an integrator and of a differentiator in a weight, relative to its crossover
-
 
 @dataclass(frozen=True)
 class _AtLoop:
@@ -174,8 +172,11 @@ class _LoopGain(_AtLoop):
 
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain, of all bounds."""
-        weights = {"applied": _integrator, "returned": _differentiator}
-        parts = (_repeated(weights[kind](self.crossover), self._size(model)) for kind in self.bounds)
+        w = self.crossover
+        # An integrator from 1e-4 times the crossover on, and a differentiator up to 1e4 times it
+        integrator = transfer([w], [1.0, 1e-4 * w])
+        weights = {"applied": integrator, "returned": transfer([1.0 / w, 0.0], [1.0 / (1e4 * w), 1.0])}
+        parts = (_repeated(weights[kind], self._size(model)) for kind in self.bounds)
         out = tuple(port for kind in self.bounds for port in self._ports(kind))
         weight, name = _side_by_side(*parts), self._name(self.name)
         return (HinfGain(self._ports("added"), out, weight_out=weight, hard=self.hard, name=name),)
@@ -226,14 +227,6 @@ class LoopShape(_LoopGain):
     """
 
     bounds = ("applied", "returned")
-
-
-def _integrator(crossover: float) -> System:
-    return transfer([crossover], [1.0, SLOWEST * crossover])
-
-
-def _differentiator(crossover: float) -> System:
-    return transfer([1.0 / crossover, 0.0], [1.0 / (FASTEST * crossover), 1.0])
 
 
 def _repeated(weight: System, size: int) -> System:

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.scalars import as_positive
 from lftkit.systems.arguments import checked
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
-
-GAP_LEAK = 1e-3  # of the integrator in the weight of a step, relative to the speed of the reference model
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ class Tracking(_FromReference):
 
     def __post_init__(self) -> None:
         for name in ("response_time", "dc_error", "peak_error"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+            as_positive(getattr(self, name), name)
 
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
@@ -112,8 +110,7 @@ class StepTracking(_FromReference):
 
     def __post_init__(self) -> None:
         for name in ("time_constant", "relative_gap"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+            as_positive(getattr(self, name), name)
 
     def prepared(self, model: System) -> System:
         """The model with an input for what the reference model says, and the output's difference from it."""
@@ -136,7 +133,7 @@ class StepTracking(_FromReference):
     def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One H2 norm, of the step through the plant and through the reference model."""
         size, dt, tau = len(model.input_indices([self.reference])), model.dt, self.time_constant
-        one, leak = np.eye(size), GAP_LEAK / tau
+        one, leak = np.eye(size), 1e-3 / tau  # of the integrator in the weight of a step
         # states: integral, reference model; outputs: integral, what the model makes of it
         A, B = np.array([[-leak, 0.0], [1.0 / tau, -1.0 / tau]]), np.array([[1.0], [0.0]])
         C, D = np.diag([1.0, 1.0]), np.array([[0.0], [0.0]])

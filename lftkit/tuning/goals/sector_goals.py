@@ -14,9 +14,6 @@ from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.requirements.sector import SectorGain
 
 Fraction = tuple[float, float, float, float]
-LEAST_MARGIN = 1e-3
-"""Distance from 1 that the index of a zero response must have: the descents cannot leave an edge that no parameter
-moves."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,8 @@ class _OfChannel:
         index = SectorGain(self.inputs, self.outputs, unit, **common)  # type: ignore[arg-type]
         columns, rows = model.input_indices(self.inputs), model.output_indices(self.outputs)
         without = not (model.D[rows].any() and model.D[:, columns].any())
-        if hard and without and band[1] == np.inf and abs(fraction[1]) > (1.0 - LEAST_MARGIN) * abs(fraction[3]):
+        # The descents cannot leave an edge that no parameter moves
+        if hard and without and band[1] == np.inf and abs(fraction[1]) > (1.0 - 1e-3) * abs(fraction[3]):
             raise InputError(
                 f"{called}: a channel without feedthrough is at the edge of the sector at infinite frequency; a hard "
                 "goal must have a band that ends before, or a sector with zero inside, got none"

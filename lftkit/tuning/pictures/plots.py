@@ -30,11 +30,6 @@ from lftkit.tuning.requirements import ControllerPoles, H2Gain, HinfGain, Poles,
 from lftkit.tuning.requirements.assembled_loop import delayed_controller
 
 RESULT, LIMIT, REFUSED, IDLE = "#0b5d8a", "#b3261e", "#f6d5d2", "#e6e6e6"
-MARGIN, POINTS, DECADES = 10.0, 300, 6.0  # of the frequency axis beyond the poles, and at most in all
-STEPS, LAST = 400, 8.0  # of a step response, and its end over the time constant
-SCALAR = 1e-9  # relative difference from a multiple of the identity at which a weight is one
-COLUMNS = 3
-SHOWN = 0.98  # of the value, that a picture has to show
 
 
 @checked
@@ -92,10 +87,11 @@ def plot_goals(
     if not certificate.stable:
         raise InputError(f"{controller.name}: controller must make every loop stable, got an unstable one")
     panels = [(goal, r) for goal in goals for r in resolved(all_models, [goal])[1]]
-    rows = -(-len(panels) // COLUMNS)
-    figure = Figure(figsize=(4.2 * min(len(panels), COLUMNS), 3.2 * rows), layout="constrained")
+    columns = min(len(panels), 3)
+    rows = -(-len(panels) // 3)
+    figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
     for number, (goal, r) in enumerate(panels):
-        axes = figure.add_subplot(rows, min(len(panels), COLUMNS), number + 1)
+        axes = figure.add_subplot(rows, columns, number + 1)
         values = certificate.values[number]
         if isinstance(r, Poles):
             _poles(axes, r, ready, K)
@@ -123,7 +119,7 @@ def _gains(axes: Axes, r: HinfGain, models: Sequence[System], K: System, omega: 
     else:
         w = _frequencies(loops, r)
         results, limit, label = _curves(r, loops, w)
-        if (results / limit)[:, r.counts(w)].max(initial=0.0) < SHOWN * value:  # it is where a weight is, not the loop
+        if (results / limit)[:, r.counts(w)].max(initial=0.0) < 0.98 * value:  # it is where a weight is, not the loop
             w = _frequencies([*loops, *(x for x in (r.weight_in, r.weight_out) if x is not None)], r, np.inf)
             results, limit, label = _curves(r, loops, w)
     axes.plot(w, results.T, color=RESULT, linewidth=1.2)
@@ -163,7 +159,7 @@ def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:
     if dt:
         poles = rates(poles, dt)
     size = np.abs(poles[np.abs(poles) > 0.0])
-    reach = MARGIN * max(
+    reach = 10.0 * max(
         float(size.max(initial=1.0)), r.min_decay, r.max_frequency if np.isfinite(r.max_frequency) else 0
     )
     least = 0.3 * min([float(size.min(initial=1.0)), *([r.min_decay] if r.min_decay else [])])
@@ -189,8 +185,8 @@ def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:
 
 
 def _steps(axes: Axes, goal: StepTracking, models: Sequence[System], K: System) -> None:
-    dt, end = models[0].dt, LAST * goal.time_constant
-    period = dt or end / STEPS
+    dt, end = models[0].dt, 8.0 * goal.time_constant
+    period = dt or end / 400
     time, drawn = period * np.arange(int(end / period) + 1), "steps-post" if dt else "default"
     for model in models:
         loop = close_loop(model, K, (goal.reference,), (goal.output,))
@@ -201,19 +197,19 @@ def _steps(axes: Axes, goal: StepTracking, models: Sequence[System], K: System) 
     axes.set(xlabel="time [s]", ylabel=f"{goal.output} after a step", xlim=(0.0, time[-1]))
 
 
-def _frequencies(systems: Sequence[System], r: HinfGain, decades: float = DECADES) -> FloatArray:
+def _frequencies(systems: Sequence[System], r: HinfGain, decades: float = 6.0) -> FloatArray:
     """Grid about the poles of systems, the first one of the loops, and the edges of the band."""
     dt = systems[0].dt
     of_systems = [rates(x.poles(), x.dt) if x.dt else x.poles() for x in systems]
     poles: ComplexArray = np.concatenate([np.zeros(0, dtype=complex), *of_systems])
     least, most = pole_range(poles)
     edges = [1.0, *(w for w in r.band if 0.0 < w < np.inf)]
-    low, high = min(least, *edges) / MARGIN, max(most, *edges) * MARGIN
+    low, high = min(least, *edges) / 10.0, max(most, *edges) * 10.0
     low = max(low, high / 10.0**decades)
     if dt:
         high = np.pi / dt
         low = min(low, 1e-3 * high)
-    return frequency_grid(poles, low, high, points=POINTS)
+    return frequency_grid(poles, low, high, points=300)
 
 
 def _scalar(response: ComplexArray | None) -> bool:
@@ -223,4 +219,4 @@ def _scalar(response: ComplexArray | None) -> bool:
     if response.shape[1] != response.shape[2]:
         return False
     rest = response - response[:, :1, :1] * np.eye(response.shape[1])
-    return bool(np.abs(rest).max() <= SCALAR * np.abs(response).max())
+    return bool(np.abs(rest).max() <= 1e-9 * np.abs(response).max())

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 G = TypeVar("G", bound="Gain")
 H = TypeVar("H", bound="HinfGain")
-ROUNDING = 1e-12
-"""Feedthrough of a weighted loop without one, relative to its output matrix."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,6 @@ class Gain(TuningRequirement):
     def held(self: G, level: float) -> G:
         """The hard requirement that is just met where this one has the value `level`, above 0."""
         return replace(self, bound=level * self.bound, hard=True)
-
-    def softened(self: G) -> G:
-        """The same gain, minimised."""
-        return replace(self, hard=False)
 
     def sampled(self: G, dt: float) -> G:
         """The gain with weights in continuous time as discrete ones of period `dt` [s]; 0: as it is."""
@@ -209,7 +203,8 @@ class H2Gain(Gain):
         if weighted.dt:
             value = h2_norm(A, B, C, D, dt=weighted.dt) / float(np.sqrt(weighted.dt)) / self.bound
         else:  # feedthrough is zero by construction; what rounding leaves of it must not make the norm infinite
-            D = np.where(np.abs(D) <= ROUNDING * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
+            # of a loop without a feedthrough it is rounding
+            D = np.where(np.abs(D) <= 1e-12 * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
             value = h2_norm(A, B, C, D) / self.bound
         return CertifiedValue(value, value)
 

@@ -11,7 +11,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.systems.arguments import checked
 from lftkit.systems.sampled.bilinear import discrete_point
-from lftkit.systems.sampled.image import DEADBEAT, rates
+from lftkit.systems.sampled.image import rates
 from lftkit.systems.system import System
 from lftkit.tuning.requirements.requirement import CertifiedValue, TuningRequirement
 
@@ -55,10 +55,6 @@ class Poles(TuningRequirement):
         """The hard requirement that is just met where this one has the value `level`, above 0."""
         return replace(self, level=level * self.level, hard=True)
 
-    def softened(self: P) -> P:
-        """The same requirement, minimised."""
-        return replace(self, hard=False)
-
     def on_image(self: P, model: System) -> P:
         """The requirement for poles of the image, which count as ``log(z) / T``."""
         return replace(self, period=float(model.dt))
@@ -73,7 +69,7 @@ class Poles(TuningRequirement):
         if not self.period:
             return self._pieces(poles)
         half = 0.5 * self.period * poles
-        half = np.where(np.abs(1.0 + half) < DEADBEAT, DEADBEAT - 1.0, half)
+        half = np.where(np.abs(1.0 + half) < 1e-12, 1e-12 - 1.0, half)  # faster poles have no rate
         values, slopes, number = self._pieces(rates(discrete_point(half), self.period))
         return values, slopes * np.conj(1.0 / (1.0 - half**2))[number], number
 

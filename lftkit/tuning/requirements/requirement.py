@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from lftkit.errors import InputError
@@ -51,9 +52,9 @@ class TuningRequirement(ABC):
     def held(self: R, level: float) -> R:
         """The hard requirement that is just met where this one has the value `level`, above 0."""
 
-    @abstractmethod
     def softened(self: R) -> R:
         """The same requirement, minimised."""
+        return replace(self, hard=False)  # type: ignore[type-var]
 
     @abstractmethod
     def on_image(self: R, model: System) -> R:

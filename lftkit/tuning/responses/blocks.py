@@ -21,8 +21,6 @@ from lftkit.errors import InputError
 from lftkit.tuning.structures.structures import gain_sizes
 
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
-MOST_CONDITION = 1e8
-"""Of eigenvectors with which single poles are moved."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def with_least_decay(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatA
             moved = x.copy()
         A = gain_matrices(blocks, moved)[k][:n, :n]
         sizes = linalg.svdvals(vectors)
-        if sizes[0] < MOST_CONDITION * sizes[-1]:
+        if sizes[0] < 1e8 * sizes[-1]:
             decaying = np.minimum(poles.real, -block.least_decay) + 1j * poles.imag
             A[:] = ((vectors * decaying) @ linalg.inv(vectors)).real
         else:  # nearly a Jordan block: all poles alike

@@ -39,8 +39,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 CHUNK = 1000
 """Pairs that are looked at together: arrays of larger ones take new memory, page by page, each time."""
-CLOSE = 0.85
-"""Second singular values above this part of the first are looked at, too."""
 MIXTURES = ((0.0, 1.0), (1.0, 1.0), (1.0, -1.0), (1.0, 1.0j), (1.0, -1.0j))
 """Unit vectors of the span of two singular vectors, but for their length, beside the first."""
 
@@ -229,7 +227,7 @@ class ResponseProblem:
             w, first = np.array(weights) / np.sqrt(np.sum(np.abs(weights) ** 2)), weights == (1.0, 0.0)
             if not first and m < 2:
                 break
-            at = np.arange(len(pairs)) if first else np.flatnonzero(sigma[:, 1] > CLOSE * sigma[:, 0])
+            at = np.arange(len(pairs)) if first else np.flatnonzero(sigma[:, 1] > 0.85 * sigma[:, 0])
             u = U[at][:, :, :m] @ w[:m]
             v = np.einsum("nji,j->ni", Vh[at][:, :m].conj(), w[:m])
             a = np.einsum("nij,ni->nj", L[at].conj(), u)

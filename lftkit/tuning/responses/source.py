@@ -21,22 +21,8 @@ from lftkit.tuning.responses.blocks import entry_sizes, with_least_decay
 from lftkit.tuning.responses.problem import ResponseProblem
 from lftkit.tuning.source import Merit
 
-STEPS = 6
-"""Between two looks at all pairs."""
-KEEP, FEWEST, MOST = 0.4, 2000, 8000
-"""Pairs above this part of the largest value are looked at, but not fewer and not more than these numbers."""
-ENTRIES, NEAR = 4000, 0.5
-"""Gains that are linearised: those above this part of the largest value, and their largest number."""
-PLANES = 300
-"""Of the first quadratic program of a step; others are added while they are violated."""
-OTHER_METRIC = 4
-"""Working sets that are descended on in the metric of the entries' sizes where a minimum is confirmed."""
-RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
-"""Directions that are tried at a local minimum, and the lengths of the steps, of the entries' sizes."""
 FEASIBLE, RESTORING = 1e-6, 1.05
 """Excess over 1 that a hard gain may have; factor by which soft ones may rise in a step that lowers a violated one."""
-SHARPNESS = 6.0
-RIDGE, PROPORTION = 1e-4, 1e-2
 
 
 @dataclass(frozen=True)
@@ -99,12 +85,12 @@ class ResponseSource:
         return ResponseLook(x, _merit(self.problem, raw, noise), raw.max(axis=1), noise, raw)
 
     def note(self, look: ResponseLook, level: float) -> None:
-        """Add the pairs above a part of the level to those of the next working sets."""
+        """Add the pairs above a part of the level to those of the next working sets, from 2000 to 8000 of them."""
         largest = look.raw.max(axis=0)
-        fewest = np.sort(largest)[-min(FEWEST, len(largest))]
-        near = np.flatnonzero(largest >= min(KEEP * level, fewest))
-        near = near[np.argsort(-largest[near], kind="stable")[:MOST]]
-        self._pairs = np.union1d(self._pairs, near) if len(self._pairs) < MOST else np.sort(near)
+        fewest, most = np.sort(largest)[-min(2000, len(largest))], 8000
+        near = np.flatnonzero(largest >= min(0.4 * level, fewest))
+        near = near[np.argsort(-largest[near], kind="stable")[:most]]
+        self._pairs = np.union1d(self._pairs, near) if len(self._pairs) < most else np.sort(near)
 
     def working_set(self, look: ResponseLook) -> PairsWorkingSet:
         """The pairs so far."""
@@ -114,15 +100,15 @@ class ResponseSource:
         """Steps in the metric of the entries' sizes, then random directions."""
         other, x, weight = ResponseSource(self.problem, self.stable), look.x.copy(), FIRST_WEIGHT
         other.note(other.look(x), look.merit[1])
-        for _ in range(OTHER_METRIC):
+        for _ in range(4):
             working = PairsWorkingSet(self.problem.at(other._pairs), self.stable, plain=True)
             trial = prox_linear(working, x, weight=weight)
             x, weight = trial.x, trial.weight
             yield x
         rng, sizes = np.random.default_rng(len(x)), entry_sizes(self.problem.blocks, look.x) * self.problem.free
-        for _ in range(RANDOM_DIRECTIONS):
+        for _ in range(100):
             direction = sizes * rng.standard_normal(len(x))
-            for length in STEP_LENGTHS:
+            for length in (1e-3, 1e-2, 1e-1):
                 yield with_least_decay(self.problem.blocks, np.asarray(look.x + length * direction))
 
     def memory(self) -> list[Any]:
@@ -145,6 +131,10 @@ class PairsWorkingSet:
     stable : callable
     plain : bool
         Take the metric of the entries' sizes.
+    planes : int
+        Of the first quadratic program of a step; others are added while they are violated.
+    steps : int
+        Between two looks at all pairs.
     known : (point, values), optional
         The last point that was tried, with its scaled gains.
     """
@@ -152,8 +142,8 @@ class PairsWorkingSet:
     problem: ResponseProblem
     stable: Callable[[FloatArray], bool]
     plain: bool = False
-    planes: int = PLANES
-    steps: int = STEPS
+    planes: int = 300
+    steps: int = 6
     slow: float = -np.inf
     known: tuple[FloatArray, FloatArray] | None = None
 
@@ -185,8 +175,9 @@ class PairsModel:
     @cached_property
     def _linear(self) -> tuple[FloatArray, FloatArray]:
         problem, lifted = self._problem, self._lifted
-        entries = np.argwhere(lifted > NEAR * lifted.max())
-        order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
+        # The largest gains are linearised
+        entries = np.argwhere(lifted > 0.5 * lifted.max())
+        order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:4000]
         values, gradients, owners = problem.slopes(self._x, entries[order])
         lift = np.where(problem.hard[owners], self._lift, 1.0)
         f = np.concatenate([values * lift, _lifted_noise(problem, self._noise, self._lift)])
@@ -215,8 +206,8 @@ class PairsModel:
         sizes = entry_sizes(self._problem.blocks, self._x)[free]
         H: FloatArray = np.zeros((len(sizes), len(sizes)))
         if not self._working.plain:
-            H = self._problem.metric(self._x, self._lifted, SHARPNESS)[free][:, free]
-        return linalg.cho_factor(H + RIDGE * np.diag(np.diag(H)) + PROPORTION * np.diag(1.0 / sizes**2))
+            H = self._problem.metric(self._x, self._lifted, sharpness=6.0)[free][:, free]
+        return linalg.cho_factor(H + 1e-4 * np.diag(np.diag(H)) + 1e-2 * np.diag(1.0 / sizes**2))
 
     def decrease(self, step: FloatArray, predicted: float) -> float:
         """Of the largest value; minus infinity where it is too small, or else where the loop is not stable."""

@@ -62,7 +62,10 @@ class ClosedLoopEvaluator:
             return np.full(count, np.inf), frequencies
         gains = [i for i, r in enumerate(requirements) if isinstance(r, HinfGain)]
         if gains:
-            grid = np.unique(np.concatenate([self._grid(), band_edges(requirements)]))
+            poles = self._response.poles
+            low, high = pole_range(poles, zero=0.0)
+            inner = frequency_grid(poles, low / 10.0, high * 10.0, per_decade=12, offsets=(0.0, 1.0))
+            grid = np.unique(np.concatenate([[0.0], inner, [np.inf], band_edges(requirements)]))
             T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
@@ -71,14 +74,13 @@ class ClosedLoopEvaluator:
             elif isinstance(r, H2Gain):
                 values[i] = r.certified(self._assembled, 0.0).value
             elif isinstance(r, Poles):
-                values[i] = self._poles(r)
+                poles = self._response.poles
+                if isinstance(r, ControllerPoles):
+                    poles = FrequencyResponse.of(*self._plain.matrices).poles
+                elif self._delay:
+                    poles = poles[np.abs(poles) < delay_radius(self._delay, PADE_ORDER)]
+                values[i] = float(r.pieces(poles)[0].max(initial=-np.inf))
         return values, frequencies
-
-    def _grid(self) -> FloatArray:
-        poles = self._response.poles
-        low, high = pole_range(poles, zero=0.0)
-        grid = frequency_grid(poles, low / 10.0, high * 10.0, per_decade=12, offsets=(0.0, 1.0))
-        return np.concatenate([[0.0], grid, [np.inf]])
 
     def _weighted(self, r: HinfGain, omega: FloatArray, T: ComplexArray) -> ComplexArray:
         rows, columns = self._loop.output_indices(r.outputs), self._loop.input_indices(r.inputs)
@@ -100,19 +102,15 @@ class ClosedLoopEvaluator:
     def _peak(self, r: HinfGain, grid: FloatArray, T: ComplexArray) -> tuple[float, float]:
         gains = largest_gains(self._weighted(r, grid, T))
         best, peak = -np.inf, 0.0
-        for i in np.argsort(-gains)[:1].tolist() + self._next_peaks(gains):
+        inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:])) + 1
+        high = inner[gains[inner] > 0.6 * gains.max()]
+        for i in [*np.argsort(-gains)[:1].tolist(), *high[np.argsort(-gains[high])][1:3].tolist()]:
             value, omega = float(gains[i]), float(grid[i])
             if 0 < i < len(grid) - 2:
                 value, omega = self._refined(r, grid[i - 1], grid[i + 1], value, omega)
             if value > best:
                 best, peak = value, omega
         return best / r.bound, peak
-
-    @staticmethod
-    def _next_peaks(gains: FloatArray) -> list[int]:
-        inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:])) + 1
-        high = inner[gains[inner] > 0.6 * gains.max()]
-        return [int(i) for i in high[np.argsort(-gains[high])][1:3]]
 
     def _refined(self, r: HinfGain, low: float, high: float, best: float, peak: float) -> tuple[float, float]:
         for _ in range(8):
@@ -123,14 +121,6 @@ class ClosedLoopEvaluator:
                 best, peak = float(gains[i]), float(points[i])
             low, high = points[max(i - 1, 0)], points[min(i + 1, 8)]
         return best, peak
-
-    def _poles(self, r: Poles) -> float:
-        poles = self._response.poles
-        if isinstance(r, ControllerPoles):
-            poles = FrequencyResponse.of(*self._plain.matrices).poles
-        elif self._delay:
-            poles = poles[np.abs(poles) < delay_radius(self._delay, PADE_ORDER)]
-        return float(r.pieces(poles)[0].max(initial=-np.inf))
 
 
 def gain_at(model: System, controller: System, r: HinfGain, omega: float, K: ComplexArray, loop_delay: float) -> float:

@@ -41,9 +41,6 @@ from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import Structure
 from lftkit.tuning.tuner import ALL_MET, all_met, limits_from, limits_of, result_of, tune
 
-LEAST_SHARE = 1.0  # [s], of the wall limit, for any tuning
-SAME = 1e-4  # relative difference below which two ends of the first round are one
-
 
 @checked
 @dataclass(frozen=True)
@@ -247,15 +244,19 @@ class _Design:
         options = replace(whole, wall_limit=share * whole.wall_limit, met=-np.inf, progress=False)
         alone = replace(options, starts=0 if self.given else min(options.starts, 1))
         runs = [self._started(self.given, alone)]
-        count = options.starts - alone.starts
-        if count and self.structure.size and not _enough(runs[0]) and time.monotonic() < self.deadline:
+        count = options.starts - alone.starts if self.structure.size else 0
+        # No further start is wanted where one was interrupted or at the target, or left nothing to lower
+        enough = runs[0].soft == -np.inf or runs[0].advice == ALL_MET
+        enough = enough and runs[0].status is TuningStatus.CONVERGED
+        ended = runs[0].status in (TuningStatus.TARGET, TuningStatus.INTERRUPTED)
+        if count and not (enough or ended) and time.monotonic() < self.deadline:
             runs.append(self._started((), replace(options, starts=count, seed=options.seed + alone.starts)))
         self.starts = tuple(value for run in runs for value in run.starts)
         self.problem.least = runs[0].lower_bound  # and so that of more models
         return runs
 
     def _started(self, starting: Sequence[FloatArray], options: TuningOptions) -> TuningResult:
-        left = max(min(options.wall_limit, self.deadline - time.monotonic()), LEAST_SHARE)
+        left = max(min(options.wall_limit, self.deadline - time.monotonic()), 1.0)
         common: Any = {"loop_delay": self.loop_delay, "options": replace(options, wall_limit=left)}
         return self._judged(tune(self.problem.models, self.requirements, self.structure, initial=starting, **common))
 
@@ -263,7 +264,7 @@ class _Design:
         """A tuning gone on with, on all models that are active, in its share of the time left."""
         tuning_options, problem, start_time = self.options.tuning, self.problem, time.monotonic()
         seed, band = tuning_options.seed, tuning_options.band
-        share = max(self.options.round_share * (self.deadline - start_time), LEAST_SHARE)
+        share = max(self.options.round_share * (self.deadline - start_time), 1.0)
         limits = limits_of(tuning_options, start_time + share)
         runs = [tune_from(problem, tuning.x, seed, limits, band)]
         runs += feasibility_runs(problem, runs, seed, limits, band)
@@ -291,8 +292,15 @@ class _Design:
     def worse(self, number: int, tuned: TuningResult, last: bool) -> Worse[dict[str, float]]:
         """Parameters at which a requirement exceeds what the tuning reached."""
         self.worst = self.searched[0]
-        self.rounds.append(self._round(self.problem, tuned, self.worst))
-        self.progress.print(_line(number, self.rounds[-1]))
+        soft, hard = self._largest(self.worst)
+        elapsed = time.monotonic() - self.start_time
+        ended = Round(len(self.problem.models), tuned.soft, tuned.hard, soft, hard, elapsed)
+        self.rounds.append(ended)
+        of_hard = "" if ended.hard == -np.inf else f"; hard {ended.hard:.4g}, worst {ended.worst_hard:.4g}"
+        self.progress.print(
+            f"round {number + 1}: {ended.models} models, tuned {ended.soft:.4g}, worst found {ended.worst_soft:.4g}"
+            f"{of_hard} ({ended.seconds:.0f} s)"
+        )
         new = self._new(tuned, self.worst)
         for run, worst in zip(self.carried[1:], self.searched[1:]):
             new += self._new(run, worst, new) if new else []
@@ -318,10 +326,6 @@ class _Design:
         value, omega = float(tuning.values[i, k]), float(tuning.peak_frequencies[i, k])
         return worst if worst.value >= value else replace(worst, value=value, omega=omega, parameters=self.chosen[k])
 
-    def _round(self, problem: Problem, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> Round:
-        soft, hard = self._largest(worst)
-        return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.start_time)
-
     def _new(
         self, tuning: TuningResult, worst: tuple[WorstCase, ...], known: Sequence[dict[str, float]] = ()
     ) -> list[dict[str, float]]:
@@ -344,14 +348,6 @@ def _label(parameters: Mapping[str, float]) -> str:
     return ", ".join(f"{k}={v:.6g}" for k, v in parameters.items())
 
 
-def _line(number: int, r: Round) -> str:
-    hard = "" if r.hard == -np.inf else f"; hard {r.hard:.4g}, worst {r.worst_hard:.4g}"
-    return (
-        f"round {number + 1}: {r.models} models, tuned {r.soft:.4g}, worst found {r.worst_soft:.4g}{hard} "
-        f"({r.seconds:.0f} s)"
-    )
-
-
 def _rank(tuning: TuningResult) -> tuple[int, float]:
     """From the best to the worst: feasible ones by value, then by violation, then by instability."""
     if tuning.certificate is None:
@@ -362,13 +358,7 @@ def _rank(tuning: TuningResult) -> tuple[int, float]:
 def _another(tuning: TuningResult, best: TuningResult) -> bool:
     """Worth being searched beside the best: as feasible as it, and not the same."""
     (kind, value), (least, lowest) = _rank(tuning), _rank(best)
-    return kind == least < 2 and abs(value - lowest) > SAME * abs(lowest)
-
-
-def _enough(tuning: TuningResult) -> bool:
-    """No further start is wanted: interrupted, at the target, or nothing is left to lower."""
-    settled = tuning.status is TuningStatus.CONVERGED and (tuning.soft == -np.inf or tuning.advice == ALL_MET)
-    return settled or tuning.status in (TuningStatus.TARGET, TuningStatus.INTERRUPTED)
+    return kind == least < 2 and abs(value - lowest) > 1e-4 * abs(lowest)
 
 
 def _advice(status: TuningStatus, tuning: TuningResult, starts: tuple[float, ...]) -> str:

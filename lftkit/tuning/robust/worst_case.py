@@ -33,9 +33,6 @@ from lftkit.tuning.structures.structures import gain_matrix_of
 
 Build = Callable[[Mapping[str, float]], System]
 Box = Mapping[str, tuple[float, float]]
-CORNERS = 128
-MAX_OTHERS, APART = 2, 0.1
-"""Runners-up that are reported, and how far apart peaks are to count as different ones."""
 
 
 @checked
@@ -46,8 +43,13 @@ class WorstCaseOptions:
     Parameters
     ----------
     samples : int
-        Random samples beside the middle of the box and its corners (all corners up to seven parameters, otherwise
-        a random choice of 128).
+        Random samples beside the middle of the box and its corners.
+    corners : int
+        All corners where they are at most so many (up to seven parameters), otherwise a random choice of this number.
+    others : int
+        Runners-up that are reported, at most.
+    apart : float
+        Relative distance of peak frequencies from which on peaks count as different ones.
     climbs : int
         Local ascents for every requirement, from its best samples.
     iterations : int
@@ -65,6 +67,9 @@ class WorstCaseOptions:
     step: float = 1e-5
     seed: int = 0
     wall_limit: float = 300.0
+    corners: int = 128
+    others: int = 2
+    apart: float = 0.1
 
     def __post_init__(self) -> None:
         if self.samples < 0 or self.climbs < 0 or self.iterations < 1:
@@ -124,20 +129,16 @@ def worst_case(
     (14.15, {'m': 2.0, 'c': 0.1})
     """
     options = options or WorstCaseOptions()
-    _check_box(box)
-    middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
-    ready, needs = resolved_build(build, requirements, middle)
-    search = _Search(ready, box, controller, needs, loop_delay, options)
-    with one_thread():
-        return search.run()
-
-
-def _check_box(box: Box) -> None:
     if not box:
         raise InputError("the box of parameters is empty: there is nothing to search")
     for name, (low, high) in box.items():
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(f"parameter {name!r}: expected finite bounds, lowest first, got ({low}, {high})")
+    middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
+    ready, needs = resolved_build(build, requirements, middle)
+    search = _Search(ready, box, controller, needs, loop_delay, options)
+    with one_thread():
+        return search.run()
 
 
 class _Search:
@@ -161,7 +162,13 @@ class _Search:
         self._count, self._dt = 0, 0.0
 
     def run(self) -> tuple[WorstCase, ...]:
-        points = self._points()
+        n, rng = len(self._names), np.random.default_rng(self._options.seed)
+        points: list[FloatArray] = [np.full(n, 0.5)]
+        if 2**n <= self._options.corners:
+            points += [np.array([(k >> j) & 1 for j in range(n)], dtype=float) for k in range(2**n)]
+        else:
+            points += list(rng.integers(0, 2, (self._options.corners, n)).astype(float))
+        points += list(rng.uniform(size=(self._options.samples, n)))
         table = []
         for point in points:
             table.append(self._evaluate(point))
@@ -196,22 +203,16 @@ class _Search:
         seen = [omega]
         others: list[tuple[float, Mapping[str, float]]] = []
         for k in order:
-            if len(others) == MAX_OTHERS or not np.isfinite(values[k]):
+            if len(others) == self._options.others or not np.isfinite(values[k]):
                 break
-            if all(_apart(frequencies[k], w) for w in seen):
+            if all(self._apart(frequencies[k], w) for w in seen):
                 seen.append(frequencies[k])
                 others.append((float(values[k]), self._parameters(points[k])))
         return tuple(others)
 
-    def _points(self) -> list[FloatArray]:
-        n = len(self._names)
-        rng = np.random.default_rng(self._options.seed)
-        points: list[FloatArray] = [np.full(n, 0.5)]
-        if 2**n <= CORNERS:
-            points += [np.array([(k >> j) & 1 for j in range(n)], dtype=float) for k in range(2**n)]
-        else:
-            points += list(rng.integers(0, 2, (CORNERS, n)).astype(float))
-        return points + list(rng.uniform(size=(self._options.samples, n)))
+    def _apart(self, a: float, b: float) -> bool:
+        """Whether two peak frequencies [rad/s], infinity allowed, belong to different peaks."""
+        return bool(a != b and (np.isinf(a) or np.isinf(b) or abs(a - b) > self._options.apart * max(a, b)))
 
     def _parameters(self, point: FloatArray) -> dict[str, float]:
         return dict(zip(self._names, (self._low + point * self._width).tolist()))
@@ -282,11 +283,6 @@ class _Search:
             with suppress(PoleError):  # the plant may have a pole at this frequency that the loop moves away
                 return gain_at(model, self._controller, r, omega, K, self._delay)
         return float(ClosedLoopEvaluator(model, self._controller, self._delay).values([r])[0][0])
-
-
-def _apart(a: float, b: float) -> bool:
-    """Whether two peak frequencies [rad/s], infinity allowed, belong to different peaks."""
-    return bool(a != b and (np.isinf(a) or np.isinf(b) or abs(a - b) > APART * max(a, b)))
 
 
 class _Enough(Exception):

@@ -14,9 +14,6 @@ from lftkit.systems.arguments import checked
 from lftkit.systems.ports import read_only
 from lftkit.tuning.pieces import HARD_TARGET, Piece
 
-AT_BOUND = 1e-4  # distance from a bound, of its scale, at which a parameter counts as being there
-NEAR_BOUND = 0.5  # distance, of its scale, from which a bound is told to the descent
-
 
 @checked
 @dataclass(frozen=True)
@@ -61,16 +58,19 @@ class Bounds:
         outside = (x < self.lower) | (x > self.upper)
         return np.asarray(np.where(outside, np.where(both, uniform, reflected), x))
 
-    def at(self, x: FloatArray) -> IntArray:
-        """Numbers of the parameters that are at a bound."""
+    def at(self, x: FloatArray, near: float = 1e-4) -> IntArray:
+        """Numbers of the parameters that are at a bound, to a distance `near` of its scale."""
         distance = np.minimum(x - self.lower, self.upper - x)
-        return np.flatnonzero(distance <= AT_BOUND * self.scales)
+        return np.flatnonzero(distance <= near * self.scales)
 
-    def pieces(self, x: FloatArray, requirement: int) -> list[Piece]:
-        """Bounds near the parameters `x`, as pieces of a hard requirement that is met exactly at the bound."""
+    def pieces(self, x: FloatArray, requirement: int, near: float = 0.5) -> list[Piece]:
+        """Bounds near the parameters `x`, as pieces of a hard requirement that is met exactly at the bound.
+
+        They are near up to a distance `near` of their scale.
+        """
         scales, pieces = self.scales, []
         for sign, distance in ((-1.0, x - self.lower), (1.0, self.upper - x)):
-            for k in np.flatnonzero(distance <= NEAR_BOUND * scales):
+            for k in np.flatnonzero(distance <= near * scales):
                 gradient = np.zeros(len(x))
                 gradient[k] = sign / scales[k]
                 value = HARD_TARGET - float(distance[k]) / float(scales[k])

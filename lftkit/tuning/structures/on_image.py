@@ -17,9 +17,6 @@ from lftkit.tuning.structures.bounds import Bounds, bounds_of
 from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 
-SINGULAR = 1e-12
-"""Relative shift of a controller's pole from exactly z = -1, whose image is at infinity."""
-
 
 @dataclass(frozen=True)
 class StructureOnImage:
@@ -76,7 +73,8 @@ class StructureOnImage:
         n, K = self.order, self.discrete.gain_matrix(x)
         A, moved = K[:n, :n], K[:n, :n] + np.eye(n)
         if n and linalg.lapack.dgetrf(moved)[2] > 0:
-            A = A + SINGULAR * max(float(np.abs(moved).max()), 1.0) * np.eye(n)
+            # a pole at exactly z = -1 has its image at infinity
+            A = A + 1e-12 * max(float(np.abs(moved).max()), 1.0) * np.eye(n)
         return A, K[:n, n:], K[n:, :n], K[n:, n:]
 
     def gain_matrix(self, x: FloatArray) -> FloatArray:

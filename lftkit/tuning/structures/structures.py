@@ -300,23 +300,21 @@ def state_space(
     free[order:, order:] = feedthrough
     ins = tuple(p if isinstance(p, Port) else Port(*p) for p in inputs)
     outs = tuple(p if isinstance(p, Port) else Port(*p) for p in outputs)
+    base = np.zeros(free.shape)
+    if form == "companion" and order > 1:
+        base[np.arange(order - 1), np.arange(1, order)] = 1.0
     rows, columns = np.nonzero(free)
-    structure = AffineStructure(
+    return AffineStructure(
         ins,
         outs,
         order,
-        read_only(np.zeros(free.shape)),
+        read_only(base),
         rows,
         columns,
         np.arange(len(rows)),
         np.ones(len(rows)),
         1.0,
     )
-    if form == "companion" and order > 1:
-        base = structure.base.copy()
-        base[np.arange(order - 1), np.arange(1, order)] = 1.0
-        structure = replace(structure, base=read_only(base))
-    return structure
 
 
 @checked

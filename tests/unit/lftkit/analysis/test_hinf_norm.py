@@ -303,7 +303,7 @@ def test_no_norm_is_below_the_gain_at_infinity() -> None:
 def test_a_direct_solution_that_meets_a_pole_leaves_no_exception(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once: a PoleError, for a loop with entries of 1e8 and a pole at -4e-11; its poles are the axis to rounding."""
 
-    def at_pole(model: object) -> None:
+    def at_pole(model: object, levels: int) -> None:
         raise PoleError("a pole")
 
     monkeypatch.setattr(norms, "bracketed_norm", at_pole)

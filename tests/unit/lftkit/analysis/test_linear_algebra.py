@@ -13,8 +13,8 @@ from scipy import linalg
 
 from lftkit.analysis.compensated import fine_product, matrix_product, two_product, two_sum
 from lftkit.analysis.eigenvectors import complex_columns, complex_rows, corrected_modes, modes
-from lftkit.analysis.lft_response import MANY, LftResponse, feedback
-from lftkit.analysis.riccati import discrete_riccati, riccati, stein
+from lftkit.analysis.lft_response import LftResponse, feedback
+from lftkit.analysis.riccati import RiccatiSettings, discrete_riccati, riccati, stein
 from lftkit.proofs import full_block, mu
 
 
@@ -78,12 +78,11 @@ def test_the_discrete_equations_are_solved_with_slow_modes(slowest: float) -> No
     assert np.allclose(X, linalg.solve_discrete_are(A, B, C.T @ C, np.eye(1)), rtol=1e-8)
 
 
-def test_digits_that_the_doubling_loses_are_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_digits_that_the_doubling_loses_are_restored() -> None:
     """Here by too few doublings."""
-    monkeypatch.setattr("lftkit.analysis.riccati.DOUBLINGS", 4)
     rng = np.random.default_rng(5)
     A, B, C = np.diag([0.97, 0.9, -0.3]), rng.normal(size=(3, 3)), rng.normal(size=(2, 3))
-    X = discrete_riccati(A, B @ B.T, C.T @ C)
+    X = discrete_riccati(A, B @ B.T, C.T @ C, RiccatiSettings(doublings=4))
     assert np.allclose(X, linalg.solve_discrete_are(A, B, C.T @ C, np.eye(3)), rtol=1e-9)
 
 
@@ -196,6 +195,7 @@ def test_pairs_next_to_the_real_axis_stay_pairs() -> None:
 
 
 Q, P, M = 6, 3, 4
+MANY = 40  # diagonals from which on repeated channels are closed at once
 REPEATED = np.array([True, False, True, True, False, False])
 
 

@@ -186,8 +186,8 @@ def test_what_a_level_leaves_is_proven_for_a_higher_one() -> None:
     A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
     mode = System(A, B, C, np.zeros((2, 2)), [("f", 1)], [("x", 1)], channels=("k",), elements=(k,))
     axis = _Axis.of(mode, "gain", [(0.8, 1.2)], (0.9, 1.0))
-    assert not axis.prove(11.0, math.inf, 0) and axis.worst is not None and 11.0 <= axis.worst.gain < 11.2
-    assert axis.prove(13.0, math.inf, 0) and check_axis_proof(axis.finished(13.0)).level == 13.0
+    assert not axis.prove(11.0, math.inf) and axis.worst is not None and 11.0 <= axis.worst.gain < 11.2
+    assert axis.prove(13.0, math.inf) and check_axis_proof(axis.finished(13.0)).level == 13.0
 
 
 @pytest.mark.further

@@ -19,7 +19,7 @@ from lftkit import Port, System, close_loop, hinf_norm, s
 from lftkit.proofs import CheckedLowerBound, ProofError, check_proof
 from lftkit.proofs.lower_bound import LowerBoundProof
 from lftkit.synthesis import hinfsyn, lower_bound_proof
-from lftkit.synthesis.lower_bound import MAX_ORDER
+from lftkit.synthesis.lower_bound import SETTINGS
 from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.tuning.published_plants import published_plant
 
@@ -81,9 +81,9 @@ def test_a_certified_design_has_its_proof(level: float | None) -> None:
 
 
 def test_a_proof_that_fails_leaves_the_bound_that_is_known() -> None:
-    plant = random_plant(3, MAX_ORDER + 1)
+    plant = random_plant(3, SETTINGS.most_states + 1)
     without, design = hinfsyn(plant, "y", "u"), hinfsyn(plant, "y", "u", certify=True)
-    assert design.proof is None and f"more than {MAX_ORDER}" in design.reason
+    assert design.proof is None and f"more than {SETTINGS.most_states}" in design.reason
     assert 0.0 < design.lower == without.lower
 
 
