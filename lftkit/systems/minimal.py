@@ -170,7 +170,7 @@ def _responses(system: System, full: System, slowest: float) -> ComplexArray:
         loop = np.diag([point] * n + [1.0] * q) - inner
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the two responses disagree where that matters
-            return np.asarray(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
+            responses.append(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
     return np.array(responses)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, System, connect, real, s, state_space, static_gain, z
-from lftkit.systems.minimal import minimal_realisation
+from lftkit import Port, System, as_system, connect, real, s, state_space, static_gain, z
+from lftkit.systems.minimal import SETTINGS, _is_same, minimal_realisation
 
 POINT = {"k": 1.1, "m": 0.3}
 
@@ -166,3 +166,10 @@ def test_a_badly_scaled_oscillator_keeps_its_states():
         [[0.0, 1e15], [-1e-15, -1e-3]], [[0.0], [1e-15]], [[1.0, 0.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)]
     )
     assert minimal_realisation(given).removed_states == 0
+
+
+def test_a_realisation_is_compared_at_its_fast_poles_too() -> None:
+    """A fast pole without which the slow response is the same."""
+    fast, slow = 1e-3 * s / (s + 1e3), 1.0 / (s + 1.0)
+    full, reduced = (as_system(slow + term) for term in (fast, 0.0 * s))
+    assert _is_same(full, full, SETTINGS) and not _is_same(minimal_realisation(reduced).system, full, SETTINGS)
