@@ -40,6 +40,7 @@ class SettlingSettings:
     significant : standard errors at which an exponential, or a change of a tone, is one
     shortest, longest, decays : time constants that are tried, parts of the record, and their number
     shortest_record : in a shorter one no start-up is measured [s]
+    brief : part of the judged record within which a start-up may end, also where the usual one is half of the run
     segments : parts of the record, in each of which the amplitude of a tone is found
     periods : fewest periods of a tone in a segment; slower ones are not compared
     offsets : bins of a segment beside a tone at which the noise of its amplitude is found
@@ -52,6 +53,7 @@ class SettlingSettings:
     longest: float = 3.0
     decays: int = 33
     shortest_record: float = 4.0
+    brief: float = 0.1
     segments: int = 8
     periods: float = 2.0
     offsets: tuple[int, ...] = (-5, -4, -3, 3, 4, 5)
@@ -85,7 +87,7 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
     except ValueError:
         return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
-    if seconds > 0.5 * whole:
+    if seconds > 0.5 * whole and seconds - series.start > SETTINGS.brief * series.duration:
         # Whether the level of an index is higher in the second half of a series
         squares = _squares(series, requirement)
         half = len(squares) // 2
