@@ -550,7 +550,7 @@ def _of_series(run: Recording, series: ErrorSeries, window: float, transient: fl
         notes.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         notes.append(
-            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is excluded, not "
+            f"less than {2 * SETTLING:g} s recorded: only {series.start:g} s of start-up is excluded, not "
             f"{SETTLING:g} s (analyse --transient SECONDS)"
         )
     if run.parameters.get("mode") == "replay":

@@ -168,7 +168,7 @@ def test_sentences_about_the_run(tmp_path: Path) -> None:
     short = summarise(bag(tmp_path / "a"))
     assert short.transient == 1.5
     assert short.problems == (
-        "a run shorter than 10 s: only 1.5 s of start-up is excluded, not 5 s (analyse --transient SECONDS)",
+        "less than 10 s recorded: only 1.5 s of start-up is excluded, not 5 s (analyse --transient SECONDS)",
     )
     assert summarise(bag(tmp_path / "b"), transient=0.0).problems == ()
     long = summarise(series(None, np.ones((10_000, 2)), unit="mas", rate=1000.0))
