@@ -136,7 +136,7 @@ def _titles(lines: Sequence[Line], stated: str | None) -> tuple[int, str | None]
     """Lines of free text in front of the header, and the mark between cells.
 
     A title has another number of cells than the rows; behind titles there must be a header with as many names as the
-    next row has values. Without such a header nothing is skipped.
+    next row has values, or the one behind a row of units. Without such a header nothing is skipped.
     """
     for i in range(min(len(lines) - 1, TITLES)):
         mark = stated or separator_of(lines[i][1])
@@ -144,6 +144,8 @@ def _titles(lines: Sequence[Line], stated: str | None) -> tuple[int, str | None]
             names, row = (_cells(lines[k][1], mark) for k in (i, i + 1))
             if are_values(names) or are_values(lines[i][1].split()):
                 break
+            if len(row) == len(names) and i + 2 < len(lines) and not any(map(is_value, filter(None, row))):
+                row = _cells(lines[i + 2][1], mark)  # behind a row of units
             if len(names) == len(row) > 1 and are_values(row) and not any(map(is_value, filter(None, names))):
                 same = any(len(_cells(lines[k][1], mark)) == len(names) for k in range(i))
                 return (i, mark) if not same else (0, stated or separator_of(lines[0][1]))

@@ -299,3 +299,12 @@ def test_columns_count_as_in_the_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.values, other.values)
     with pytest.raises(InputError, match="los must be two columns of numbers, got note"):
         open_los(path, los="2,3")
+
+
+@pytest.mark.parametrize("titles", ["Jitter test seven\n", "Bench 4, run 7\nstation\n", "one\n"])
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_titles_stand_before_a_header_with_a_row_of_units(tmp_path: Path, titles: str, mark: str) -> None:
+    rows = "".join(f"{0.001 * i:.3f}{mark}{i % 7}{mark}{i % 5}\n" for i in range(100))
+    (tmp_path / "a.csv").write_text(f"{titles}time{mark}los_x{mark}los_y\ns{mark}mas{mark}mas\n{rows}")
+    run = open_los(tmp_path / "a.csv")
+    assert (run["truth/los"].values / RAD_PER_MAS).max(axis=0).round(6).tolist() == [6.0, 4.0]
