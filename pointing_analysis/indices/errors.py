@@ -152,7 +152,7 @@ def _drop(
     blind += unseen
     if unseen:
         rows = np.where(np.any([*dead.values()], axis=0)[:, None], np.nan, rows)
-        remarks += [f"{what}, which count as missing" for what, _ in unseen]
+        remarks += [f"{what}, which count as missing and are in no figure" for what, _ in unseen]
     missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
     if quantum := coarse_quantum(rows):
         step = digits(quantum / RAD_PER_MAS)

@@ -19,7 +19,7 @@ from typing import Any
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.mcap.bag_files import bag_files
-from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.bag_loss import TopicLoss, digests_cover
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
@@ -259,7 +259,7 @@ class Run:
     @property
     def has_digests(self) -> bool:
         """Whether a digest covers every chunk of messages, as in all bags of the testbed and in none of others."""
-        return all(info.manifests >= info.chunks > 0 for info in self._read.infos)
+        return digests_cover(self._read.infos)
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsm_pma_controller.runtime import FsmPmaController
-from lftkit.systems.sampled.ordered_product import ROWS
 from lftkit.systems.sampled.rounding import rounding_bound
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -16,6 +15,8 @@ from pointing_analysis.replay.gap_stepping import FILLS, GapStepper
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, STAGES
 
 seeds = st.integers(0, 2**32 - 1)
+ROWS = 256
+"""Rows whose products `OrderedProduct.recur` keeps together."""
 
 
 def system(rng: np.random.Generator, order: int, ports: tuple, radius: float = 0.99) -> SampledSystem:

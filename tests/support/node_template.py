@@ -82,6 +82,12 @@ class Copy:
                 self.returncode = os.waitstatus_to_exitcode(status) if found else None
             return self.returncode
 
+    def wait(self) -> int:
+        """Exit code, when it has ended."""
+        while (code := self.poll()) is None:
+            time.sleep(0.01)
+        return code
+
     def send_signal(self, number: int) -> None:
         """Send a signal, if it runs."""
         if self.poll() is None:

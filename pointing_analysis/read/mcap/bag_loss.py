@@ -22,6 +22,8 @@ from pointing_analysis.read.mcap.records import Block, FileInfo
 NANO = 1e9
 CONTRADICTIONS, MAX_TOLD = "contradictions", 200
 """Entry in the record of a repair: contradictions in the bag that was repaired, so many at most."""
+COVERED = "covered"
+"""Entry in the record of a repair: whether digests covered the messages of the bag that was repaired."""
 REPEATED = "repeated"
 """Entry in the record of a repair: by topic, messages of the new bag whose number others of it have as well."""
 ORIGIN = "origin"
@@ -344,3 +346,10 @@ class LossLedger:
         placed = sum(span.messages for span in spans if span.stop >= first and span.start <= last)
         unplaced = max(missing - before - after - placed, 0)
         return TopicLoss(topic, read.count, missing, before, after, tuple(spans), unplaced)
+
+
+def digests_cover(infos: Sequence[FileInfo]) -> bool:
+    """Whether a digest covers every chunk of messages; those of a repair count where the bag before it had some."""
+    repaired, _ = merged(infos, REPAIR_NAME)
+    covered = not repaired or repaired.get(COVERED) == "true"
+    return covered and all(info.manifests >= info.chunks > 0 for info in infos)

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 import yaml
+from los_testbed.bags.check import check_bag
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
@@ -117,3 +118,28 @@ def test_log_times_beyond_the_signed_ones_are_kept(bag, tmp_path):
         assert [message.log_time for *_, message in make_reader(stream).iter_messages()] == times
     about = yaml.safe_load((tmp_path / "new" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert about["duration"]["nanoseconds"] == 2**63 - 8
+
+
+def test_a_repair_gives_no_digests_to_messages_that_had_none(bag, tmp_path):
+    """Written anew by another program, where any value may have been changed: the digests of the repair made it whole,
+    and its loop "proven"."""
+    other = tmp_path / "other"
+    other.mkdir()
+    with next(bag.glob("*.mcap")).open("rb") as stream, (other / "other_0.mcap").open("wb") as target:
+        reader, writer = make_reader(stream), Writer(target)
+        writer.start()
+        channels = {}
+        for schema, channel, message in reader.iter_messages():
+            if channel.topic not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    repair_bag(bag, tmp_path / "again")
+    repair_bag(other, tmp_path / "laundered")
+    repair_bag(tmp_path / "laundered", tmp_path / "twice")
+    digests = {name: Run.open(tmp_path / name).has_digests for name in ("bag", "again", "other", "laundered", "twice")}
+    assert digests == {"bag": True, "again": True, "other": False, "laundered": False, "twice": False}
+    assert "no digests covered the messages of the bag that was repaired" in Run.open(tmp_path / "laundered").problems
+    (row,) = [row for row in check_bag(tmp_path / "laundered").rows if row.name == "digests of chunks"]
+    assert row.state == "none" and "a bag that had none" in row.found

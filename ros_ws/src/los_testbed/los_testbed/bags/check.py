@@ -16,7 +16,7 @@ from los_testbed.config.topics import DIAGNOSTICS_TOPIC
 from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.arrivals import KINDS, Arrivals
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
-from pointing_analysis.read.mcap.bag_loss import TopicLoss
+from pointing_analysis.read.mcap.bag_loss import TopicLoss, digests_cover
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.file_digest import OTHER_DIGEST
@@ -237,6 +237,8 @@ def _digests(infos: list[FileInfo]) -> BagCheckRow:
     text = f"{agree} of {chunks} agree"
     if refuted:
         return BagCheckRow("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
+    if agree == chunks and not digests_cover(infos):
+        return BagCheckRow("digests of chunks", "none", f"{text}, those of a repair of a bag that had none")
     return BagCheckRow("digests of chunks", "agrees" if agree == chunks else "damaged", text)
 
 

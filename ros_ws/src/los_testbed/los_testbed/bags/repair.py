@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from lftkit.support.atomic_output import atomic_folder, check_space
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from pointing_analysis.read.mcap.bag_files import bag_files
-from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions, repair_entries
+from pointing_analysis.read.mcap.bag_loss import (
+    COVERED,
+    LossLedger,
+    TopicLoss,
+    contradictions,
+    digests_cover,
+    repair_entries,
+)
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
 from pointing_analysis.read.mcap.records import BODY, HEAD, MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.mcap.walk import walk
@@ -150,10 +157,13 @@ def _tables(beside: FileInfo) -> tuple[dict[str, dict[str, str]], list[str]]:
 def _record(file: Path, info: FileInfo, result: RepairResult, origin: int) -> Mapping[str, str]:
     """Record of the losses for later readers of the new bag."""
     notes = [*(str(loss) for loss in result.losses), *info.problems]
+    if not digests_cover([info]):
+        notes.append("no digests covered the messages of the bag that was repaired")
     return {
         "source": file.name,
         "messages": str(result.messages),
         "finished": json.dumps(info.finished),
+        COVERED: json.dumps(digests_cover([info])),
         **repair_entries([info], result.losses, result.repeated, origin),
         **{f"note_{i:03d}": text for i, text in enumerate(notes[:200])},
     }
