@@ -253,11 +253,14 @@ def knowledge_error_of(
     full = empty((len(grid), 2))
     for part in parts(len(full)):
         full[part] = np.nan
-    step = round(dt * 1e9)
+    step, matched = round(dt * 1e9), 0
     for rows, columns in common_rows(stamp, angle.stamp):
         index, rest = np.divmod(stamp[rows] - truth.grid_start, step)
         fits = (rest == 0) & (index >= 0) & (index < len(grid))
         index, rows, columns = index[fits], rows[fits], columns[fits]
         full[index] = estimate[rows, :2] + gain * angle.values[columns, :2] - grid[index, :2]
+        matched += len(index)
+    if not matched:
+        raise BagError(f"{run.path}: an estimate and an angle of the mirror must have stamps of truth/los, got none")
     left_out = transient_of(run, transient, dt * (len(grid) - truth.absent_after))
     return _drop(full, dt, left_out, run.path, axis, truth.open_end)

@@ -127,6 +127,10 @@ def test_another_observer_differs_and_has_its_own_knowledge_error(tmp_path: Path
     assert [d.topic for d in comparison.differences if d.identical] == ["pma/command"]
     own = replay.replay(run, Observer(), Law())
     errors = [knowledge_error_of(run, r.stamp, r.estimate, transient=0.2).values for r in (own, other)]
+    with pytest.raises(
+        ValueError, match="an estimate and an angle of the mirror must have stamps of truth/los, got none"
+    ):
+        knowledge_error_of(run, own.stamp + 10**12, own.estimate)
     rms = [np.sqrt(np.nanmean(radial(e) ** 2)) for e in errors]
     assert rms[1] > 1.5 * rms[0]
 
