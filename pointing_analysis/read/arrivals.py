@@ -127,12 +127,9 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS, settings: ArrivalSe
     (3, [('gap', 0.04), ('stall', 0.2)])
     """
     stamped = stamps.size == logged.size > 0
-    if stamped:
-        back, stamps_back = (
-            _where(_steps(one), lambda steps: steps < -settings.step * NANO) for one in (logged, stamps)
-        )
-        if back.size and np.array_equal(back, stamps_back):  # parts of the file changed places; no clock stepped
-            order = np.argsort(logged, kind="stable")
+    if stamped and _where(_steps(logged), lambda steps: steps < 0).size:
+        order = np.argsort(logged, kind="stable")
+        if not _where(_steps(stamps[order]), lambda steps: steps < 0).size:  # messages changed places in the file
             logged, stamps = logged[order], stamps[order]
     if logged.size < settings.fewest:
         return Arrivals(logged.size, stamped, None)

@@ -399,3 +399,16 @@ def test_parts_of_a_file_that_changed_places_lose_nothing() -> None:
     order = np.r_[0:1000, 2000:3000, 1000:2000, 3000:6000]
     found = arrivals(stamps[order] + 500_000, stamps[order])
     assert found.lost == 0 and not found.events
+
+
+@pytest.mark.parametrize("swapped", [1, 3, 40])
+def test_messages_that_changed_places_in_the_file_are_not_missing(swapped: int) -> None:
+    """Each with its stamp and its time of recording; a clock that jumped back has stamps that go on."""
+    stamps = np.arange(2000) * 1_000_000
+    places = np.arange(2000)
+    for k in range(swapped):
+        places[[100 + 20 * k, 103 + 20 * k]] = places[[103 + 20 * k, 100 + 20 * k]]
+    found = arrivals((stamps + 300_000)[places], stamps[places])
+    assert (found.lost, found.events) == (0, ())
+    jumped = stamps + 300_000 - np.where(np.arange(2000) >= 1000, 50_000_000, 0)
+    assert [event.kind for event in arrivals(jumped, stamps).events] == ["clock step"]
