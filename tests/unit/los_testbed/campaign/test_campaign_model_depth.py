@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
+from los_loop.member_loop import MemberLoop, MemberLoopSettings
 from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -46,7 +48,7 @@ def row(evaluator: MemberEvaluator, index: int, depth: str = "model") -> dict[st
 def evaluator() -> Iterator[MemberEvaluator]:
     """With frequencies for fewer members than those of a campaign."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("los_loop.member_loop.DRAWS", 20)
+        patch.setattr(MemberLoop, "of", partial(MemberLoop.of, settings=MemberLoopSettings(draws=20)))
         yield MemberEvaluator.of(BASE)
 
 
