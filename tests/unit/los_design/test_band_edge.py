@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import error_names, figure
 from los_loop.implemented_loop import ImplementedLoop
+from los_loop.member_loop import MemberLoop, MemberLoopSettings
 from los_loop.member_metrics import MemberMetrics
 from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import worst_tone
@@ -81,7 +83,8 @@ def test_the_weight_of_a_band_halves_the_power_there(own: Telescope) -> None:
 def test_search_worst_tone_and_members_look_in_its_bands(
     own: Telescope, system, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("los_loop.member_loop.DRAWS", 4)  # only the nominal member is asked for
+    few = MemberLoopSettings(draws=4)  # only the nominal member is asked for
+    monkeypatch.setattr(MemberLoop, "of", partial(MemberLoop.of, settings=few))
     pair = load_designs("implemented")
     search = Search(ImplementedLoop(OpenLoop(system, own), *pair, STAGE))
     assert EDGE in search.bands and search.metrics["fast"].band[0] == EDGE
