@@ -62,6 +62,8 @@ class LiveRowSettings:
     coarse : part of a limit up to which the values may be rounded
     at_rows : share of interpolated samples that are a whole number of rows apart, if they are at rows
     long : rows of a sample from which a corner may be seen a row late
+    short, even, stretches : most rows of a run, and variance of their number in equal stretches over its mean, in a
+        record that was brought to another rate by lines or cubic splines (1 at random), and fewest stretches
     digits : largest rounding of a value to the digits of a file, a part of it: seven digits, or single precision
     clear : times the rounding beyond which a difference is one of the motion
     """
@@ -90,6 +92,9 @@ class LiveRowSettings:
     coarse: float = 0.5
     at_rows: float = 0.95
     long: int = 8
+    short: int = 3
+    even: float = 0.1
+    stretches: int = 16
     digits: float = 5e-7
     clear: float = 10.0
 
@@ -350,6 +355,9 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
 def interpolated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
     """Which rows (n,) of a record (n, 2) are interpolated between others, in either axis, more often than by chance.
 
+    Of a record that was brought to another rate only some rows are on a line: where they come evenly, a few at a time,
+    no row is taken for a sample.
+
     Examples
     --------
     >>> e = np.random.default_rng(1).standard_normal((1000, 2))
@@ -395,9 +403,14 @@ def _on_polynomial(x: FloatArray, order: int, settings: LiveRowSettings) -> Bool
     corners = np.diff(x[:PART], n=order + 1)[clear[beside : len(x[:PART]) - beside]]
     if _of_quantisation(corners[:, None], settings) or period(x, float(np.nanstd(x))) < len(x):
         return np.zeros(len(x), bool)
+    starts, ends = starts[between], ends[between]
+    counts, _ = np.histogram(starts, max(len(starts) // settings.fewest, 1), (0, len(x)))
+    even = len(counts) >= settings.stretches and counts.var() <= settings.even * counts.mean()
+    if even and np.median(ends - starts) <= settings.short:
+        return np.ones(len(x), bool)
     edges = np.zeros(len(x) + 1, np.int8)
-    edges[starts[between]] = 1
-    edges[ends[between]] = -1
+    edges[starts] = 1
+    edges[ends] = -1
     return np.asarray(np.cumsum(edges, dtype=np.int8)[:-1] > 0)
 
 
