@@ -326,7 +326,7 @@ def statuses(e: np.ndarray, rate: float, limits: np.ndarray) -> list[Status]:
     """Status of a record (2, n) for each share."""
     error = performance_error(series(None, e.T.astype(float), unit="mas", rate=rate), 0.0)
     samples = run_samples(error, REQUIREMENTS[0.5])
-    lost = max((share for _, share in error.blind), default=0.0)
+    lost = max((share for _, share in error.unseen.shares), default=0.0)
     return [
         "not judged"
         if lost > 1.0 - p

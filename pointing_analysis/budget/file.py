@@ -358,11 +358,8 @@ class _Reader:
         if run.contradictions:
             raise self.wrong(path, f"bag must agree with its own digests: {run.contradictions[0]}", str(bag))
         series = performance_error(run, table.get("transient"))
-        for what, share in series.blind:
-            if share > self.unseen:
-                raise self.wrong(path, f"bag must show the motion: {what}", str(bag))
-        if series.quantum:
-            raise self.wrong(path, "bag must have values in steps that are smaller than the motion", str(bag))
+        if why := series.unseen.reason(self.unseen, 0.0):
+            raise self.wrong(path, f"bag must show the motion: {why}", str(bag))
         return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
 
     def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:

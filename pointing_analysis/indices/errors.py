@@ -8,17 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray, IntArray
-from pointing_analysis.formatting.number_text import digits, percent
-from pointing_analysis.indices.live_rows import (
-    Hold,
-    coarse_quantum,
-    hold_of,
-    interpolated_rows,
-    samples_behind,
-    saturated_rows,
-    stuck_rows,
-)
 from pointing_analysis.indices.metrics import AXES
+from pointing_analysis.indices.seen_samples import ALL_SEEN, Unseen, seen_samples
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, parts, rows_made
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
@@ -50,9 +41,7 @@ class ErrorSeries:
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
     open_end : whether the recording is truncated and the number of missing samples at its end is unknown
-    blind : what the sensor did not see, in words, with its share of the samples: these are missing
-    remarks : what else the values say of the record, one sentence each
-    quantum : step to which the values are rounded, where it is larger than the motion [rad]; else 0
+    unseen : what the record does not show of the motion; these samples are missing
     """
 
     values: FloatArray
@@ -60,9 +49,7 @@ class ErrorSeries:
     start: float
     missing: int
     open_end: bool = False
-    blind: tuple[tuple[str, float], ...] = ()
-    remarks: tuple[str, ...] = ()
-    quantum: float = 0.0
+    unseen: Unseen = ALL_SEEN
 
     @property
     def time(self) -> FloatArray:
@@ -115,57 +102,9 @@ def _drop(
                 f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
                 f"got {rows[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
             )
-    # Series of the samples that the sensor took: :mod:`pointing_analysis.indices.live_rows`
-    start = first * dt
-    remarks = []
-    blind: tuple[tuple[str, float], ...] = ()
-    moving, hold = rows, hold_of(rows)
-    if isinstance(hold, Hold) and hold.between_rows:
-        blind = ((f"interpolated between samples of {1.0 / (hold.rows * dt):.4g} Hz that are not at its rows", 1.0),)
-        remarks.append(f"{blind[0][0]}: it does not show their values")
-    elif isinstance(hold, Hold):
-        rows, rate = samples_behind(rows, hold), 1.0 / (hold.rows * dt)
-        remarks.append(
-            f"each sample is held or interpolated over {hold.rows:.4g} rows: a record of {rate:.4g} Hz, which shows no "
-            f"motion above {rate / 2:.4g} Hz"
-        )
-        dt *= hold.rows
-        moving = rows
-    elif hold is not None:
-        rates = " and ".join(f"{1.0 / (count * dt):.4g}" for count in hold)
-        blind = ((f"the axes have samples at different rates, {rates} Hz", 1.0),)
-        remarks.append(f"{blind[0][0]}: requirements on one axis are judged by its samples, those on both are not")
-        at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
-        moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
-    dead = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
-    dead["stuck"] &= ~dead["saturated"]
-    if not blind:
-        dead["interpolated"] = interpolated_rows(moving) & ~(dead["saturated"] | dead["stuck"])
-    for column, name in enumerate(AXES):
-        if judged[column] and _is_constant(rows[:, column]):
-            remarks.append(f"{name} has the same value in all samples")
-            # What comes to a stop before the judged rows is told by the rows before
-            if stuck_rows(values[:, column : column + 1])[first:].any():
-                dead["stuck"][:] = True
-    shares = {what: float(one.mean()) for what, one in dead.items() if one.any()}
-    unseen = tuple((f"{what}: {percent(share)} of the samples", share) for what, share in shares.items())
-    blind += unseen
-    if unseen:
-        rows = np.where(np.any([*dead.values()], axis=0)[:, None], np.nan, rows)
-        remarks += [f"{what}, which count as missing and are in no figure" for what, _ in unseen]
-    missing = sum(int(np.isnan(rows[part]).any(axis=1).sum()) for part in parts(len(rows)))
-    if quantum := coarse_quantum(rows):
-        step = digits(quantum / RAD_PER_MAS)
-        remarks.append(f"the values have steps of {step} mas, larger than the motion: smaller figures are not known")
-    return ErrorSeries(read_only(rows), dt, start, missing, open_end, blind, tuple(remarks), quantum)
-
-
-def _is_constant(axis: FloatArray) -> bool:
-    """Whether all samples (n,) that are there have one value."""
-    extremes = [
-        (float(np.nanmin(p)), float(np.nanmax(p))) for part in parts(len(axis)) if not np.isnan(p := axis[part]).all()
-    ]
-    return min(low for low, _ in extremes) == max(high for _, high in extremes)
+    seen = seen_samples(values, first, dt, axis)
+    missing = sum(int(np.isnan(seen.values[part]).any(axis=1).sum()) for part in parts(len(seen.values)))
+    return ErrorSeries(read_only(seen.values), seen.dt, first * dt, missing, open_end, seen.unseen)
 
 
 def on_camera(run: Recording) -> bool:

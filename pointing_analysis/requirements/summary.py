@@ -481,10 +481,10 @@ def summarise(
     alone = [
         f"{a}: {text}"
         for a in axes
-        for text in performance_error(run, transient, a).remarks
-        if text not in series.remarks
+        for text in performance_error(run, transient, a).unseen.remarks
+        if text not in series.unseen.remarks
     ]
-    remarks = dict.fromkeys((*series.remarks, *alone, *(one.remark for one in settled)))
+    remarks = dict.fromkeys((*series.unseen.remarks, *alone, *(one.remark for one in settled)))
     problems += [text for text in (damaged, unusable, unread, without, unknown, *remarks) if text]
     problems += _of_series(run, series, window, transient)
     return Summary(

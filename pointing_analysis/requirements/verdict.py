@@ -13,14 +13,12 @@ import numpy as np
 from lftkit.errors import InputError
 from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import BoolArray, FloatArray
-from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.confidence import EffectiveSamples
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.indices.exceedances import BlockSums, IndependentSamples, period, pooled_number
-from pointing_analysis.indices.live_rows import SETTINGS
 from pointing_analysis.indices.mirror_following import COMMAND, GAUGE, not_followed
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
@@ -155,12 +153,9 @@ def series_of(requirement: Requirement, run: Recording, transient: float | None 
     """
     make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
     series = make(run, transient, requirement.axis)
-    for what, share in series.blind:
-        if share > 1.0 - requirement.probability:
-            raise InputError(what)
-    if not requirement.of_image and series.quantum > SETTINGS.coarse * requirement.limit:
-        step = digits(series.quantum / requirement.scale)
-        raise InputError(f"the values have steps of {step} {requirement.unit}, more than half of the limit")
+    limit = math.inf if requirement.of_image else requirement.limit
+    if why := series.unseen.reason(1.0 - requirement.probability, limit):
+        raise InputError(why)
     return series
 
 

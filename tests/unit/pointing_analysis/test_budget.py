@@ -169,7 +169,7 @@ def test_a_recorded_source_that_the_sensor_did_not_see_is_refused(tmp_path: Path
             assert budget(tmp_path, sources).level == pytest.approx(1.645, rel=0.05)
     table[:, 1:] = 4.0 * np.round(table[:, 1:] / 4.0)
     np.savetxt(tmp_path / "bench.csv", table, delimiter=",", header="time,x (mas),y (mas)", comments="")
-    with pytest.raises(InputError, match="a: bag must have values in steps that are smaller than the motion"):
+    with pytest.raises(InputError, match="a: bag must show the motion: the values have steps of 4 mas"):
         budget(tmp_path, sources)
 
 
