@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, p
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
 from pointing_analysis.read.messages.topic_columns import CAMERA
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.read.topic import OFF_GRID, on_grid, read_only
+from pointing_analysis.read.topic import OFF_GRID, Topic, on_grid, read_only
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
@@ -28,6 +29,9 @@ OFF_PHASE = 0.5
 """Largest share of the intervals of a device's frames that are off their grid: they have stamps of its own clock, and
 frames that are off phase are counted and reported (docs/connect_your_rig.md)."""
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
+_PERFORMANCE: WeakKeyDictionary[Topic, dict[tuple[float, str], ErrorSeries]] = WeakKeyDictionary()
+"""Performance errors that were asked for, by line of sight, seconds left out, and axis: requirements, figures, and the
+report ask for the same ones."""
 
 
 @dataclass(frozen=True)
@@ -135,15 +139,16 @@ def performance_error(run: Recording, transient: float | None = None, axis: str 
     BagError
         No truth topic, only transient, or a time axis that is not uniform.
     """
-    if on_camera(run):
-        values, dt = _gridded(run, CAMERA, OFF_PHASE)
-        left_out = transient_of(run, transient, dt * (len(values) - run[CAMERA].absent_after))
-        return _drop(values, dt, left_out, run.path, axis, run[CAMERA].open_end)
-    if "truth/los" not in run:
+    name, off_grid = (CAMERA, OFF_PHASE) if on_camera(run) else ("truth/los", OFF_GRID)
+    if name not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
-    values, dt = _gridded(run, "truth/los")
-    left_out = transient_of(run, transient, dt * (len(values) - run["truth/los"].absent_after))
-    return _drop(values, dt, left_out, run.path, axis, run["truth/los"].open_end)
+    values, dt = _gridded(run, name, off_grid)
+    topic = run[name]
+    left_out = transient_of(run, transient, dt * (len(values) - topic.absent_after))
+    made = _PERFORMANCE.setdefault(topic, {})
+    if (left_out, axis) not in made:
+        made[left_out, axis] = _drop(values, dt, left_out, run.path, axis, topic.open_end)
+    return made[left_out, axis]
 
 
 def knowledge_error(run: Recording, transient: float | None = None, axis: str = "") -> ErrorSeries:

@@ -59,7 +59,7 @@ class Integrity:
     other_rate: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Topic:
     """Messages of one topic, sorted by stamp, each stamp once.
 
