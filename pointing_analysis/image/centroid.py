@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.guide_camera import OFFSET
 from pointing_analysis.image.star_camera import StarCamera
@@ -25,7 +26,7 @@ REASONS = (SATURATED, NO_STAR, TWO_STARS, NOT_A_STAR)
 
 
 @dataclass(frozen=True)
-class CentroidSettings:
+class CentroidSettings(AlgorithmSettings):
     """What is a star, and how its place is found.
 
     Attributes

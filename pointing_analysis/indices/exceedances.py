@@ -50,13 +50,14 @@ from dataclasses import dataclass
 import numpy as np  # scipy where it computes: see pointing_analysis.indices.confidence
 from numpy.typing import ArrayLike
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices.confidence import EffectiveSamples, effective_number
 from pointing_analysis.read.mapped_arrays import PART, SortedValues, by_parts, parts, present
 
 
 @dataclass(frozen=True)
-class BlockSettings:
+class BlockSettings(AlgorithmSettings):
     """Estimates of a scatter over blocks of samples.
 
     Attributes
@@ -76,7 +77,7 @@ class BlockSettings:
 
 
 @dataclass(frozen=True)
-class ClusterSettings:
+class ClusterSettings(AlgorithmSettings):
     """Allowance for clusters of exceedances that are larger than those of the record.
 
     Attributes
@@ -96,7 +97,7 @@ class ClusterSettings:
 
 
 @dataclass(frozen=True)
-class PersistenceSettings:
+class PersistenceSettings(AlgorithmSettings):
     """Recognition of a motion whose scatter over blocks is a power of their length.
 
     A first-order process has the power 1 in blocks that are shorter than its memory, and 0 in longer ones.
@@ -208,11 +209,8 @@ class IndependentSamples:
         n = len(x)
         if not n:
             return EffectiveSamples(0.0, 0.0)
-        few = (
-            sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n))
-            < self.settings.blocks.typical
-            < n
-        )
+        above = sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n))
+        few = above < self.settings.blocks.typical < n
         seen = [self._exceedances(x, sign, sign * limit, certain=few)]
         if few:
             seen.append(self._exceedances(x, sign, _ranked(x, sign, self.settings.blocks.typical)))

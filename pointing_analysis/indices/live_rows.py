@@ -27,13 +27,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.indices.exceedances import period
 from pointing_analysis.read.mapped_arrays import PART, by_parts, parts
 
 
 @dataclass(frozen=True)
-class LiveRowSettings:
+class LiveRowSettings(AlgorithmSettings):
     """Limits of what is a chance.
 
     Attributes

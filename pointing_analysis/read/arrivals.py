@@ -23,6 +23,7 @@ from typing import Literal
 
 import numpy as np
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import BoolArray, IntArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
 
@@ -32,7 +33,7 @@ NANO = 1e9
 
 
 @dataclass(frozen=True)
-class ArrivalSettings:
+class ArrivalSettings(AlgorithmSettings):
     """What is a gap, a stall and a step of a clock.
 
     Attributes
@@ -173,10 +174,8 @@ def _delays(
 ) -> Mapping[int, tuple[Kind, float]]:
     """Stalls and clock steps by the message before them, sizes [ns]."""
     delay = np.asarray(by_parts(np.subtract, logged, stamps, dtype=np.int64))
-    least, longest = (
-        max(settings.step * NANO, settings.gap * period),
-        max(settings.stall * NANO, 2.0 * settings.gap * period),
-    )
+    least = max(settings.step * NANO, settings.gap * period)
+    longest = max(settings.stall * NANO, 2.0 * settings.gap * period)
     delays: dict[int, tuple[Kind, float]] = {}
     start = caught_up = 0  # of the present level; end of a stall
     for i in _where(_steps(delay), lambda steps: np.abs(steps) > least).tolist():

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import FloatArray, IntArray
 
 NANO = 1_000_000_000
@@ -22,7 +23,7 @@ DECIMALS = 9
 
 
 @dataclass(frozen=True)
-class TimeGridSettings:
+class TimeGridSettings(AlgorithmSettings):
     """How a clock that is not quite regular is followed.
 
     Attributes

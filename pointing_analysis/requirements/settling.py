@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import ErrorSeries
@@ -30,7 +31,7 @@ from pointing_analysis.spectra.tone_budget import named_tones
 
 
 @dataclass(frozen=True)
-class SettlingSettings:
+class SettlingSettings(AlgorithmSettings):
     """What is a start-up, and how it is measured.
 
     Attributes
@@ -43,7 +44,7 @@ class SettlingSettings:
     brief : part of the judged record within which a start-up may end, also where the usual one is half of the run
     segments : parts of the record, in each of which the amplitude of a tone is found
     periods : fewest periods of a tone in a segment; slower ones are not compared
-    offsets : bins of a segment beside a tone at which the noise of its amplitude is found
+    offsets : bins of a segment on each side of a tone at which the noise of its amplitude is found
     """
 
     blocks: int = 60
@@ -56,7 +57,7 @@ class SettlingSettings:
     brief: float = 0.1
     segments: int = 8
     periods: float = 2.0
-    offsets: tuple[int, ...] = (-5, -4, -3, 3, 4, 5)
+    offsets: tuple[int, ...] = (3, 4, 5)
 
 
 SETTINGS = SettlingSettings()
@@ -77,17 +78,19 @@ class Settled:
     remark: str = ""
 
 
-def judge_settled(requirement: Requirement, run: Recording, transient: float | None = None) -> Settled:
+def judge_settled(
+    requirement: Requirement, run: Recording, transient: float | None = None, settings: SettlingSettings = SETTINGS
+) -> Settled:
     """Verdict on one run, its start-up measured and left out where the run begins with one and none is given."""
     if transient is not None or run.parameters.get(START_UP) != MEASURED or requirement.across_runs:
         return Settled(judge(requirement, [run], transient))
     try:
         series = series_of(requirement, run)
-        seconds = series.start + start_up(series, requirement, named_tones(run))
+        seconds = series.start + start_up(series, requirement, named_tones(run), settings)
     except ValueError:
         return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
-    if seconds > 0.5 * whole and seconds - series.start > SETTINGS.brief * series.duration:
+    if seconds > 0.5 * whole and seconds - series.start > settings.brief * series.duration:
         # Whether the level of an index is higher in the second half of a series
         squares = _squares(series, requirement)
         half = len(squares) // 2
@@ -144,12 +147,17 @@ def _squares(series: ErrorSeries, requirement: Requirement) -> FloatArray:
     return np.asarray(squares[np.isfinite(squares)])
 
 
-def is_settled(series: ErrorSeries, window: float, tones: Sequence[float] | FloatArray = ()) -> bool:
+def is_settled(
+    series: ErrorSeries,
+    window: float,
+    tones: Sequence[float] | FloatArray = (),
+    settings: SettlingSettings = SETTINGS,
+) -> bool:
     """Whether absolute error and relative error in a window [s] are settled in the second half of a series."""
     asked = ("|APE|", f"rms RPE({time_text(window)})") if metrics.holds(window, series.dt) else ("|APE|",)
     half = 0.5 * series.duration
     requirements = [parse(f"prob({index} < 1 arcsec) >= 0.997 at 95 % confidence") for index in asked]
-    return all(start_up(series, requirement, tones) <= half for requirement in requirements)
+    return all(start_up(series, requirement, tones, settings) <= half for requirement in requirements)
 
 
 def decay(squares: FloatArray, seconds: float, settings: SettlingSettings = SETTINGS) -> float:
@@ -212,19 +220,16 @@ def _tone_changes(
         if requirement.of_windows or requirement.of_image or requirement.index in ("RPE", "RKE"):
             weight = float(rpe_discrete(np.array([omega]), metrics.samples_or_one(requirement.times[0], dt), dt)[0])
         amplitudes = _amplitudes(e, dt, n, omega, settings.segments)
-        beside = [
-            _amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds, settings.segments) for k in settings.offsets
-        ]
+        bins = [sign * k for k in settings.offsets for sign in (-1, 1)]
+        beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds, settings.segments) for k in bins]
         noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
         # of sizes: the phase of a cooler wanders; their scatter in each half is an error, too
         halves = np.sqrt(np.square(np.abs(amplitudes)).sum(axis=1)).reshape(2, -1)
         change = abs(float(np.diff(halves.mean(axis=1))[0]))
         scatter = math.sqrt(float(halves.var(axis=1, ddof=1).sum()))
         error = max(noise * math.sqrt(2.0), scatter) / math.sqrt(settings.segments / 2)
-        if (
-            weight * change > math.sqrt(settings.left) / 3.0 * level * math.sqrt(2.0)
-            and change > settings.significant * error
-        ):
+        relevant = weight * change > math.sqrt(settings.left) / 3.0 * level * math.sqrt(2.0)
+        if relevant and change > settings.significant * error:
             return True
     return False
 

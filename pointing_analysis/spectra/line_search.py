@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft, special
 
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import ComplexArray, FloatArray, IntArray
 from pointing_analysis.spectra.sidebands import FittedRecord, FoundLine, with_carriers
 from pointing_analysis.spectra.sinusoid_fit import Sinusoids, fit_sinusoids
@@ -48,7 +49,7 @@ EULER = 0.5772156649015329
 
 
 @dataclass(frozen=True)
-class LineSearchSettings:
+class LineSearchSettings(AlgorithmSettings):
     """What is a line, and how it is looked for.
 
     Attributes

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.errors import InputError
+from lftkit.support.settings import AlgorithmSettings
 from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
@@ -66,7 +67,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class BandSettings:
+class BandSettings(AlgorithmSettings):
     """What counts as the end of a spectrum.
 
     Attributes

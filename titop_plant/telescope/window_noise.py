@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lftkit.errors import InputError
+from lftkit.support.settings import AlgorithmSettings
 
 if TYPE_CHECKING:  # a recorder needs the shares of a budget alone, and no linear algebra
     from lftkit.arrays import ComplexArray, FloatArray
@@ -43,7 +44,7 @@ ON_AXIS = 0.7
 
 
 @dataclass(frozen=True)
-class LevelSettings:
+class LevelSettings(AlgorithmSettings):
     """Numbers of the computation of a level.
 
     Attributes
