@@ -7,7 +7,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from types import MappingProxyType
 from typing import Any
 
 from lftkit.errors import InputError
@@ -66,22 +65,17 @@ class ParameterFile:
         self._unknown.update(keys)
         return bool(keys)
 
-    def refuse_unknown(self, keys: Mapping[str, Iterable[str]] = MappingProxyType({})) -> None:
-        """Refuse all unknown keys, these ones and those that were noted, each with its line.
-
-        Parameters
-        ----------
-        keys : mapping of str to iterable of str
-            Unknown keys, with those that are known in their table.
+    def refuse_unknown(self) -> None:
+        """Refuse all keys that were noted as unknown, each with its line.
 
         Raises
         ------
         ValueError
             There are any.
         """
-        every, places = {**self._unknown, **keys}, list(self.lines)
-        in_order = sorted(every, key=lambda key: places.index(key) if key in places else -1)
-        about = [": ".join([*self._line(key), unknown(key, every[key])]) for key in in_order]
+        places = list(self.lines)
+        in_order = sorted(self._unknown, key=lambda key: places.index(key) if key in places else -1)
+        about = [": ".join([*self._line(key), unknown(key, self._unknown[key])]) for key in in_order]
         if about:
             raise InputError(f"{self.path}{', ' if about[0].startswith('line') else ': '}{'; '.join(about)}")
 
@@ -93,7 +87,8 @@ class ParameterFile:
         except Refused as error:
             refused = error.within(name)
             if refused.known:
-                self.refuse_unknown(dict.fromkeys((refused.key, *refused.more), refused.known))
+                self._unknown.update(dict.fromkeys((refused.key, *refused.more), refused.known))
+                self.refuse_unknown()
             raise self.error(refused.key, refused.problem) from None
 
     def check_tables(self, tables: Mapping[str, Any]) -> None:
