@@ -19,7 +19,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.repair import repair_bag
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config.topics import TRUTH_LOS
-from support.forged_bags import forge, forge_with_manifest, without_digest
+from support.forged_bags import forge, forge_with_manifest, with_metadata, without_digest
 
 from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.indices.synthetic import write_bag
@@ -163,6 +163,9 @@ def test_damage_does_not_hide_behind_a_signature(bag: Path, call: Call, keys: tu
 def split(bag: Path, tmp_path: Path) -> Path:
     """The recording goes on in a second file, as other recorders write it."""
     times = 10**9 * 60 + TICK_NS * np.arange(1500)
+    statistics = {node: dict(values) for node, values in Run.open(bag).parameters["statistics"].items()}
+    statistics["recorder"]["messages"] = str(int(statistics["recorder"]["messages"]) + len(times))
+    with_metadata(bag, statistics=json.dumps(statistics))
     codec = codec_for(TRUTH_LOS)
     messages = [np.frombuffer(bytes(codec.encode(int(time), np.zeros(2))), np.uint8) for time in times]
     with BagWriter(tmp_path / "later", {}) as writer:

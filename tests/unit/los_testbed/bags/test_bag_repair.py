@@ -140,6 +140,6 @@ def test_a_repair_gives_no_digests_to_messages_that_had_none(bag, tmp_path):
     repair_bag(tmp_path / "laundered", tmp_path / "twice")
     digests = {name: Run.open(tmp_path / name).has_digests for name in ("bag", "again", "other", "laundered", "twice")}
     assert digests == {"bag": True, "again": True, "other": False, "laundered": False, "twice": False}
-    assert "no digests covered the messages of the bag that was repaired" in Run.open(tmp_path / "laundered").problems
+    assert "not all messages of the bag that was repaired had digests" in Run.open(tmp_path / "laundered").problems
     (row,) = [row for row in check_bag(tmp_path / "laundered").rows if row.name == "digests of chunks"]
-    assert row.state == "none" and "a bag that had none" in row.found
+    assert row.state == "none" and "a bag of which not all messages had digests" in row.found

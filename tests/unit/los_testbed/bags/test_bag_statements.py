@@ -47,7 +47,7 @@ def test_a_whole_run_ends_by_its_plan(bag: Path) -> None:
     found = check_bag(bag)
     assert row_of(found, "end of the run") == BagCheckRow("end of the run", "agrees", "as planned, after 3000 ticks")
     assert found.code == 0 and Run.open(bag).covered_ticks == 3000
-    assert row_of(found, "counts").found.endswith("topics, as in metadata.yaml and the summary")
+    assert row_of(found, "counts").found.endswith("topics, as in metadata.yaml, the summary and the run's record")
 
 
 def test_messages_that_end_before_the_record_of_the_run_are_told(bag: Path, tmp_path: Path, call: Call) -> None:

@@ -238,7 +238,8 @@ def _digests(infos: list[FileInfo]) -> BagCheckRow:
     if refuted:
         return BagCheckRow("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
     if agree == chunks and not digests_cover(infos):
-        return BagCheckRow("digests of chunks", "none", f"{text}, those of a repair of a bag that had none")
+        text += ", those of a repair of a bag of which not all messages had digests"
+        return BagCheckRow("digests of chunks", "none", text)
     return BagCheckRow("digests of chunks", "agrees" if agree == chunks else "damaged", text)
 
 
@@ -264,7 +265,6 @@ class _Source:
     total: int | None
     topics: Mapping[str, int] | None
     read: Mapping[str, int]
-    at_least: bool = False  # a message that came twice is counted once
 
     @property
     def wrong(self) -> list[str]:
@@ -276,7 +276,7 @@ class _Source:
             for topic in (() if known is None else sorted({*known, *self.read}))
             if known is not None and known.get(topic, 0) != self.read.get(topic, 0)
         ]
-        if self.total is None or self.total == read or (self.at_least and self.total < read):
+        if self.total is None or self.total == read:
             return wrong_counts
         return [*wrong_counts, f"{self.name} counts {counted(self.total, 'message')} in all, {read} can be read"]
 
@@ -294,7 +294,7 @@ def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Ma
     stated = count_of(statistics_of(known, "recorder").get("messages"))
     if stated is not None:
         recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
-        sources.append(_Source("the run's record", stated, None, recorded, at_least=True))
+        sources.append(_Source("the run's record", stated, None, recorded))
     return sources
 
 
@@ -311,7 +311,7 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     wrong = [text for source in sources for text in source.wrong]
     if wrong:
         return BagCheckRow("counts", "damaged" if incomplete else "contradicts", _first(wrong))
-    names = [source.name for source in sources if not source.at_least]
+    names = [source.name for source in sources]
     if len(names) > NAMED:
         names[NAMED - 1 :] = [f"{len(names) - NAMED + 1} further summaries"]
     text = f"{counted(contents.topics.total(), 'message')} of {counted(len(contents.topics), 'topic')}"

@@ -158,7 +158,7 @@ def _record(file: Path, info: FileInfo, result: RepairResult, origin: int) -> Ma
     """Record of the losses for later readers of the new bag."""
     notes = [*(str(loss) for loss in result.losses), *info.problems]
     if not digests_cover([info]):
-        notes.append("no digests covered the messages of the bag that was repaired")
+        notes.append("not all messages of the bag that was repaired had digests")
     return {
         "source": file.name,
         "messages": str(result.messages),
