@@ -64,7 +64,21 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
         content.setdefault(TOTAL, []).append({"index": name, **values})
         return
     if kind == SETTING:
-        _set(content, name, cells.get("text", ""), where)
+        text = cells.get("text", "")
+        if name not in SETTINGS:
+            raise InputError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {name!r}")
+        if name in content:
+            raise InputError(f"{where}: setting must be given once, got {name!r}")
+        if name == "axes":
+            content[name] = [axis.strip() for axis in text.split(";")]
+        elif name in WHOLE:
+            # A workbook may have a whole number with a decimal point
+            digits = text.removesuffix(".0").removeprefix("-")
+            if not (digits.isascii() and digits.isdigit() and len(digits) < 19):
+                raise InputError(f"{where}: {name} must be a whole number, got {text!r}")
+            content[name] = int(text.removesuffix(".0"))
+        else:
+            content[name] = text
         return
     if others := [key for key in OF_TOTAL if key in cells]:
         raise InputError(f"{where}: {others[0]} must be empty for a source, got {cells[others[0]]!r}")
@@ -87,28 +101,6 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
     if not last or last in group:
         raise InputError(f"{where}: source must be unique, got {name!r}")
     group[last] = table
-
-
-def _set(content: dict[str, Any], key: str, text: str, where: str) -> None:
-    """A setting of the budget into the content."""
-    if key not in SETTINGS:
-        raise InputError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {key!r}")
-    if key in content:
-        raise InputError(f"{where}: setting must be given once, got {key!r}")
-    if key == "axes":
-        content[key] = [axis.strip() for axis in text.split(";")]
-    elif key in WHOLE:
-        content[key] = _whole(text, where, key)
-    else:
-        content[key] = text
-
-
-def _whole(cell: str, where: str, key: str) -> int:
-    """A whole number; a workbook may have it with a decimal point."""
-    digits = cell.removesuffix(".0").removeprefix("-")
-    if not (digits.isascii() and digits.isdigit() and len(digits) < 19):
-        raise InputError(f"{where}: {key} must be a whole number, got {cell!r}")
-    return int(cell.removesuffix(".0"))
 
 
 def _number(cell: str, where: str, key: str) -> float:

@@ -170,14 +170,6 @@ def _step(
     return A * u + B * v + C * w, B * u + D * v + E * w, C * u + E * v + F * w
 
 
-def _model(place: FloatArray, flux: float, camera: StarCamera) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Derivatives by x, y and flux (3, n n), variance and mean (n n,) of the pixels; the mean without dark current."""
-    image, by_x, by_y = camera.still(place)
-    derivatives = np.stack([flux * by_x.ravel(), flux * by_y.ravel(), image.ravel()])
-    mean = flux * image.ravel()
-    return derivatives, np.maximum(mean, 0.0) + camera.camera.floor_variance, mean
-
-
 def bound(place: FloatArray, camera: StarCamera) -> FloatArray:
     """Smallest standard deviations of an unbiased estimate of x and y of a star at rest (Cramer and Rao) [rad].
 
@@ -191,7 +183,9 @@ def bound(place: FloatArray, camera: StarCamera) -> FloatArray:
     -------
     ndarray, shape (2,)
     """
-    derivatives, variance, _ = _model(place, camera.flux, camera)
+    image, by_x, by_y = camera.still(place)
+    derivatives = np.stack([camera.flux * by_x.ravel(), camera.flux * by_y.ravel(), image.ravel()])
+    variance = np.maximum(camera.flux * image.ravel(), 0.0) + camera.camera.floor_variance
     scale = np.array([camera.optics.pixel, camera.optics.pixel, camera.flux])
     information = (derivatives / variance) @ derivatives.T * np.outer(scale, scale)
     return np.asarray(np.sqrt(np.diag(linalg.inv(information)))[:2] * scale[:2])

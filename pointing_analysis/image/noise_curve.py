@@ -170,11 +170,8 @@ def load_curves(path: Path) -> tuple[NoiseCurve, ...]:
     try:
         return tuple(_curve(entry) for entry in content["curves"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} must hold curves of examples/guide_camera_noise.py, got {_what(error)}") from None
-
-
-def _what(error: Exception) -> str:
-    return f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+        reason = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path} must hold curves of examples/guide_camera_noise.py, got {reason}") from None
 
 
 def _curve(entry: Mapping[str, Any]) -> NoiseCurve:

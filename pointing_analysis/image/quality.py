@@ -225,14 +225,10 @@ def _energy(mean: FloatArray, q: Quadrature, radii: FloatArray) -> FloatArray:
 
 
 def _radius(part: float, optics: Optics, q: Quadrature, x: FloatArray, transfer: ComplexArray) -> FloatArray:
-    """Radius with a part of the energy (m, 1)."""
-    return _radius_of(_azimuthal(q, q.image * transfer), q, part, optics)[:, None]
-
-
-def _radius_of(mean: FloatArray, q: Quadrature, part: float, optics: Optics) -> FloatArray:
-    """Radius with a part of the energy: a table, then bisection and secants on what is left."""
+    """Radius with a part of the energy (m, 1): a table, then bisection and secants on what is left."""
     from scipy import special
 
+    mean = _azimuthal(q, q.image * transfer)
     top = 4.0 * optics.resolution + optics.pixel
     while True:
         grid = np.asarray(np.linspace(0.0, top, RADII), dtype=float)
@@ -255,7 +251,7 @@ def _radius_of(mean: FloatArray, q: Quadrature, part: float, optics: Optics) -> 
         moved, radius = float(np.abs(following - radius).max()), following
         if moved <= 1e-13 * top:
             break
-    return np.where(reached.any(axis=1), radius, math.inf)
+    return np.where(reached.any(axis=1), radius, math.inf)[:, None]
 
 
 def _moments(optics: Optics, q: Quadrature, x: FloatArray, transfer: ComplexArray) -> FloatArray:

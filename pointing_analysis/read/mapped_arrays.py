@@ -270,15 +270,12 @@ class SortedValues:
         high = np.full(wanted.shape, _keys(np.array([max(run[-1] for run in self._runs)]))[0])
         while np.any(low < high):
             middle = low + (high - low) // np.uint64(2)
-            enough = self._not_above(_values(middle)) > wanted
+            not_above = np.zeros(wanted.shape, np.int64)
+            for run in self._runs:
+                not_above += np.searchsorted(run, _values(middle), side="right")
+            enough = not_above > wanted
             low, high = np.where(enough, low, middle + np.uint64(1)), np.where(enough, middle, high)
         return _values(low)
-
-    def _not_above(self, values: FloatArray) -> IntArray:
-        total = np.zeros(values.shape, np.int64)
-        for run in self._runs:
-            total += np.searchsorted(run, values, side="right")
-        return total
 
     def quantile(self, probability: float) -> float:
         """Smallest value that at least this share of the values does not exceed; NaN without values.

@@ -16,13 +16,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss, digests_cover
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
-from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
+from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError
 from pointing_analysis.read.messages.message_types import COLUMNS, UNITS
 from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN, Column, decode_block
 from pointing_analysis.read.recorded_sensors import sensors_of
@@ -61,10 +60,28 @@ class Run:
         self._losses: dict[str, TopicLoss] = {}
         self._topics: dict[str, Topic] = {}
         self._read: BagPass  # the latest one that came to the end
-        self._asked_namespace = namespace
         self._added: Mapping[str, bytes] = {}
-        self.namespace = ""
-        self._first_pass()
+        # Everything is read if it fits; else the arrays are dropped again, and only what describes the bag is kept
+        columns, fits = self._pass(lambda name: True)
+        if not fits:
+            self._read = BagPass(self.path, self._files, self._max_chunk, self._window, heads_only=True)
+            for _ in self._read.blocks():
+                pass
+            self._noted.update(dict.fromkeys(self._read.problems()))
+        metadata, _ = merged(self._read.infos)
+        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in metadata.items()})
+        every = {c.topic: c for info in self._read.infos for c in info.channels.values()}
+        named = self.parameters.get(REMAPPED)
+        names = named.items() if isinstance(named, dict) else ()
+        self._recorded_as = {str(usual): str(name) for usual, name in names if str(name) in every}
+        self._usual = {name: usual for usual, name in self._recorded_as.items()}
+        channels = {self._usual.get(topic, topic): channel for topic, channel in every.items()}
+        self.namespace = self._choose_namespace(channels, namespace)
+        self._schemas = {self.short(t): c.schema for t, c in channels.items() if t.startswith(self.namespace + "/")}
+        if fits:
+            for topic, column in columns.items():
+                if self._usual.get(topic, topic).startswith(self.namespace + "/"):
+                    self._topics[self.short(topic)] = self._finished(column)
 
     @classmethod
     def open(
@@ -102,35 +119,25 @@ class Run:
 
     # -- reading ------------------------------------------------------------------------------------------------
 
-    def _first_pass(self) -> None:
-        """Read everything if it fits; else drop the arrays again and keep only what describes the bag."""
-        columns, fits = self._pass(lambda name: True)
-        if not fits:
-            self._read = BagPass(self.path, self._files, self._max_chunk, self._window, heads_only=True)
-            for _ in self._read.blocks():
-                pass
-            self._noted.update(dict.fromkeys(self._read.problems()))
-        metadata, _ = merged(self._read.infos)
-        self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in metadata.items()})
-        every = {c.topic: c for info in self._read.infos for c in info.channels.values()}
-        named = self.parameters.get(REMAPPED)
-        names = named.items() if isinstance(named, dict) else ()
-        self._recorded_as = {str(usual): str(name) for usual, name in names if str(name) in every}
-        self._usual = {name: usual for usual, name in self._recorded_as.items()}
-        channels = {self._usual.get(topic, topic): channel for topic, channel in every.items()}
-        self.namespace = self._choose_namespace(channels)
-        self._schemas = {self.short(t): c.schema for t, c in channels.items() if t.startswith(self.namespace + "/")}
-        if fits:
-            for topic, column in columns.items():
-                if self._usual.get(topic, topic).startswith(self.namespace + "/"):
-                    self._topics[self.short(topic)] = self._finished(column)
-
     def _pass(self, selects: Callable[[str], bool]) -> tuple[dict[str, Column], bool]:
         """One pass over the files; returns the columns and whether they stayed inside the memory limit."""
         reading = BagPass(self.path, self._files, self._max_chunk, self._window)
         columns: dict[str, Column] = {}
         for info, block in reading.blocks():
-            self._take(block, info, columns, selects, reading.seconds(block))
+            start, stop = self._window
+            seconds = reading.seconds(block)
+            for channel, rows in block.by_channel(info.channels):
+                if channel.encoding != "cdr" or channel.schema not in COLUMNS or not selects(channel.topic):
+                    continue
+                if self._window != WHOLE:
+                    rows = rows[(seconds[rows] >= start) & (seconds[rows] < stop)]
+                if not rows.size:
+                    continue
+                column = columns.setdefault(channel.topic, Column(channel.topic, channel.schema))
+                try:
+                    decode_block(column, block, rows)
+                except BagError as error:
+                    raise BagError(f"{self.path}: {channel.topic}: {error}") from None
             if sum(c.nbytes for c in columns.values()) > self._limit:
                 return {}, False
         self._read, self._losses = reading, {loss.topic: loss for loss in reading.losses()}
@@ -143,7 +150,10 @@ class Run:
         column.name = name
         rate = self.parameters.get("rate_hz")
         period = 1.0 / rate if name in OF_EVERY_TICK and is_number(rate) and rate > 0 else None
-        topic = column.topic(self._unit(name, column.schema), period)
+        # The unit of the testbed's own topics, of a sensor as the recording describes it, else of the type
+        described = {sensor.topic: ", ".join(sensor.unit.split(",")) for sensor in sensors_of(self)}
+        unit = {**described, **KNOWN}.get(name, UNITS[column.schema])
+        topic = column.topic(unit, period)
         unfinished = self._window[1] == math.inf and self._read.cut
         before, after = self._lost_ends(topic)
         expected = self._expected(topic)
@@ -153,11 +163,6 @@ class Run:
         unsent = run_end(self.parameters).unsent if whole else 0
         topic = replace(topic, lost_before=before, lost_after=after, unsent_after=unsent)
         return replace(topic, open_end=unfinished and expected is None)
-
-    def _unit(self, name: str, schema: str) -> str:
-        """Unit of a topic: of the testbed's own ones, of a sensor as the recording describes it, else of its type."""
-        described = {sensor.topic: ", ".join(sensor.unit.split(",")) for sensor in sensors_of(self)}
-        return {**described, **KNOWN}.get(name, UNITS[schema])
 
     def _lost_ends(self, topic: Topic) -> tuple[int, int]:
         """Messages before the first and after the last one that the bag knows to be lost."""
@@ -185,36 +190,14 @@ class Run:
             return None  # which a rig need not have
         return sent if topic.name in OF_EVERY_TICK else None
 
-    def _take(
-        self,
-        block: Block,
-        info: FileInfo,
-        columns: dict[str, Column],
-        selects: Callable[[str], bool],
-        seconds: FloatArray,
-    ) -> None:
-        start, stop = self._window
-        for channel, rows in block.by_channel(info.channels):
-            if channel.encoding != "cdr" or channel.schema not in COLUMNS or not selects(channel.topic):
-                continue
-            if self._window != WHOLE:
-                rows = rows[(seconds[rows] >= start) & (seconds[rows] < stop)]
-            if not rows.size:
-                continue
-            column = columns.setdefault(channel.topic, Column(channel.topic, channel.schema))
-            try:
-                decode_block(column, block, rows)
-            except BagError as error:
-                raise BagError(f"{self.path}: {channel.topic}: {error}") from None
-
-    def _choose_namespace(self, names: Iterable[str]) -> str:
+    def _choose_namespace(self, names: Iterable[str], asked: str | None) -> str:
         plants = defaultdict(set)
         for name in names:
             for short in KNOWN:
                 if name.endswith("/" + short):
                     plants[name[: -len(short) - 1]].add(short)
-        if self._asked_namespace is not None:
-            chosen = "/" + self._asked_namespace.strip("/") if self._asked_namespace.strip("/") else ""
+        if asked is not None:
+            chosen = "/" + asked.strip("/") if asked.strip("/") else ""
             if chosen not in plants:
                 raise BagError(f"{self.path}: namespace must be one of {sorted(plants)}, got {chosen!r}")
             return chosen

@@ -70,7 +70,13 @@ class GapStepper:
     def __call__(self, sample: FloatArray, gap: int, out: FloatArray) -> None:
         """Step over `gap` missing ticks, then on `sample` (size,); the result is written into `out`."""
         if 0 < gap <= self._limit:
-            for between in self._samples(sample, gap):
+            missing = np.tile(self._before, (gap, 1))
+            if self._line:
+                with np.errstate(invalid="ignore", over="ignore"):
+                    missing += np.arange(1, gap + 1)[:, None] / (gap + 1) * (sample - self._before)
+                missing = np.where(np.isfinite(missing), missing, self._before)
+            missing[:, self._intermittent] = np.nan
+            for between in missing:
                 self._step(between, out)
         self._step(sample, out)
         self._before[:] = sample
@@ -84,13 +90,3 @@ class GapStepper:
                 self._before[:] = samples[last - 1]
             elif last > first:
                 self(samples[first], int(gaps[first]), out[first])
-
-    def _samples(self, sample: FloatArray, gap: int) -> FloatArray:
-        """Samples of the missing ticks, shape (gap, size)."""
-        rows = np.tile(self._before, (gap, 1))
-        if self._line:
-            with np.errstate(invalid="ignore", over="ignore"):
-                rows += np.arange(1, gap + 1)[:, None] / (gap + 1) * (sample - self._before)
-            rows = np.where(np.isfinite(rows), rows, self._before)
-        rows[:, self._intermittent] = np.nan
-        return rows

@@ -176,7 +176,10 @@ def _complete_ticks(run: Run, layout: LoopLayout) -> tuple[Stamps, int, int]:
     fast = [run[name] for name in layout.columns if name not in layout.held]
     stamp = fast[0].stamp
     for topic in fast[1:]:
-        stamp = _common(stamp, topic.stamp)
+        common = GrowingArray(None, np.int64)
+        for rows, _ in common_rows(stamp, topic.stamp):
+            common.append(stamp[rows])
+        stamp = common.array()
     if not stamp.size:
         raise BagError(f"{run.path}: the sensors must have common stamps, got none")
     for camera in (run[name] for name in layout.held):
@@ -226,14 +229,6 @@ def sensors(run: Run, layout: LoopLayout = REFERENCE_LAYOUT) -> Sensors:
                 )
             measurement[rows, columns] = values
     return Sensors(stamp, read_only(measurement), period, incomplete)
-
-
-def _common(first: Stamps, second: Stamps) -> Stamps:
-    """Stamps that both have."""
-    kept = GrowingArray(None, np.int64)
-    for rows, _ in common_rows(first, second):
-        kept.append(first[rows])
-    return kept.array()
 
 
 def _ticks(stamp: Stamps, done: Stamps | None) -> IntArray:

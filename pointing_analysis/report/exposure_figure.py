@@ -65,10 +65,11 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
             axis.plot([], [], color="#555555", ls=DASHES[k % len(DASHES)], label=name)
         axis.plot([], [], color="#555555", ls=":", label="rms of all")
         for k, part in enumerate(wanted):
-            marks = [(window, limit) for window, limit, probability in asked if probability == part]
-            for number, (window, limit) in enumerate(marks):
+            limits = [(1e3 * window, limit / RAD_PER_MAS) for window, limit, p in asked if p == part]
+            for number, (window, limit) in enumerate(limits):
                 name = "_nolegend_" if number else f"limit for {100 * part:.6g} %"
-                _draw_limit(axis, 1e3 * window, limit / RAD_PER_MAS, "v^<>"[k % 4], name)
+                axis.plot([window / REACH, window * REACH], [limit, limit], color=LIMIT, lw=1.4)
+                axis.plot(window, limit, "v^<>"[k % 4], color=LIMIT, ms=6, label=name)
         _label_limits(axis, sorted({(1e3 * window, limit / RAD_PER_MAS) for window, limit, _ in asked}))
         axis.set_xlabel("length of the window [ms]")
         axis.set_ylabel("rms RPE of a window [mas]")
@@ -77,12 +78,6 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
     parts = " and ".join(f"{100 * part:.6g} %" for part in wanted)
     alt = f"Relative error in windows of each length, rms and {parts} of the windows; marks: limits at their windows"
     return picture("rpe-over-exposure", "RPE by window length", alt, 3.8, draw)
-
-
-def _draw_limit(axis: Axes, window: float, limit: float, mark: str, name: str) -> None:
-    """A limit [mas] at its window [ms]: a mark on a short line."""
-    axis.plot([window / REACH, window * REACH], [limit, limit], color=LIMIT, lw=1.4)
-    axis.plot(window, limit, mark, color=LIMIT, ms=6, label=name)
 
 
 def _label_limits(axis: Axes, limits: Sequence[tuple[float, float]]) -> None:

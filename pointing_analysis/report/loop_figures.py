@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -45,24 +44,20 @@ def nyquist(names: Sequence[str], loops: Sequence[Sequence[LoopCurves]]) -> Pict
 
     def draw(figure: Figure) -> None:
         for axis, place in zip(_panels(figure, len(places), columns=len(places)), places):
-            _nyquist(axis, place, names, loops)
+            for i, (name, curves) in enumerate(zip(names, loops)):
+                for curve in (c for c in curves if c.place == place):
+                    inside = np.where(np.abs(curve.loci) < 3.0 * REACH, curve.loci, np.nan)
+                    for k in range(inside.shape[1]):
+                        label = name if k == 0 else "_nolegend_"
+                        axis.plot(inside[:, k].real, inside[:, k].imag, label=label, **stroke(i, len(names)))
+                    axis.add_patch(Circle((-1.0, 0.0), 1.0 / curve.limit, fill=False, color=LIMIT, ls="--"))
+            axis.plot(-1.0, 0.0, "+", color=LIMIT, ms=8)
+            axis.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal", title=place, xlabel="real part")
+            axis.set_ylabel("imaginary part")
         legend_above(figure, figure.axes[0])
 
     alt = "Eigenvalues of the open loop in the complex plane, with the critical point -1 and the circle of the limit"
     return picture("nyquist", "Nyquist curves of the loop (model)", alt, 4.6 / len(places), draw)
-
-
-def _nyquist(axis: Axes, place: str, names: Sequence[str], loops: Sequence[Sequence[LoopCurves]]) -> None:
-    for i, (name, curves) in enumerate(zip(names, loops)):
-        for curve in (c for c in curves if c.place == place):
-            inside = np.where(np.abs(curve.loci) < 3.0 * REACH, curve.loci, np.nan)
-            for k in range(inside.shape[1]):
-                label = name if k == 0 else "_nolegend_"
-                axis.plot(inside[:, k].real, inside[:, k].imag, label=label, **stroke(i, len(names)))
-            axis.add_patch(Circle((-1.0, 0.0), 1.0 / curve.limit, fill=False, color=LIMIT, ls="--"))
-    axis.plot(-1.0, 0.0, "+", color=LIMIT, ms=8)
-    axis.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal", title=place, xlabel="real part")
-    axis.set_ylabel("imaginary part")
 
 
 def sensitivity(names: Sequence[str], loops: Sequence[Sequence[LoopCurves]]) -> Picture | None:

@@ -50,32 +50,25 @@ def write_pdf(content: ReportContent, path: Path, paper: Paper = "a4") -> None:
         (folder / TEMPLATE.name).write_bytes(TEMPLATE.read_bytes())
         for picture in content.pictures:
             (folder / f"{picture.name}.svg").write_bytes(picture.svg)
-        (folder / "report.json").write_text(json.dumps(_as_data(content, PAPERS[paper])), "utf-8")
+        data = {
+            "paper": PAPERS[paper],
+            "title": content.title,
+            "subtitle": content.subtitle,
+            "overall": [{"label": label, **_cell(verdict)} for label, verdict in content.overall],
+            "several": content.several,
+            "verdict": _table(content.verdict),
+            "warnings": [_part(part) for part in content.warnings],
+            "leading": _columns(content.leading),
+            "further": _columns(content.further),
+            "missing": content.missing,
+            "tables": _sections(content.tables),
+            "notes": _sections(content.notes),
+        }
+        (folder / "report.json").write_text(json.dumps(data), "utf-8")
         made = typst.compile(
             str(folder / TEMPLATE.name), font_paths=[str(fonts)], ignore_system_fonts=True, format="pdf"
         )
         temporary.write_bytes(made)
-
-
-def _as_data(content: ReportContent, paper: str) -> dict[str, Any]:
-    return {
-        "paper": paper,
-        "title": content.title,
-        "subtitle": content.subtitle,
-        "overall": [{"label": label, **_cell(verdict)} for label, verdict in content.overall],
-        "several": content.several,
-        "verdict": _table(content.verdict),
-        "warnings": [_part(part) for part in content.warnings],
-        "leading": _columns(content.leading),
-        "further": _columns(content.further),
-        "missing": content.missing,
-        "tables": _sections(content.tables),
-        "notes": _sections(content.notes),
-    }
-
-
-def _picture(picture: Picture) -> dict[str, str]:
-    return {"file": f"{picture.name}.svg", "title": picture.title, "alt": picture.alt}
 
 
 def _columns(pictures: Sequence[Picture]) -> list[list[dict[str, str]]]:
@@ -84,7 +77,7 @@ def _columns(pictures: Sequence[Picture]) -> list[list[dict[str, str]]]:
     heights = [0.0, 0.0]
     for picture in pictures:
         k = heights.index(min(heights))
-        columns[k].append(_picture(picture))
+        columns[k].append({"file": f"{picture.name}.svg", "title": picture.title, "alt": picture.alt})
         heights[k] += picture.height + TITLE
     return columns if pictures else []
 

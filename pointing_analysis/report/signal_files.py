@@ -216,15 +216,11 @@ def _npz(signals: Sequence[TopicSignal], path: Path) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def _rows(signals: Sequence[TopicSignal]) -> tuple[IntArray, FloatArray, list[IntArray]]:
-    """Stamps of all signals, their time, and the row of each sample."""
-    stamps = np.unique(np.concatenate([s.stamp for s in signals]))
-    return stamps, (stamps - stamps[0]) / NANO, [np.searchsorted(stamps, s.stamp) for s in signals]
-
-
 def _blocks(signals: Sequence[TopicSignal]) -> Iterator[tuple[FloatArray, list[FloatArray]]]:
     """Time and values of a table by blocks of rows; NaN where a topic has no sample."""
-    _, time, places = _rows(signals)
+    stamps = np.unique(np.concatenate([s.stamp for s in signals]))
+    time = (stamps - stamps[0]) / NANO
+    places = [np.searchsorted(stamps, s.stamp) for s in signals]
     for low in range(0, len(time), ROWS):
         high = min(low + ROWS, len(time))
         columns: list[FloatArray] = []

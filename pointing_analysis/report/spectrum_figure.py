@@ -74,16 +74,6 @@ def _named(views: Sequence[RunView]) -> list[tuple[float, str]]:
     return list(names.values())[: NAMES if len(views) == 1 else NAMES_OF_SEVERAL]
 
 
-def _peaks(curves: Sequence[Curve]) -> list[tuple[float, float, str]]:
-    """Frequency, height of the highest curve there, and name of each line that is in a spectrum."""
-    peaks = []
-    for hertz, name in _named([view for view, *_ in curves]):
-        height = _highest(curves, hertz - 0.5, hertz + 0.5)
-        if height > 0.0:
-            peaks.append((hertz, height, name))
-    return peaks
-
-
 def _highest(curves: Sequence[Curve], low: float, high: float) -> float:
     """Largest value of all curves between two frequencies; zero where there is none."""
     parts = [slice(*np.searchsorted(frequency, [low, high])) for _, frequency, _ in curves]
@@ -93,7 +83,11 @@ def _highest(curves: Sequence[Curve], low: float, high: float) -> float:
 
 def _name(axis: Axes, curves: Sequence[Curve]) -> None:
     """Names above the curves at their peaks, higher where they would cover others; the axis is as high as they need."""
-    peaks = _peaks(curves)
+    peaks = []
+    for hertz, name in _named([view for view, *_ in curves]):
+        height = _highest(curves, hertz - 0.5, hertz + 0.5)
+        if height > 0.0:
+            peaks.append((hertz, height, name))
     if not peaks:
         return
     (left, right), (low, high) = np.log10(axis.get_xlim()), np.log10(axis.get_ylim())

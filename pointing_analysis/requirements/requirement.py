@@ -238,7 +238,8 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
     m = _TEXT.fullmatch(text.strip())
     if m is None or (m["sign"] == "|") != bool(m["end"]):
         raise InputError(f"requirement must read like '{EXAMPLE}', got {text!r}")
-    index, kind = _canonical(m["index"]), m["kind"] or "temporal"
+    any_case, kind = m["index"].upper(), m["kind"] or "temporal"
+    index = {known.upper(): known for known in INDICES}.get(any_case, any_case)
     if index not in IMAGE_INDICES and not (m["sign"] and m["unit"]):
         _member("index", index, INDICES)
         raise InputError(f"requirement must read like '{EXAMPLE}', got {text!r}")
@@ -286,11 +287,6 @@ def parse(text: str, name: str = "", loops: Sequence[str] = ()) -> Requirement:
 
 
 EXAMPLE = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
-
-
-def _canonical(name: str) -> str:
-    """Index as in `INDICES`, regardless of case."""
-    return {known.upper(): known for known in INDICES}.get(name.upper(), name.upper())
 
 
 def _check_relation(m: re.Match[str], index: str, text: str) -> None:

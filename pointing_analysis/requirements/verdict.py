@@ -423,7 +423,11 @@ def _judged(requirement: Requirement, runs: Sequence[Recording], transient: floa
     if requirement.interpretation == "mixed":
         values = np.concatenate([one.values for one in collected])
         missing = sum(one.missing for one in collected)
-        return decide(requirement, values, _of_all(requirement, collected), seconds, missing)
+        sizes, each = [len(one.values) for one in collected], [one.effective(requirement) for one in collected]
+        number = pooled_number([n.number for n in each], sizes)
+        with_missing = pooled_number([n.with_missing for n in each], sizes)
+        effective = EffectiveSamples(number, with_missing, max(n.unseen for n in each))
+        return decide(requirement, values, effective, seconds, missing)
     verdicts = [one.decided(requirement, len(collected)) for one in collected]
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2}
     sign = 1.0 if requirement.lower else -1.0
@@ -446,15 +450,6 @@ def not_judged_by(run: Recording) -> str:
     if FAULT in plant and any((run[name].stamp[-1:] >= since).any() for name in (COMMAND, GAUGE) if name in run):
         return f"the device failed: {plant[FAULT]}{cut}"
     return ""
-
-
-def _of_all(requirement: Requirement, runs: Sequence[IndexSamples]) -> EffectiveSamples:
-    """Independent samples that those of all runs together weigh as much as."""
-    sizes, each = [len(one.values) for one in runs], [one.effective(requirement) for one in runs]
-    number, with_missing = (
-        pooled_number(numbers, sizes) for numbers in ([n.number for n in each], [n.with_missing for n in each])
-    )
-    return EffectiveSamples(number, with_missing, max(n.unseen for n in each))
 
 
 def _worst(values: FloatArray, requirement: Requirement) -> float:

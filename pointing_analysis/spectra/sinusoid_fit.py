@@ -68,7 +68,12 @@ def fit_sinusoids(error: FloatArray, weight: FloatArray, dt: float, omega: Float
     gram, right = _products(e, weight, dt, w, slopes=False)
     coefficients, k = _solve(gram, right), w.size
     phasor = coefficients[2 : 2 + k] - 1j * coefficients[2 + k :]
-    return Sinusoids(w, phasor, _rest(e, weight, dt, w, coefficients))
+    rest, n = np.empty_like(e), len(e)
+    for begin in range(0, n, ROWS):
+        rows = slice(begin, min(begin + ROWS, n))
+        rest[rows] = e[rows] - _basis(rows, n, dt, w, slopes=False) @ coefficients
+    rest[weight == 0.0] = 0.0
+    return Sinusoids(w, phasor, rest)
 
 
 def _basis(rows: slice, n: int, dt: float, omega: FloatArray, slopes: bool = True) -> FloatArray:
@@ -126,12 +131,3 @@ def _apart(omega: FloatArray, power: FloatArray, duration: float) -> FloatArray:
         if all(abs(omega[i] - other) * duration >= MERGED * 2.0 * np.pi for other in kept):
             kept.append(float(omega[i]))
     return np.array(sorted(kept))
-
-
-def _rest(e: FloatArray, weight: FloatArray, dt: float, omega: FloatArray, coefficients: FloatArray) -> FloatArray:
-    rest, n = np.empty_like(e), len(e)
-    for begin in range(0, n, ROWS):
-        rows = slice(begin, min(begin + ROWS, n))
-        rest[rows] = e[rows] - _basis(rows, n, dt, omega, slopes=False) @ coefficients
-    rest[weight == 0.0] = 0.0
-    return rest

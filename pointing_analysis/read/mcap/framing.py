@@ -118,7 +118,9 @@ class Framing:
         while at < self.stop:
             i = int(np.searchsorted(self._places, at))
             if i < self._places.size and int(self._places[i]) == at:
-                frame = Frame(self.anchors[at][0], at, self.anchors[at][1], defect=self._differs(at))
+                op, length = self.anchors[at]
+                agrees = self.peek(at, RECORD.size) == RECORD.pack(op, length)
+                frame = Frame(op, at, length, defect="" if agrees else "its header is damaged")
             else:
                 frame = self._frame(at, int(self._places[i]) if i < self._places.size else self.stop)
             self.chunked |= frame.op == OP_CHUNK
@@ -128,10 +130,6 @@ class Framing:
     def _confirmed(self, at: int, op: int, length: int) -> bool:
         """Whether the header or the content of a record agrees with the summary."""
         return self.peek(at, RECORD.size) == RECORD.pack(op, length) or self._agrees(op, at, length, self.stop)
-
-    def _differs(self, at: int) -> str:
-        head = self.peek(at, RECORD.size)
-        return "" if head == RECORD.pack(*self.anchors[at]) else "its header is damaged"
 
     def _measure(self, op: int, at: int, stop: int) -> int | None:
         """Length of the content of a record at `at` by its inner lengths; None if they lead beyond `stop`."""

@@ -135,7 +135,10 @@ class _Walk:
         if op == OP_CHUNK:
             first, last = self._times(frame)
             if self.info.unpacks(first, last):
-                self._keep_chunk(frame)
+                if frame.length > self.info.max_chunk:
+                    reason = f"a chunk of {frame.length / 1e6:.0f} MB is larger than the limit of "
+                    self._lost(frame, f"{reason}{self.info.max_chunk / 1e6:g} MB (--max-chunk)")
+                self.chunk = (frame, self._body(frame) if frame.length <= self.info.max_chunk else b"")
             self.manifest = None if self.chunk is None else self.manifest
         elif op == OP_MANIFEST:
             self.manifest = self._manifest_at(frame)
@@ -154,12 +157,6 @@ class _Walk:
             return self.summary.times[frame.at]
         head = self.framing.peek(frame.at + RECORD.size, 16)
         return struct.unpack("<QQ", head) if len(head) == 16 else (0, 0)  # type: ignore[return-value]
-
-    def _keep_chunk(self, frame: Frame) -> None:
-        if frame.length > self.info.max_chunk:
-            reason = f"a chunk of {frame.length / 1e6:.0f} MB is larger than the limit of "
-            self._lost(frame, f"{reason}{self.info.max_chunk / 1e6:g} MB (--max-chunk)")
-        self.chunk = (frame, self._body(frame) if frame.length <= self.info.max_chunk else b"")
 
     def _cut_off(self, frame: Frame) -> Iterator[Block]:
         """The last record of a file that ends inside it."""

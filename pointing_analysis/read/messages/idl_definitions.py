@@ -91,7 +91,15 @@ class _Reader:
                 self.members_of_modules((*scope, name))
                 self._take("}")
             elif kind == "struct":
-                self._structure(scope)
+                name, fields = self._take(), []
+                self._take("{")
+                while self._next != "}":
+                    base, count = self._type()
+                    member, size = self._declared()
+                    self._take(";")
+                    fields.append(Field(base, member, _in_all(count, size)))
+                self._take("}")
+                self._types[short_name("/".join((*scope, name)))] = tuple(fields)
             elif kind == "typedef":
                 base, count = self._type()
                 name, size = self._declared()
@@ -102,17 +110,6 @@ class _Reader:
             else:
                 raise InputError(f"{kind[:40]!r}, which messages of ROS do not have")
             self._take(";")
-
-    def _structure(self, scope: tuple[str, ...]) -> None:
-        name, fields = self._take(), []
-        self._take("{")
-        while self._next != "}":
-            kind, count = self._type()
-            member, size = self._declared()
-            self._take(";")
-            fields.append(Field(kind, member, _in_all(count, size)))
-        self._take("}")
-        self._types[short_name("/".join((*scope, name)))] = tuple(fields)
 
     def _declared(self) -> tuple[str, int | None]:
         """Name of a member, and its number of elements where it is an array."""

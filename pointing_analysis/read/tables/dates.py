@@ -75,18 +75,14 @@ def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
 def _moment(part: dict[str, str | None]) -> str:
     """ISO 8601 of the parts of a date."""
     if part.get("number"):
-        day = _day_of_year(str(part["year"]), int(str(part["number"])))
+        year, number = str(part["year"]), int(str(part["number"]))
+        day = str(np.datetime64(f"{year}-01-01", "D") + np.timedelta64(number - 1, "D"))
+        if not number or day[:4] != year:
+            raise InputError("cells must be dates with a time of day")
     else:
         day = f"{part['year']}-{int(str(part['month'])):02d}-{int(str(part['day'])):02d}"
     second = (part["second"] or "00").replace(",", ".")
     return f"{day}T{int(str(part['hour'])):02d}:{part['minute']}:{second}"
-
-
-def _day_of_year(year: str, number: int) -> str:
-    day = np.datetime64(f"{year}-01-01", "D") + np.timedelta64(number - 1, "D")
-    if not number or str(day)[:4] != year:
-        raise InputError("cells must be dates with a time of day")
-    return str(day)
 
 
 def _offset(text: str | None) -> int:

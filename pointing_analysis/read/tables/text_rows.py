@@ -239,7 +239,9 @@ def _with_units(parsed: Rows, comments: Sequence[str]) -> Rows:
         rows, stated = rows[1:], units
     if not any(stated):
         stated = _units_in_comments(comments, parsed.names)
-    return replace(parsed, cells=rows, units=stated or parsed.units, units_of_all=tuple(_units_in(comments)))
+    in_comments = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
+    of_all = tuple(unit for unit in in_comments if unit in ANGLES)
+    return replace(parsed, cells=rows, units=stated or parsed.units, units_of_all=of_all)
 
 
 def _row_of_units(rows: Sequence[Row]) -> list[str] | None:
@@ -269,9 +271,3 @@ def _units_in_comments(comments: Sequence[str], names: Sequence[str]) -> list[st
         if len(units) == len(names) > 1:
             return ["" if unit in _NO_UNIT else unit for unit in units]
     return []
-
-
-def _units_in(comments: Sequence[str]) -> list[str]:
-    """Units of angle that comments name for all columns."""
-    units = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
-    return [unit for unit in units if unit in ANGLES]
