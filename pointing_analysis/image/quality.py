@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -42,29 +41,6 @@ ONE_PEAK = 2.0
 STEPS = 20
 RADII = 160
 BLOCK = 1 << 17
-
-
-@dataclass(frozen=True)
-class Moments:
-    """Weighted second moments of images.
-
-    Parameters
-    ----------
-    size : ndarray, shape (m,)
-        R^2 [rad^2].
-    e1, e2 : ndarray, shape (m,)
-    """
-
-    size: FloatArray
-    e1: FloatArray
-    e2: FloatArray
-
-    @property
-    def ellipticity(self) -> FloatArray:
-        """Absolute ellipticity, (m,)."""
-        return np.asarray(np.hypot(self.e1, self.e2))
-
-
 MOMENTS = ("size", "e1", "e2", "ellipticity")
 """Figures that are computed together."""
 Figure = Callable[[Optics, Quadrature, FloatArray, ComplexArray], FloatArray]
@@ -111,12 +87,6 @@ def figures(paths: FloatArray, optics: Optics, names: Sequence[str]) -> dict[str
 def strehl(paths: FloatArray, optics: Optics) -> FloatArray:
     """Strehl ratio of the motion in each exposure: (m, N + 1, 2) [rad] -> (m,)."""
     return figures(paths, optics, ("strehl",))["strehl"]
-
-
-def moments(paths: FloatArray, optics: Optics) -> Moments:
-    """Size and ellipticity of each exposure, with the Gaussian weight of the optics: (m, N + 1, 2) [rad] -> (m,)."""
-    found = figures(paths, optics, ("size", "e1", "e2"))
-    return Moments(found["size"], found["e1"], found["e2"])
 
 
 def encircled_energy(path: FloatArray, optics: Optics, radii: FloatArray) -> FloatArray:

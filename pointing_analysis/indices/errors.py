@@ -106,9 +106,9 @@ def _drop(
                 f"{path}: the line of sight must have angles below {LARGEST:g} rad, "
                 f"got {rows[part][row, column]:g} rad at {(first + part.start + row) * dt:g} s"
             )
-    seen = seen_samples(values, first, dt, axis)
-    missing = sum(int(np.isnan(seen.values[part]).any(axis=1).sum()) for part in parts(len(seen.values)))
-    return ErrorSeries(read_only(seen.values), seen.dt, first * dt, missing, open_end, seen.unseen)
+    samples, period, unseen = seen_samples(values, rows, judged, dt)
+    missing = sum(int(np.isnan(samples[part]).any(axis=1).sum()) for part in parts(len(samples)))
+    return ErrorSeries(read_only(samples), period, first * dt, missing, open_end, unseen)
 
 
 def on_camera(run: Recording) -> bool:

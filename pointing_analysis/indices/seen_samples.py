@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,34 +60,25 @@ class Unseen:
 ALL_SEEN = Unseen()
 
 
-@dataclass(frozen=True)
-class SeenSamples:
-    """Samples of a record.
-
-    Attributes
-    ----------
-    values : (m, 2) [rad], NaN where a sample is missing or shows nothing
-    dt : from one to the next [s]
-    unseen : what they do not show
-    """
-
-    values: FloatArray
-    dt: float
-    unseen: Unseen
-
-
-def seen_samples(record: FloatArray, first: int, dt: float, axis: str = "") -> SeenSamples:
-    """Samples of a record from one of its rows on.
+def seen_samples(
+    record: FloatArray, rows: FloatArray, judged: Sequence[bool], dt: float
+) -> tuple[FloatArray, float, Unseen]:
+    """Samples behind the last rows of a record.
 
     Parameters
     ----------
-    record : (n, 2) [rad], NaN where a sample is missing
-    first : row; those before tell whether an axis that does not move came to a stop
+    record : (n, 2) [rad], NaN where a sample is missing; all of it tells whether an axis came to a stop
+    rows : (m, 2) the last rows of it, zero in an axis that is not judged
+    judged : of each axis
     dt : period of the rows [s]
-    axis : ``x`` or ``y``: of this axis alone, the other one is zero; "" of both
+
+    Returns
+    -------
+    values : (k, 2) [rad], NaN where a sample is missing or shows nothing
+    dt : from one to the next [s]
+    unseen : what they do not show
     """
-    judged = [axis in ("", one) for one in AXES]
-    rows = by_parts(lambda part: np.where(judged, part, 0.0), record[first:, :2])
+    first = len(record) - len(rows)
     shares: list[tuple[str, float]] = []
     remarks: list[str] = []
     moving, hold = rows, hold_of(rows)
@@ -127,7 +119,7 @@ def seen_samples(record: FloatArray, first: int, dt: float, axis: str = "") -> S
     if quantum := coarse_quantum(rows):
         step = digits(quantum / RAD_PER_MAS)
         remarks.append(f"the values have steps of {step} mas, larger than the motion: smaller figures are not known")
-    return SeenSamples(rows, dt, Unseen(tuple(shares), quantum, tuple(remarks)))
+    return rows, dt, Unseen(tuple(shares), quantum, tuple(remarks))
 
 
 def _is_constant(axis: FloatArray) -> bool:

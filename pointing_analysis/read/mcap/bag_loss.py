@@ -334,7 +334,7 @@ class LossLedger:
             if info.statistics is not None:
                 known += 1
                 expected += sum(info.statistics.get(number, 0) for number in channels)
-            times = [chunk.times[n] for chunk in info.lost_chunks for n in channels if n in chunk.times]
+            times = [chunk[n] for chunk in info.lost_chunks for n in channels if n in chunk]
             spans += [Span((t[0] - origin) / NANO, (t[-1] - origin) / NANO, int(t.size)) for t in times]
         indexed = sum(span.messages for span in spans)
         total = expected if known == len(infos) else max(counts.get(topic, 0), read.count + indexed)

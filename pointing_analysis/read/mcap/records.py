@@ -91,22 +91,6 @@ class Attachment:
 
 
 @dataclass(frozen=True)
-class LostChunk:
-    """A chunk of which something is lost, as its index records tell of it.
-
-    Attributes
-    ----------
-    offset : of the chunk in the file [byte]
-    reason : what is wrong with it
-    times : channel -> log times [ns] of the messages that it held
-    """
-
-    offset: int
-    reason: str
-    times: dict[int, IntArray]
-
-
-@dataclass(frozen=True)
 class Expected:
     """Messages of a channel as manifests name them: last sequence number, first and last log time [ns]."""
 
@@ -128,7 +112,7 @@ class FileInfo:
     problems : defects, one sentence each
     damage : offset [byte] and description of each damaged place; those that lost nothing as well
     contradictions : records with a valid checksum that contradict the file's digests; in `problems` as well
-    lost_chunks : unreadable chunks whose index lists their content
+    lost_chunks : of unreadable chunks, by channel: log times [ns] of the messages that their index lists
     expected : by channel, what the manifests of the chunks say
     manifests : whole ones
     stated : digest of the file at its end; empty without one
@@ -153,7 +137,7 @@ class FileInfo:
     problems: list[str] = field(default_factory=list)
     damage: list[tuple[int, str]] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
-    lost_chunks: list[LostChunk] = field(default_factory=list)
+    lost_chunks: list[dict[int, IntArray]] = field(default_factory=list)
     expected: dict[int, Expected] = field(default_factory=dict)
     manifests: int = 0
     stated: bytes = b""

@@ -50,7 +50,6 @@ from pointing_analysis.read.mcap.records import (
     BagError,
     Block,
     FileInfo,
-    LostChunk,
     read_side_record,
     with_article,
 )
@@ -106,7 +105,11 @@ class _Walk:
                 break
             self._defect(frame)
             if not frame.whole:
-                yield from self._cut_off(frame)
+                what = f"{self.where}: the file ends inside {with_article(frame.op)}"
+                self.info.problems.append(f"{what}: the recording is truncated")
+                if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
+                    self.chunk = (frame, self._body(frame))
+                    yield from self._flush_chunk()
                 break
             self.damaged |= frame.op != OP_CHUNK and (bool(frame.defect) or frame.length > self.info.max_chunk)
             self._record(frame)
@@ -115,7 +118,14 @@ class _Walk:
         if cut:
             self.info.problems.append(f"{self.where}: the file has no end-of-data record: the recording is truncated")
         yield from self._flush_chunk()
-        yield from self._outside_chunks()
+        # Messages outside of chunks; in a file with manifests a contradiction, as all that nothing there binds
+        for at, what in self.unbound.contradictions(self.info):
+            self.info.contradict(self.where, at, what)
+        for begin, end in self.unbound.pieces():
+            block = block_of(self.info, self.framing.peek(begin, end - begin), [], self.where)
+            if block is not None:
+                self.info.unchecked += len(block.heads)
+                yield block
         self._compare_digest()
 
     def _body(self, frame: Frame) -> bytes:
@@ -158,17 +168,9 @@ class _Walk:
         head = self.framing.peek(frame.at + RECORD.size, 16)
         return struct.unpack("<QQ", head) if len(head) == 16 else (0, 0)  # type: ignore[return-value]
 
-    def _cut_off(self, frame: Frame) -> Iterator[Block]:
-        """The last record of a file that ends inside it."""
-        what = f"{self.where}: the file ends inside {with_article(frame.op)}"
-        self.info.problems.append(f"{what}: the recording is truncated")
-        if frame.op == OP_CHUNK and 40 < frame.length <= self.info.max_chunk:
-            self.chunk = (frame, self._body(frame))
-            yield from self._flush_chunk()
-
     def _lost(self, frame: Frame, reason: str) -> None:
         self.info.note(self.where, frame.at, reason)
-        self.info.lost_chunks.append(LostChunk(frame.at, reason, index_times(self.indexed)))
+        self.info.lost_chunks.append(index_times(self.indexed))
 
     def _flush_chunk(self, followed: bool = False) -> Iterator[Block]:
         """Messages of the chunk whose index records have been read by now; `followed`: another record is behind it."""
@@ -192,7 +194,8 @@ class _Walk:
         if packed is None:
             self._lost(frame, "the header of a chunk is damaged; it is excluded")
             return None
-        chunk = unpack(packed, manifest, min(self.info.max_chunk, self.left), cut, self._is_named)
+        limit = min(self.info.max_chunk, self.left)
+        chunk = unpack(packed, manifest, limit, cut, lambda digest: digest in self._named())
         self.left -= len(chunk.content)
         if chunk.corrected and not cut:
             self.info.note(self.where, frame.at, "a chunk is damaged, and corrected by its checksums")
@@ -250,9 +253,6 @@ class _Walk:
         place = self._named().get(unpacked.digest)
         return None if place is None else self._manifest_at(place)
 
-    def _is_named(self, digest: bytes) -> bool:
-        return digest in self._named()
-
     def _named(self) -> dict[bytes, Frame]:
         """Digests in all whole manifests of the file; looked for where a content is not what the nearest one names."""
         if self.manifests is None:
@@ -260,16 +260,6 @@ class _Walk:
             manifests = ((self._manifest_at(frame), frame) for frame in frames)
             self.manifests = {m.digest: frame for m, frame in manifests if m is not None and m.verified}
         return self.manifests
-
-    def _outside_chunks(self) -> Iterator[Block]:
-        """Messages outside of chunks; in a file with manifests a contradiction, as all that nothing there binds."""
-        for at, what in self.unbound.contradictions(self.info):
-            self.info.contradict(self.where, at, what)
-        for begin, end in self.unbound.pieces():
-            block = block_of(self.info, self.framing.peek(begin, end - begin), [], self.where)
-            if block is not None:
-                self.info.unchecked += len(block.heads)
-                yield block
 
     def _check_data(self, end: Frame) -> None:
         """Compare the data with the checksum at their end, which most files leave out."""
