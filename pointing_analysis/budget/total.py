@@ -171,34 +171,22 @@ def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudge
     rss = float(reach[0] + factor * sigma[axes[0]]) if len(axes) == 1 else norm_quantile(reach, sigma, p)
     total = worst_axis.value if budget.summation == "distribution" else rss
     limit = requirement.limit / ANGLES[budget.unit]
-    shares = _shares(budget, drawn, window, axes, p, factor, means)
-    uncertainty = max(worst_axis.upper - worst_axis.value, worst_axis.value - worst_axis.lower)
-    return PointingBudgetVerdict(requirement, limit, shares, rss, worst_axis.value, uncertainty, total, limit - total)
-
-
-def _shares(
-    budget: PointingBudget,
-    drawn: list[ErrorSource],
-    window: float | None,
-    axes: list[int],
-    probability: float,
-    factor: float,
-    means: dict[tuple[str, ...], FloatArray],
-) -> tuple[Share, ...]:
     rows = []
     for source in budget.sources:
-        mean, sigma = means[source.path], source.sigma(window)
+        mean, deviation = means[source.path], source.sigma(window)
         if source in drawn:
             alone = _draw([source], budget, window, len(budget.axes)) + mean
-            level = float(
-                np.quantile(np.hypot(*alone[:, axes].T) if len(axes) == 2 else np.abs(alone[:, axes[0]]), probability)
-            )
+            size = np.hypot(*alone[:, axes].T) if len(axes) == 2 else np.abs(alone[:, axes[0]])
+            level = float(np.quantile(size, p))
         else:
             level = float(np.sqrt(np.sum((np.abs(mean) + _largest(source, window, factor))[axes] ** 2)))
-        rows.append((source, mean, sigma, level, float(np.sum(sigma[axes] ** 2))))
+        rows.append((source, mean, deviation, level, float(np.sum(deviation[axes] ** 2))))
     whole = math.fsum(row[4] for row in rows) or 1.0
     shares = [Share(s, m, d, level, power / whole) for s, m, d, level, power in rows]
-    return tuple(sorted(shares, key=lambda share: (-share.level, share.source.path)))
+    shares.sort(key=lambda share: (-share.level, share.source.path))
+    level, margin = worst_axis.value, limit - total
+    uncertainty = max(worst_axis.upper - level, level - worst_axis.lower)
+    return PointingBudgetVerdict(requirement, limit, tuple(shares), rss, level, uncertainty, total, margin)
 
 
 def axis_total(budget: PointingBudget, rule: TotalRule) -> Total:

@@ -139,7 +139,11 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS, settings: ArrivalSe
     period = ahead.quantile(0.5) if ahead.size else 0.0
     near = sum(int((np.abs(steps[part] - period) <= 0.5 * period).sum()) for part in parts(len(steps)))
     regular = period > 0 and near >= settings.regular * len(steps)
-    jumps = _delays(logged, stamps, period if regular else 0.0, settings) if stamped else _backwards(logged, settings)
+    if stamped:
+        jumps = _delays(logged, stamps, period if regular else 0.0, settings)
+    else:  # of the steps of the recorder's clock those to earlier times are seen
+        back = _where(steps, lambda part: part < -settings.step * NANO)
+        jumps = {int(i): ("clock step", float(steps[i])) for i in back}
 
     def since(i: int) -> float:
         return float((logged[i] - logged[0]) / NANO)
@@ -204,9 +208,3 @@ def _delays(
                 start = i + 1
                 delays[i] = ("clock step", change)
     return MappingProxyType(delays)
-
-
-def _backwards(logged: IntArray, settings: ArrivalSettings) -> Mapping[int, tuple[Kind, float]]:
-    """Steps of the recorder's clock that are seen without stamps: those to earlier times."""
-    steps = _steps(logged)
-    return {int(i): ("clock step", float(steps[i])) for i in _where(steps, lambda part: part < -settings.step * NANO)}

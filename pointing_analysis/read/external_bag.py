@@ -24,7 +24,7 @@ from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Chan
 from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
 from pointing_analysis.read.messages.channel_types import channel_types
-from pointing_analysis.read.messages.transforms import TF_MESSAGE, Transform, transforms
+from pointing_analysis.read.messages.transforms import TF_MESSAGE, transforms
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
 from pointing_analysis.read.tables.table import split_unit, unit_name
 from pointing_analysis.units import ANGLES, NAMES
@@ -174,8 +174,14 @@ def _add_transforms(topics: dict[str, _Topic], channel: Channel, block: Block, r
     """Attitudes of messages of tf2, those of each child frame as a topic of its own: ``/tf[camera]``."""
     of_child: dict[str, list[tuple[int, int, int, tuple[float, ...]]]] = {}
     for row in rows.tolist():
-        for child, stamp, rotation in _read_transforms(topics, channel, block.payload(row)):
-            times = int(block.heads["log"][row]), int(block.heads["publish"][row])
+        try:
+            of_message = transforms(block.payload(row))
+        except BagError as error:  # the topic of all messages counts it
+            whole = topics.setdefault(channel.topic, _Topic(channel, channel.topic, refusal=str(error)))
+            whole.left_out[str(error)] += 1
+            continue
+        times = int(block.heads["log"][row]), int(block.heads["publish"][row])
+        for child, stamp, rotation in of_message:
             of_child.setdefault(child, []).append((*times, stamp, rotation))
     for child, all_of_it in of_child.items():
         name = f"{channel.topic}[{child}]"
@@ -189,16 +195,6 @@ def _add_transforms(topics: dict[str, _Topic], channel: Channel, block: Block, r
         topic.logged.append(np.array(logged, np.int64))
         topic.published.append(np.array(published, np.int64))
         topic.samples.append((values, np.array(stamps, np.int64), turned))
-
-
-def _read_transforms(topics: dict[str, _Topic], channel: Channel, payload: bytes) -> list[Transform]:
-    """Transforms of a message; none of one that cannot be read, which the topic of the whole counts."""
-    try:
-        return transforms(payload)
-    except BagError as error:
-        whole = topics.setdefault(channel.topic, _Topic(channel, channel.topic, refusal=str(error)))
-        whole.left_out[str(error)] += 1
-        return []
 
 
 def _scan(path: Path, los: str = "", max_chunk: int = MAX_CHUNK) -> tuple[dict[str, _Topic], BagPass]:

@@ -257,7 +257,15 @@ def make_series(
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
         raise InputError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
-    _check_wrap(values, provenance.label)
+    # A direction from 0 to 360 degrees is no error: it jumps by a full turn
+    with np.errstate(invalid="ignore"):
+        turns = np.abs(np.abs(np.diff(values, axis=0)) - 2.0 * np.pi) < 0.01 * 2.0 * np.pi
+    jumps = np.flatnonzero(turns.any(axis=1))
+    if jumps.size:
+        raise InputError(
+            f"{provenance.label} must be the error of the line of sight, actual minus target, without a wrap, got a "
+            f"step of a full turn after sample {int(jumps[0]) + 1}: write angles from -180 to 180 deg"
+        )
     timing: TimeGrid | None = None
     period: float | None = None
     if sampling_rate(rate) is not None:
@@ -300,18 +308,6 @@ def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
         return values, ()
     note = f"{counted(int(odd.sum()), 'sample')} infinite or above {LARGEST_ANGLE:g} rad: counted as missing"
     return np.where(odd[:, None], np.nan, values), (note,)
-
-
-def _check_wrap(values: FloatArray, label: str) -> None:
-    """Refuse samples [rad] (n, 2) that jump by a full turn: a direction from 0 to 360 degrees is no error."""
-    with np.errstate(invalid="ignore"):
-        turns = np.abs(np.abs(np.diff(values, axis=0)) - 2.0 * np.pi) < 0.01 * 2.0 * np.pi
-    rows = np.flatnonzero(turns.any(axis=1))
-    if rows.size:
-        raise InputError(
-            f"{label} must be the error of the line of sight, actual minus target, without a wrap, got a step of a "
-            f"full turn after sample {int(rows[0]) + 1}: write angles from -180 to 180 deg"
-        )
 
 
 def series(

@@ -8,7 +8,7 @@ on the first times, then on twice as many, so that each place is known to a part
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,21 +100,12 @@ def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeG
     >>> int(grid.place[-1]) + 1 - t.size
     103
     """
+    from scipy.ndimage import uniform_filter1d  # slow to import, and no part of a run
+
     if times.size < 2:
         return None
     order = np.argsort(times, kind="stable")
-    grid = _grid_of_sorted(times[order] - times[order[0]], settings)
-    if grid is None:
-        return None
-    place = np.empty_like(grid.place)
-    place[order] = grid.place
-    return replace(grid, place=place - place[0])
-
-
-def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid | None:
-    """Grid of ascending times [s] from the first one: by intervals where each tells its places, else along a line."""
-    from scipy.ndimage import uniform_filter1d  # slow to import, and no part of a run
-
+    since = times[order] - times[order[0]]
     steps = np.diff(since)
     middle = float(np.median(steps))
     usual = (steps > 0.49 * middle) & (steps < 1.51 * middle)  # also of times rounded to half of the period
@@ -126,6 +117,7 @@ def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid |
     local = np.where(counts > 0.5 / width, sums / np.maximum(counts, 0.5 / width), float(steps[usual].mean()))
     places = np.rint(steps / local)
     told = (np.abs(steps / local - places)[usual] <= settings.told).all() and bool((places >= 1.0).all())
+    # By intervals where each tells its places, else along a line
     place = np.append(0.0, np.cumsum(places)) if told else _line(since, float(steps[usual].mean()))
     if not np.ptp(place):
         return None
@@ -149,7 +141,10 @@ def _grid_of_sorted(since: FloatArray, settings: TimeGridSettings) -> TimeGrid |
         period = float(steps[usual].mean())
     elif drift == 0.0:
         period = _round_rate(period, float(np.ptp(place)), max(2.0 * largest, 1e-9))
-    return TimeGrid(period, place.astype(np.int64), jitter, largest, resolution, drift)
+    whole = place.astype(np.int64)
+    unsorted = np.empty_like(whole)
+    unsorted[order] = whole
+    return TimeGrid(period, unsorted - unsorted[0], jitter, largest, resolution, drift)
 
 
 def _line(since: FloatArray, period: float) -> FloatArray:

@@ -58,7 +58,11 @@ def unnamed_lines(
             if cleaned is None:
                 cleaned = empty(rest.shape)
                 cleaned[:begin] = rest[:begin]
-            part -= _sum_of(lines, len(part), dt)
+            time = (np.arange(len(part)) - 0.5 * (len(part) - 1)) * dt
+            total = np.zeros((len(part), 2))
+            for line in lines:
+                total += (np.exp(1j * line.omega * time)[:, None] * line.phasor).real
+            part -= total
         if cleaned is not None:
             cleaned[begin:end] = part
         release()
@@ -70,15 +74,6 @@ def _thinned(values: FloatArray, step: int) -> FloatArray:
     """``values[::step]``, gathered part by part: a stride over a long record has all of its pages in memory."""
     pieces = [np.array(values[part][-part.start % step :: step]) for part in parts(len(values))]
     return np.concatenate(pieces) if pieces else values
-
-
-def _sum_of(lines: Sequence[FoundLine], n: int, dt: float) -> FloatArray:
-    """Samples (n, 2) of lines."""
-    time = (np.arange(n) - 0.5 * (n - 1)) * dt
-    total = np.zeros((n, 2))
-    for line in lines:
-        total += (np.exp(1j * line.omega * time)[:, None] * line.phasor).real
-    return total
 
 
 def _over_parts(of_parts: Sequence[Sequence[FoundLine]], width: float) -> tuple[FoundLine, ...]:

@@ -346,9 +346,25 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float) -> tupl
     array([3., 0.])
     """
     e = np.asarray(error, dtype=float)
-    groups, centre, solution = _fit(e, dt, omegas)
-    if not groups:
+    duration = dt * len(e)
+    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
+    tones = tones[np.isfinite(tones) & (tones * duration > 2 * np.pi) & (tones < np.pi / dt)]
+    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
+    groups = _resolved(np.unique(tones), duration)
+    if not groups or present.sum() < 4 * len(groups) + 2:
         return ()
+    centre = np.array([g.mean() for g in groups])
+    k = 2 * len(centre) + 1
+    gram, right = np.zeros((k, k)), np.zeros((k, 2))
+    for part in _fit_parts(len(e)):
+        index = part.start + np.flatnonzero(present[part])
+        angle = np.outer(index * dt, centre)
+        basis = np.hstack([np.ones((index.size, 1)), np.cos(angle), np.sin(angle)])
+        weighted = basis.T * _taper(len(e), index)
+        gram += weighted @ basis
+        right += weighted @ e[index]
+    # Constant, cosines, sines
+    solution = np.asarray(linalg.lstsq(gram, right)[0])
     m = len(centre)
     phasor = solution[1 : m + 1] - 1j * solution[m + 1 :]
     rms = linalg.norm(phasor, axis=1) / np.sqrt(2)
@@ -414,28 +430,6 @@ def found_lines(
 def _turned(line: FoundLine, run: float, dt: float) -> complex:
     """Factor from the phasor in the middle of a run [s] to that at its first sample."""
     return complex(np.exp(-0.5j * line.omega * (run - dt)))
-
-
-def _fit(e: FloatArray, dt: float, omegas: ArrayLike) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """Groups of tones, their frequencies (m,), and the solution (2 m + 1, 2): constant, cosines, sines."""
-    duration = dt * len(e)
-    tones = np.atleast_1d(np.asarray(omegas, dtype=float))
-    tones = tones[np.isfinite(tones) & (tones * duration > 2 * np.pi) & (tones < np.pi / dt)]
-    present = by_parts(lambda rows: ~np.isnan(rows).any(axis=1), e, dtype=bool)
-    groups = _resolved(np.unique(tones), duration)
-    if not groups or present.sum() < 4 * len(groups) + 2:
-        return [], np.empty(0), np.empty((0, 2))
-    centre = np.array([g.mean() for g in groups])
-    k = 2 * len(centre) + 1
-    gram, right = np.zeros((k, k)), np.zeros((k, 2))
-    for part in _fit_parts(len(e)):
-        index = part.start + np.flatnonzero(present[part])
-        angle = np.outer(index * dt, centre)
-        basis = np.hstack([np.ones((index.size, 1)), np.cos(angle), np.sin(angle)])
-        weighted = basis.T * _taper(len(e), index)
-        gram += weighted @ basis
-        right += weighted @ e[index]
-    return groups, centre, np.asarray(linalg.lstsq(gram, right)[0])
 
 
 def without_lines(error: ArrayLike, dt: float, fitted: Sequence[SpectralLine]) -> FloatArray:

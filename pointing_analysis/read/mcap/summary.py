@@ -98,8 +98,20 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
                 info.stated, section.digest = body, start + at
             elif op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):
                 read_side_record(info, op, body, where, start + at)
-            else:
-                _place(section, op, body)
+            elif op == OP_CHUNK_INDEX:
+                first, last, chunk, size_of_chunk, n = struct.unpack_from("<QQQQI", body)
+                section.anchors[chunk] = (OP_CHUNK, size_of_chunk - RECORD.size)
+                section.times[chunk] = (first, last)
+                section.chunks.append(chunk)
+                places = sorted(place for _, place in struct.iter_unpack("<HQ", body[36 : 36 + n]))
+                (total,) = struct.unpack_from("<Q", body, 36 + n)
+                ends = [*places[1:], chunk + size_of_chunk + total]
+                for place, end in zip(places, ends):
+                    section.anchors[place] = (OP_INDEX, end - place - RECORD.size)
+            elif op in (OP_ATTACHMENT_INDEX, OP_METADATA_INDEX):
+                place, size_of_record = struct.unpack_from("<QQ", body)
+                kind = OP_ATTACHMENT if op == OP_ATTACHMENT_INDEX else OP_METADATA
+                section.anchors[place] = (kind, size_of_record - RECORD.size)
             at += RECORD.size + length
     except struct.error:
         return None
@@ -108,20 +120,3 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
         section.anchors[start - RECORD.size - 4] = (OP_DATA_END, 4)
     inside = (length >= 0 and at + RECORD.size + length <= start for at, (_, length) in section.anchors.items())
     return section if all(inside) else None
-
-
-def _place(section: SummarySection, op: int, body: bytes) -> None:
-    if op == OP_CHUNK_INDEX:
-        first, last, at, length, n = struct.unpack_from("<QQQQI", body)
-        section.anchors[at] = (OP_CHUNK, length - RECORD.size)
-        section.times[at] = (first, last)
-        section.chunks.append(at)
-        places = sorted(place for _, place in struct.iter_unpack("<HQ", body[36 : 36 + n]))
-        (total,) = struct.unpack_from("<Q", body, 36 + n)
-        ends = [*places[1:], at + length + total]
-        for place, end in zip(places, ends):
-            section.anchors[place] = (OP_INDEX, end - place - RECORD.size)
-    elif op in (OP_ATTACHMENT_INDEX, OP_METADATA_INDEX):
-        at, length = struct.unpack_from("<QQ", body)
-        kind = OP_ATTACHMENT if op == OP_ATTACHMENT_INDEX else OP_METADATA
-        section.anchors[at] = (kind, length - RECORD.size)

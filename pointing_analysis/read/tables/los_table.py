@@ -272,8 +272,12 @@ def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str
     if possible and _known_pair(possible[0][:2]) and _known_pair(list(table.columns)) is None:
         possible = []  # one of several of the same name: the others are of another length
     if len(possible) != 1 or not set(possible[0]) & set(_known_pair(list(table.columns)) or ()):
-        for name in _texts_of_angles(table):
-            table.refuse_text(name)
+        # Columns of the line of sight, by unit or name, that were left out because of their cells
+        usual = {name for pair in X_NAMES for name in pair}
+        for name in table.texts:
+            base, unit = split_unit(name)
+            if unit in ANGLES or base.lower() in usual:
+                table.refuse_text(name)
     if len(possible) != 1:
         others = f" ({'; '.join(table.left_out)})" if table.left_out else ""
         raise InputError(
@@ -286,13 +290,6 @@ def _of_topic(table: Table, name: str) -> str | None:
     """First part of the names of an array's columns, or of a topic's in a file that ``bag export`` wrote."""
     starts = f"{name} ", f"{name}.", f"{name.replace('/', '_')}.values."
     return next((start for start in starts if table.find(f"{start}x")), None)
-
-
-def _texts_of_angles(table: Table) -> list[str]:
-    """Columns that would be of the line of sight, by unit or name, but were left out because of their cells."""
-    usual = {name for pair in X_NAMES for name in pair}
-    names = {name: split_unit(name) for name in table.texts}
-    return [name for name, (base, unit) in names.items() if unit in ANGLES or base.lower() in usual]
 
 
 def _named(table: Table, los: str) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from lftkit.errors import InputError
@@ -63,8 +63,8 @@ class Rows:
     names: list[str]
     cells: list[Row]
     units: list[str]
-    units_of_all: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    units_of_all: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def rows_of(path: Path) -> Rows:
@@ -111,8 +111,19 @@ def rows_of(path: Path) -> Rows:
     marks = "".join((*COMMENT, *COMMENT_IN_FRONT))
     comments = [line.lstrip().lstrip(marks).strip() for number, line in every if number < lines[0][0]]
     names, rows = _names_and_rows(path, lines, comments, separator)
-    even = _even(path, Rows(names, rows, ["" for _ in names], notes=tuple(notes)))
-    return _with_units(even, comments)
+    # The header may be repeated between the rows
+    if repeated := [number for number, row in rows if [cell.strip() for cell in row] == names]:
+        rows = [pair for pair in rows if pair[0] not in set(repeated)]
+        notes.append(f"header repeated in row {', '.join(map(str, repeated[:5]))} skipped")
+    names, rows = _even(path, names, rows)
+    units: list[str] | None = _row_of_units(rows) if rows else None
+    if units is not None:
+        rows = rows[1:]
+    if not any(units or ()):
+        units = _units_in_comments(comments, names)
+    in_comments = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
+    of_all = tuple(unit for unit in in_comments if unit in ANGLES)
+    return Rows(names, rows, units or ["" for _ in names], of_all, tuple(notes))
 
 
 def _is_comment(line: str) -> bool:
@@ -192,13 +203,8 @@ def _names_and_rows(
     return names, rows
 
 
-def _even(path: Path, parsed: Rows) -> Rows:
-    """Rows of one length and names that differ, without the header where it is repeated, and without empty ends."""
-    names, notes = parsed.names, parsed.notes
-    repeated = [number for number, row in parsed.cells if [cell.strip() for cell in row] == names]
-    rows = [pair for pair in parsed.cells if pair[0] not in set(repeated)] if repeated else parsed.cells
-    if repeated:
-        notes = (*notes, f"header repeated in row {', '.join(map(str, repeated[:5]))} skipped")
+def _even(path: Path, names: list[str], rows: list[Row]) -> tuple[list[str], list[Row]]:
+    """Names that differ and rows of as many cells, without empty columns at the end that have no name."""
     width = max(len(names), *(len(row) for _, row in rows)) if rows else len(names)
     ends = len(names)  # columns from here on have no name
     while ends and not names[ends - 1]:
@@ -213,7 +219,7 @@ def _even(path: Path, parsed: Rows) -> Rows:
     uneven = next(((number, len(row)) for number, row in rows if len(row) != len(names)), None)
     if uneven is not None:
         raise InputError(f"{path}: every row must have {len(names)} cells, got {uneven[1]} in row {uneven[0]}")
-    return replace(parsed, names=names, cells=rows, units=["" for _ in names], notes=notes)
+    return names, rows
 
 
 def separator_of(line: str) -> str | None:
@@ -230,18 +236,6 @@ def separator_of(line: str) -> str | None:
     if mark_of_line == "," and not are_values(line.split(",")) and are_values(with_points(line.split())):
         return None
     return mark_of_line
-
-
-def _with_units(parsed: Rows, comments: Sequence[str]) -> Rows:
-    """Rows with the units of a row below the header and of comments; a row of units is no row of values."""
-    rows, stated = parsed.cells, list[str]()
-    if rows and (units := _row_of_units(rows)) is not None:
-        rows, stated = rows[1:], units
-    if not any(stated):
-        stated = _units_in_comments(comments, parsed.names)
-    in_comments = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
-    of_all = tuple(unit for unit in in_comments if unit in ANGLES)
-    return replace(parsed, cells=rows, units=stated or parsed.units, units_of_all=of_all)
 
 
 def _row_of_units(rows: Sequence[Row]) -> list[str] | None:
