@@ -16,12 +16,12 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import LOS
 from pointing_analysis.report.figures import Picture, RunView, windows_text
 from pointing_analysis.report.model_results import ModelResults
-from pointing_analysis.report.provenance import provenance_table
 from pointing_analysis.report.run_tables import (
     LINES_SHOWN,
     line_table,
     metric_table,
     prediction_table,
+    provenance_table,
     sensor_table,
 )
 from pointing_analysis.report.source_share import source_table

@@ -7,16 +7,20 @@ axes of the pictures are the two components of the line of sight.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from lftkit.errors import InputError
+from lftkit.support.atomic_output import atomic_file
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.formatting.number_text import percent
 from pointing_analysis.image.motion_blur import centred, sizes, some_exposures, worst_transfer
@@ -25,7 +29,16 @@ from pointing_analysis.image.quality import LARGEST, encircled_energy, figures
 from pointing_analysis.image.star_image import blurred, star_image
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
-from pointing_analysis.report.figures import Picture, RunView, legend_above, picture, stroke
+from pointing_analysis.report.figures import (
+    NO_PDF_METADATA,
+    STYLE,
+    LaidOutFigure,
+    Picture,
+    RunView,
+    legend_above,
+    picture,
+    stroke,
+)
 from pointing_analysis.requirements.image_samples import share
 from pointing_analysis.requirements.image_summary import MOST
 
@@ -318,3 +331,48 @@ def targets(views: Sequence[ImageView]) -> Picture | None:
     alt = "Siemens star and bars as they are, without motion, and in one exposure of each run"
     height = 1.65 * -(-(len(views) + 2) // 3) + 0.2
     return picture("target", "Test target", alt, height, lambda figure: draw_targets(figure, views))
+
+
+Draw = Callable[[Figure, Sequence[ImageView]], None]
+FILES: dict[str, tuple[Draw, float, float]] = {
+    "star": (draw_stars, 2.15, 4.9),
+    "target": (lambda figure, views: draw_targets(figure, views, len(views) + 2), 0.0, 2.0),
+    "mtf": (draw_transfer, 0.0, 3.4),
+    "energy": (draw_energy, 0.0, 3.4),
+    "ellipticity": (draw_ellipticity, 0.0, 3.2),
+}
+"""Name of each file, what draws it, its width for each run or 0, its height [inch]."""
+KINDS: dict[str, dict[str, None]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": NO_PDF_METADATA,
+}
+"""Kinds of files; metadata that would differ from run to run are left out."""
+DPI = 130
+
+
+def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
+    """Draw all pictures into a folder; returns their paths.
+
+    Raises
+    ------
+    ValueError
+        No run has optics and a complete exposure.
+    """
+    exposed = image_views(views)[0] or (exposed_view(views[0]),)  # which says why the first has none
+    folder.mkdir(parents=True, exist_ok=True)
+    settings: Any = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": "image"}
+    paths = []
+    with mpl.rc_context(settings):
+        for name, (draw, each, height) in FILES.items():
+            width = max(each * len(exposed), 2.15 if each else 4.3)
+            if name == "target":
+                width = 1.75 * (len(exposed) + 2)
+            figure = LaidOutFigure(figsize=(width, height), layout="constrained")
+            draw(figure, exposed)
+            for suffix, metadata in KINDS.items():
+                path = folder / f"{name}{suffix}"
+                with atomic_file(path) as temporary:
+                    figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)
+                paths.append(path)
+    return paths

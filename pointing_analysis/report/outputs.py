@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lftkit.errors import InputError
-from lftkit.support.atomic_output import check_output, write_text
+from lftkit.support.atomic_output import atomic_file, check_output, write_text
+from pointing_analysis.formatting.latex import latex_table
 from pointing_analysis.report.paper import PAGES, PAPERS, PDF, Paper, is_pdf, require_pdf
 
 if TYPE_CHECKING:
@@ -57,7 +59,6 @@ class ReportOutputs:
         ValueError, OSError
             A file cannot be written.
         """
-        from pointing_analysis.report.export import write_parts
         from pointing_analysis.report.html_page import page
         from pointing_analysis.report.pdf_file import write_pdf
 
@@ -71,3 +72,46 @@ class ReportOutputs:
 
 NO_REPORT = ReportOutputs()
 """No file."""
+
+
+def write_parts(content: ReportContent, folder: Path) -> list[Path]:
+    """Write each figure and each table of a report into a folder; files that it replaces are never half-written.
+
+    A table is ``NAME.tex`` (a ``tabular`` to include, with booktabs and array), ``NAME.csv`` and ``NAME.md``; a figure
+    ``NAME.svg`` and ``NAME.pdf``, its curves ``NAME.csv``.
+
+    Parameters
+    ----------
+    content : of the report
+    folder : made as needed; other files in it stay
+
+    Returns
+    -------
+    Paths of the files, in reading order.
+
+    Raises
+    ------
+    ValueError
+        The folder cannot be made or written to.
+    """
+    check_output(folder, "the folder of figures and tables", folder=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, data in _files(content):
+        paths.append(folder / name)
+        with atomic_file(paths[-1]) as temporary:
+            temporary.write_bytes(data)
+    return paths
+
+
+def _files(content: ReportContent) -> Iterator[tuple[str, bytes]]:
+    for picture in content.pictures:
+        yield f"{picture.name}.svg", picture.svg
+        yield f"{picture.name}.pdf", picture.pdf()
+        if curves := picture.csv():
+            yield f"{picture.name}.csv", curves
+    for table in content.all_tables():
+        if table.rows:
+            yield f"{table.name}.tex", latex_table(table).encode()
+            yield f"{table.name}.csv", table.csv().encode()
+            yield f"{table.name}.md", f"{table.markdown()}\n".encode()

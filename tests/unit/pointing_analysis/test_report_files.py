@@ -21,8 +21,8 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, performance_error
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import content, figures, paper
-from pointing_analysis.report.export import write_parts
 from pointing_analysis.report.html_page import page
+from pointing_analysis.report.outputs import write_parts
 from pointing_analysis.report.paper import Paper
 from pointing_analysis.report.report import report_content, write_report
 from pointing_analysis.report.spectrum_figure import density

@@ -22,8 +22,7 @@ from pointing_analysis.image.noise_curve import NoiseCurve, NoisePoint, curve_fo
 from pointing_analysis.image.optics import with_optics
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.read.series import series
-from pointing_analysis.report.image_figures import image_views, siemens_star, stars
-from pointing_analysis.report.image_pictures import draw_pictures
+from pointing_analysis.report.image_figures import draw_pictures, image_views, siemens_star, stars
 from pointing_analysis.report.report import view
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.guide_camera import STORED_CURVES, star_camera

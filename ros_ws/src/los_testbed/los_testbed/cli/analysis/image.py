@@ -79,7 +79,7 @@ def figures(
     """See FIGURES_EXAMPLES."""
     from lftkit.support.atomic_output import check_output
     from pointing_analysis.image.optics import NONE_KNOWN, optics_of
-    from pointing_analysis.report.image_pictures import draw_pictures
+    from pointing_analysis.report.image_figures import draw_pictures
     from pointing_analysis.report.report import labels, view
 
     seconds("--transient", transient)
