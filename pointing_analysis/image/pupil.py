@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -25,29 +24,6 @@ RASTER = 512
 """Pixels across an aperture with a spider."""
 SUPERSAMPLING = 4
 """Points per pixel and axis by which the edge of such an aperture is weighted."""
-
-
-class Pupil(Protocol):
-    """An aperture: its extent and its autocorrelation."""
-
-    @property
-    def extent(self) -> float:
-        """Largest shift [m] at which the aperture still overlaps itself."""
-
-    @property
-    def breaks(self) -> tuple[float, ...]:
-        """Shifts as parts of `extent` at which the autocorrelation is not smooth, ascending, the last one 1."""
-
-    @property
-    def angles(self) -> int:
-        """Angles over half a turn that show how the autocorrelation varies about its middle."""
-
-    @property
-    def in_phase(self) -> bool:
-        """Whether the wave front is plane: the image without motion is largest on the axis."""
-
-    def autocorrelation(self, shift: FloatArray) -> ComplexArray:
-        """Autocorrelation over its value without shift: (..., 2) [m] -> (...)."""
 
 
 def _common_area(a: float, b: float, distance: FloatArray) -> FloatArray:
@@ -203,6 +179,10 @@ class PixelPupil:
             for j in (0, 1)
         )
         return np.asarray(np.where(beyond, 0.0, found), dtype=complex)
+
+
+Pupil = AnnularPupil | PixelPupil
+"""An aperture: its extent and its autocorrelation."""
 
 
 def with_spider(diameter: float, obscuration: float, vanes: int, width: float) -> PixelPupil:

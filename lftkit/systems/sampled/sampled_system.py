@@ -109,7 +109,7 @@ class SampledSystem:
         object.__setattr__(self, "_product", OrderedProduct(np.block([[self.A, self.B], [self.C, self.D]])))
 
     def __repr__(self) -> str:
-        return named_line(self, self.name, f"dt {self.dt:g} s")
+        return named_line(self, f"dt {self.dt:g} s")
 
     @property
     def order(self) -> int:
