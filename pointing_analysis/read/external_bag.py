@@ -22,7 +22,7 @@ from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
 from pointing_analysis.read.messages import ros_definitions
-from pointing_analysis.read.messages.cdr import byte_order
+from pointing_analysis.read.messages.cdr import byte_order, stamps_of
 from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.messages.transforms import TF_MESSAGE, transforms
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
@@ -127,7 +127,7 @@ class _Topic:
                 decoded, fits = ros_definitions.numbers(payloads, places)
                 values[index[fits]], fitting[index[fits]] = decoded[fits], True
                 if vector.stamped:
-                    stamps[index[fits]] = ros_definitions.stamps(payloads[fits], places.order)
+                    stamps[index[fits]] = stamps_of(payloads[fits], places.order)
                 index, payloads = index[~fits], payloads[~fits]
         if vector.axis:
             values = values[:, [vector.components.index(one) for one in ros_definitions.QUATERNION]]

@@ -166,14 +166,12 @@ class Layout:
 
     Attributes
     ----------
-    size : length of the payload [byte], encapsulation header included
     values : offset of the first float64
     count : number of float64 values
     lengths : offset and value of every length field; a message with others has another layout
     order : ``<`` or ``>``
     """
 
-    size: int
     values: int
     count: int
     lengths: tuple[tuple[int, int], ...]
@@ -197,7 +195,7 @@ def byte_order(schema: str, payload: bytes) -> str:
     return PLAIN_CDR[kind]
 
 
-class _Cursor:
+class Cursor:
     """Reads length fields while keeping CDR's alignment, which counts from the end of the encapsulation header."""
 
     def __init__(self, payload: bytes, order: str) -> None:
@@ -205,20 +203,26 @@ class _Cursor:
         self.lengths: list[tuple[int, int]] = []
 
     def align(self, size: int) -> None:
+        """Go on to the next multiple of a size."""
         self.at = _aligned(self.at, size)
 
     def length(self) -> int:
+        """Number of elements or bytes that follow."""
         self.align(4)
         (n,) = struct.unpack_from(self.order + "I", self.payload, self.at)
         self.lengths.append((self.at, n))
         self.at += 4
+        if n > len(self.payload):
+            raise struct.error("length beyond the end of the message")
         return int(n)
 
     def string(self) -> None:
+        """Go behind a string."""
         n = self.length()
         self.at += n
 
     def doubles(self) -> tuple[int, int]:
+        """Offset and number of the float64 values of a sequence, behind which it goes."""
         n = self.length()
         if n:
             self.align(8)
@@ -237,7 +241,7 @@ def layout(schema: str, payload: bytes) -> Layout:
     """
     if schema not in COLUMNS:
         raise BagError(f"message type must be one of {', '.join(COLUMNS)}, got {schema!r}")
-    cursor = _Cursor(payload, byte_order(schema, payload))
+    cursor = Cursor(payload, byte_order(schema, payload))
     try:
         cursor.at = STAMP_OFFSET + STAMP.size
         cursor.string()
@@ -254,12 +258,26 @@ def layout(schema: str, payload: bytes) -> Layout:
         start, count = len(payload), 1
     if start + 8 * count > len(payload):
         raise BagError(f"{schema}: the payload of {len(payload)} bytes is truncated")
-    return Layout(len(payload), start, count, tuple(cursor.lengths), cursor.order)
+    return Layout(start, count, tuple(cursor.lengths), cursor.order)
 
 
 def same_order(rows: NDArray[np.uint8], order: str) -> BoolArray:
     """Which messages (m, size) are plain CDR in this order of bytes."""
     return np.asarray((rows[:, 0] == 0) & (rows[:, 1] == (order == "<")))
+
+
+def column(rows: NDArray[np.uint8], at: int, kind: str, n: int = 1) -> NDArray[np.generic]:
+    """Numbers (m, n) of a numpy type at an offset of messages (m, size)."""
+    width = np.dtype(kind).itemsize * n
+    view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(kind)
+    return view
+
+
+def stamps_of(rows: NDArray[np.uint8], order: str) -> IntArray:
+    """Header stamps [ns] of messages (m, size) that begin with a header."""
+    seconds = column(rows, STAMP_OFFSET, order + "i4")[:, 0].astype(np.int64)
+    rest = column(rows, STAMP_OFFSET + 4, order + "u4")[:, 0].astype(np.int64)
+    return np.asarray(seconds * NS_PER_S + rest)
 
 
 def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[IntArray, FloatArray, BoolArray]:
@@ -276,25 +294,8 @@ def decode(rows: NDArray[np.uint8], plan: Layout) -> tuple[IntArray, FloatArray,
     values : (m, count)
     fits : (m,) False where a length field differs from the layout (the values of that row are meaningless)
     """
-
-    def column(at: int, kind: str, n: int = 1) -> NDArray[np.generic]:
-        width = np.dtype(kind).itemsize * n
-        view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(plan.order + kind)
-        return view
-
     fits = same_order(rows, plan.order)
     for at, value in plan.lengths:
-        fits &= column(at, "u4")[:, 0] == value
-    seconds = column(STAMP_OFFSET, "i4")[:, 0].astype(np.int64)
-    stamp = seconds * NS_PER_S + column(STAMP_OFFSET + 4, "u4")[:, 0].astype(np.int64)
-    return stamp, column(plan.values, "f8", plan.count).astype(np.float64, copy=False), fits
-
-
-def decode_any(schema: str, payloads: Sequence[bytes]) -> tuple[IntArray, list[FloatArray]]:
-    """Decode payloads of any lengths, one by one."""
-    stamps, values = [], []
-    for payload in payloads:
-        stamp, row, _ = decode(np.frombuffer(payload, np.uint8)[None, :], layout(schema, payload))
-        stamps.append(int(stamp[0]))
-        values.append(row[0])
-    return np.array(stamps, dtype=np.int64), values
+        fits &= column(rows, at, plan.order + "u4")[:, 0] == value
+    values = column(rows, plan.values, plan.order + "f8", plan.count).astype(np.float64, copy=False)
+    return stamps_of(rows, plan.order), values, fits

@@ -10,16 +10,16 @@ import contextlib
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.support.input_limits import MESSAGE_DEPTH, MESSAGE_ELEMENTS, MESSAGE_FIELDS
-from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
+from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.messages.cdr import byte_order, same_order
+from pointing_analysis.read.messages.cdr import Cursor, byte_order, column, same_order
 
 SIZES = {
     "bool": 1,
@@ -204,35 +204,19 @@ def _groups(kind: str, types: Definitions, path: str, depth: int, quantity: str 
             yield from _groups(f.type, types, inner, depth + 1, what)
 
 
-@dataclass
-class _Reader:
+class _Reader(Cursor):
     """Walks through a payload, remembering the length fields that fix its layout and the places of floats by field.
 
     With a `target` it ends behind the first numbers of this field, as many as are `wanted`.
     """
 
-    payload: bytes
-    types: Definitions
-    order: str
-    target: str | None = None
-    wanted: int = 2
-    at: int = 4
-    lengths: list[tuple[int, int]] = field(default_factory=list)
-    places: dict[str, tuple[list[tuple[int, str]], int]] = field(default_factory=dict)
-    """Of a field the places of its numbers, and how many length fields are before them."""
-    passed: int = 0
-
-    def align(self, size: int) -> None:
-        self.at += -(self.at - 4) % size
-
-    def length(self) -> int:
-        self.align(4)
-        (n,) = struct.unpack_from(self.order + "I", self.payload, self.at)
-        self.lengths.append((self.at, n))
-        self.at += 4
-        if n > len(self.payload):
-            raise struct.error("length beyond the end of the message")
-        return int(n)
+    def __init__(
+        self, payload: bytes, types: Definitions, order: str, target: str | None = None, wanted: int = 2
+    ) -> None:
+        super().__init__(payload, order)
+        self.types, self.target, self.wanted, self.passed = types, target, wanted, 0
+        # Of a field the places of its numbers, and how many length fields are before them
+        self.places: dict[str, tuple[list[tuple[int, str]], int]] = {}
 
     def message(self, kind: str, path: str | None, depth: int = 0) -> bool:
         """Walk through a message; True once the target is behind. Elements of an array of messages have no path."""
@@ -279,13 +263,11 @@ class Places:
 
     Attributes
     ----------
-    size : length of the message [byte]
     numbers : offset and numpy type of each
     lengths : offset and value of the length fields before them; a message with others is laid out otherwise
     order : ``<`` or ``>``
     """
 
-    size: int
     numbers: tuple[tuple[int, str], ...]
     lengths: tuple[tuple[int, int], ...]
     order: str
@@ -323,25 +305,13 @@ def _places(reader: _Reader, path: str) -> Places | None:
     numbers = tuple(places[: reader.wanted])
     if len(numbers) < reader.wanted or any(at + int(kind[1]) > len(reader.payload) for at, kind in numbers):
         return None
-    return Places(len(reader.payload), numbers, tuple(reader.lengths[:lengths]), reader.order)
+    return Places(numbers, tuple(reader.lengths[:lengths]), reader.order)
 
 
 def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[FloatArray, BoolArray]:
     """Numbers (m, 2 or 4) of messages (m, size) of one size, and which of them have this layout."""
-
-    def column(at: int, kind: str) -> NDArray[np.generic]:
-        width = int(kind[1])
-        view: NDArray[np.generic] = np.ascontiguousarray(rows[:, at : at + width]).view(places.order + kind)[:, 0]
-        return view
-
     fits = same_order(rows, places.order)
     for at, value in places.lengths:
-        fits &= column(at, "u4") == value
-    return np.column_stack([column(at, kind).astype(np.float64) for at, kind in places.numbers]), fits
-
-
-def stamps(rows: NDArray[np.uint8], order: str) -> IntArray:
-    """Header stamps [ns] of messages (m, size) that begin with a header."""
-    seconds = np.ascontiguousarray(rows[:, 4:8]).view(order + "i4")[:, 0].astype(np.int64)
-    rest = np.ascontiguousarray(rows[:, 8:12]).view(order + "u4")[:, 0].astype(np.int64)
-    return np.asarray(seconds * 1_000_000_000 + rest)
+        fits &= column(rows, at, places.order + "u4")[:, 0] == value
+    columns = [column(rows, at, places.order + kind).astype(np.float64) for at, kind in places.numbers]
+    return np.hstack(columns), fits

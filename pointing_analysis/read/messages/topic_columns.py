@@ -84,7 +84,7 @@ def decode_block(column: Column, block: Block, rows: IntArray) -> None:
             column.add(stamp, values, sent[same])
             continue
         column.add(stamp[fits], values[fits], sent[same][fits])
-        odd = np.flatnonzero(~fits)
-        stamp, single = cdr.decode_any(column.schema, [payloads[i].tobytes() for i in odd])
-        for i, row in enumerate(single):
-            column.add(stamp[i : i + 1], row[None, :], sent[same[odd[i : i + 1]]])
+        for i in np.flatnonzero(~fits):
+            odd = payloads[i : i + 1]
+            stamp, values, _ = cdr.decode(odd, cdr.layout(column.schema, odd.tobytes()))
+            column.add(stamp, values, sent[same[i : i + 1]])
