@@ -27,9 +27,9 @@ from lftkit.proofs.state_space.bounds import (
     require_nominal,
 )
 from lftkit.proofs.state_space.cover import WHOLE
-from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
+from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch, searched_member
 from lftkit.proofs.state_space.disks import disks_of, real_first
-from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
+from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box
 from lftkit.support.scalars import as_positive
 from lftkit.support.threads import one_thread
 from lftkit.systems.arguments import checked
@@ -329,10 +329,7 @@ class PerformanceProblem:
             if step and time.monotonic() > until:
                 break
             scaled, ends = self._scaled(factor)
-            if self.search.disks:
-                member = DiskSearch(scaled, ends, WHOLE, options.seed, options.search).worst_member()
-            else:
-                member = worst_member(scaled, ends, WHOLE, seed=options.seed, settings=options.search)
+            member = searched_member(scaled, ends, WHOLE, options.seed, options.search)
             met = self._first_on_way(member)
             if met is not None:
                 worst, factor = met, met[0] * options.settings.below

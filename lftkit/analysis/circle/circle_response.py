@@ -101,7 +101,15 @@ class CircleModes:
         coefficients = (weights @ self.residues).reshape(*weights.shape[:2], *self.D.shape)
         coefficients[:, 0] += self.D
         rest = (t * moved**order * np.abs(more) * size / left) @ self.sizes
-        return Expansion(coefficients, np.where(converges, rest, np.inf), self._rounding(size / left))
+        # Error of the response where the poles are no farther than 1 / near
+        near = size / left
+        coupled = np.einsum("ki,ij,kj->k", near, self.couplings, near, optimize=False)
+        turn = near * near * self.sizes  # a turn that all poles share moves a peak and keeps its height
+        others = turn.sum(axis=1) - turn.max(axis=1, initial=0.0)
+        rounding = np.asarray(
+            8.0 * EPS * (near @ self.sizes) + near @ self.inexact + 2.0 * coupled + 2.0 * ANGLE * others
+        )
+        return Expansion(coefficients, np.where(converges, rest, np.inf), rounding)
 
     def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Response at the angle `theta` and its first and second derivative with respect to it."""
@@ -112,14 +120,6 @@ class CircleModes:
         weights = np.stack([0.5 * more * np.exp(-1j * theta), first, -1j * (more - 1.0) * first])
         G, G1, G2 = (weights @ self.residues).reshape(3, *self.D.shape)
         return G + self.D, G1, G2
-
-    def _rounding(self, near: FloatArray) -> FloatArray:
-        """Error of the response where the poles are no farther than 1 / `near` (N, n)."""
-        terms = near @ self.sizes
-        coupled = np.einsum("ki,ij,kj->k", near, self.couplings, near, optimize=False)
-        turn = near * near * self.sizes  # a turn that all poles share moves a peak and keeps its height
-        others = turn.sum(axis=1) - turn.max(axis=1, initial=0.0)
-        return np.asarray(8.0 * EPS * terms + near @ self.inexact + 2.0 * coupled + 2.0 * ANGLE * others)
 
 
 def circle_modes(

@@ -24,9 +24,9 @@ from lftkit.proofs.settings import BOUNDS
 from lftkit.proofs.state_space.bounds import ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import Cell
 from lftkit.proofs.state_space.cover import WHOLE
-from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
+from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch, searched_member
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
-from lftkit.proofs.state_space.search import Member, climbed, member_gain, scaled_box, worst_member
+from lftkit.proofs.state_space.search import Member, climbed, member_gain, scaled_box
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL, Interval, Strip
 from lftkit.support.state_units import in_balanced_units
 from lftkit.systems.system import System
@@ -180,10 +180,7 @@ def gain_over_axis(
         The nominal member is not in the box, is not stable, or its poles can't be separated; no uncertain element.
     """
     start, gap, wall_limit, settings = time.monotonic(), options.gap, options.wall_limit, options.settings
-    if disks_of(system):
-        worst = DiskSearch(system, box, band, options.seed, options.search).worst_member()
-    else:
-        worst = worst_member(system, box, band, seed=options.seed, settings=options.search)
+    worst = searched_member(system, box, band, options.seed, options.search)
     axis = _Axis.of(system, "gain", box, band, options=options) if np.isfinite(worst.gain) else None
 
     def bounds(upper: float, status: str) -> tuple[ProvenBounds, Member]:

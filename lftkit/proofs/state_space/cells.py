@@ -152,7 +152,21 @@ class CellTest:
                 channels = [self.n + channel for channel in disk.channels]
                 both = channels[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
                 scale[channels] = float(np.exp(np.mean(np.log(scale[both]))))
-        blocks = self._blocks(maps, scale)
+        # Scale of every column: that of the last block for all the inputs
+        total = self.n + self.q
+        maps /= np.concatenate([scale[:total], np.full(maps.shape[1] - total, scale[total])])
+        maps[:total] *= scale[:total, None]
+        inputs = np.eye(maps.shape[1], dtype=complex)
+        blocks, at = [], 0
+        for size in ([self.n] if self.n else []) + self.sizes[: len(self.nominal)]:
+            blocks.append(BarrierBlock(REAL, maps[at : at + size], inputs[at : at + size]))
+            at += size
+        for disk in self.disks:
+            into = [self.n + channel for channel in disk.channels[: disk.inputs if disk.full else None]]
+            out = [self.n + channel for channel in disk.channels]
+            blocks.append(BarrierBlock(FULL if disk.full else COMPLEX, maps[into], inputs[out]))
+        if self.gain:
+            blocks.append(BarrierBlock(FULL, maps[total:] * scale[total], inputs[total:]))
         optimum, settings = find_scalings(blocks, until=until, settings=self.settings), self.settings
         if optimum.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in optimum.G) > settings.free:
             optimum = find_scalings(blocks, until=until, penalty=settings.penalty, settings=settings)
@@ -205,26 +219,6 @@ class CellTest:
             width = max(self.reference, low)
             return low + width, width, True
         return 0.5 * (low + high), max(0.5 * (high - low), self.settings.narrow * max(high, 1e-300)), False
-
-    def _blocks(self, M: ComplexArray, scale: FloatArray) -> list[BarrierBlock]:
-        n, total = self.n, self.n + self.q
-        inputs = np.eye(M.shape[1], dtype=complex)
-        # Scale of every column of M: that of the last block for all the inputs
-        columns = M.shape[1]
-        inner = len(scale) - 1
-        scaled = M / np.concatenate([scale[:inner], np.full(columns - inner, scale[inner])])
-        scaled[:total] *= scale[:total, None]
-        blocks, at = [], 0
-        for size in ([n] if n else []) + self.sizes[: len(self.nominal)]:
-            blocks.append(BarrierBlock(REAL, scaled[at : at + size], inputs[at : at + size]))
-            at += size
-        for disk in self.disks:
-            into = [n + channel for channel in disk.channels[: disk.inputs if disk.full else None]]
-            out = [n + channel for channel in disk.channels]
-            blocks.append(BarrierBlock(FULL if disk.full else COMPLEX, scaled[into], inputs[out]))
-        if self.gain:
-            blocks.append(BarrierBlock(FULL, scaled[total:] * scale[total], inputs[total:]))
-        return blocks
 
     def _axis(self, scalings: Scalings, cell: Cell) -> int:
         """Number of the interval with the largest loss; intervals that are points are not bisected.

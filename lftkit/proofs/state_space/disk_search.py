@@ -21,7 +21,7 @@ from lftkit.proofs.blocks.lower import PerturbationSettings, lower_bound
 from lftkit.proofs.blocks.structure import balanced_matrix
 from lftkit.proofs.settings import SEARCH, SearchSettings
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, structure_of
-from lftkit.proofs.state_space.search import Member, member_gain
+from lftkit.proofs.state_space.search import Member, member_gain, worst_member
 from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
@@ -330,6 +330,15 @@ class DiskSearch:
 def at_end(omega: float, dt: float = 0.0) -> bool:
     """Whether a frequency [rad/s] is an end of the axis, where the response and dynamics are real."""
     return omega == 0.0 or math.isinf(omega) or bool(dt and omega == math.pi / dt)
+
+
+def searched_member(
+    system: System, box: Sequence[tuple[float, float]], band: tuple[float, float], seed: int, settings: SearchSettings
+) -> Member:
+    """The member with the largest gain that a search finds, values of complex and dynamic elements included."""
+    if disks_of(system):
+        return DiskSearch(system, box, band, seed, settings).worst_member()
+    return worst_member(system, box, band, seed=seed, settings=settings)
 
 
 def about(system: System, point: FloatArray) -> System:
