@@ -122,14 +122,6 @@ class ReportContent:
         yield from (p.table for section in (*self.tables, *self.notes) for p in section.parts if p.table is not None)
 
 
-def requirement_rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:
-    """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
-    several = len(names) > 1
-    joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
-    of_runs = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
-    return [row for row in of_runs if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
-
-
 def content_of(
     views: Sequence[RunView],
     summaries: Sequence[Summary],
@@ -149,7 +141,11 @@ def content_of(
     remarks : for each run sentences beside its verdict, or none at all
     """
     names, runs = tuple(v.label for v in views), [v.run for v in views]
-    rows, several = requirement_rows(names, summaries), len(views) > 1
+    several = len(views) > 1
+    # Requirements over several runs are judged on all of them and stand once, at the end
+    joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
+    of_runs = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
+    rows = [row for row in of_runs if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
     images = any(v.requirement.of_image for s in summaries for v in s.verdicts)
     first = (*LEADING, "star" if images else "trajectory")
     leading = sorted((p for p in drawn if p.name in first), key=lambda p: first.index(p.name))

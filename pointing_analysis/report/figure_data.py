@@ -19,7 +19,7 @@ HEADS = ("panel", "curve", "x", "y")
 Curve = tuple[str, FloatArray, FloatArray]
 
 
-def curves_csv(figure: Figure) -> str:
+def curves_csv(figure: Figure) -> bytes:
     """Curves, steps and bars of a figure as CSV, one row for each point; empty where it has none, as a map of pixels.
 
     Comments above the header have title, x and y axis of each panel. A line across a panel, as a limit, has one empty
@@ -29,7 +29,7 @@ def curves_csv(figure: Figure) -> str:
     --------
     >>> figure = Figure()
     >>> _ = figure.subplots().plot([0.0, 1.0], [2.0, 3.5], label="a")
-    >>> print(curves_csv(figure).strip().splitlines())
+    >>> print(curves_csv(figure).decode().splitlines())
     ['# panel 1: , x: , y: ', 'panel,curve,x,y', '1,a,0,2', '1,a,1,3.5']
     """
     panels = [axes for axes in figure.axes if axes.get_visible()]
@@ -40,7 +40,7 @@ def curves_csv(figure: Figure) -> str:
         for x, y in zip(xs.tolist(), ys.tolist())
     ]
     if not rows:
-        return ""
+        return b""
     out = io.StringIO()
     for panel, axes in enumerate(panels, start=1):
         words = f"# panel {panel}: {axes.get_title(loc='left')}, x: {axes.get_xlabel()}, y: {axes.get_ylabel()}"
@@ -48,7 +48,7 @@ def curves_csv(figure: Figure) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(HEADS)
     writer.writerows(rows)
-    return out.getvalue()
+    return out.getvalue().encode()
 
 
 def _text(value: float) -> str:

@@ -110,7 +110,7 @@ class Picture:
 
     def csv(self) -> bytes:
         """Its curves, see `curves_csv`; empty where it has none or was not made by :func:`picture`."""
-        return b"" if self.draw is None else _drawn(self.name, self.height, self.draw, _csv)
+        return b"" if self.draw is None else _drawn(self.name, self.height, self.draw, curves_csv)
 
 
 class LaidOutFigure(Figure):
@@ -168,10 +168,6 @@ def _pdf(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="pdf", metadata=NO_PDF_METADATA)
     return buffer.getvalue()
-
-
-def _csv(figure: Figure) -> bytes:
-    return curves_csv(figure).encode()
 
 
 def _drawn(name: str, height: float, draw: Callable[[Figure], None], save: Callable[[Figure], bytes]) -> bytes:

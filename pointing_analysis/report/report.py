@@ -98,11 +98,6 @@ def view(
     return RunView(label, run, series, spectrum, tuple(tones), window, within_noise, without, part)
 
 
-def _authority(runs: Sequence[Recording]) -> dict[str, float]:
-    """Largest values of the command topics, of the last run."""
-    return {topic: telescope_value(runs[-1], name) for topic, name in AUTHORITY.items()}
-
-
 def intervals_us(run: Recording) -> FloatArray:
     """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
     stamp, sent = run["truth/los"].stamp, run["truth/los"].published
@@ -144,6 +139,10 @@ class Drawn:
         """Labels of the runs."""
         return [v.label for v in self.views]
 
+    def times(self, of_run: Callable[[Recording], FloatArray]) -> list[tuple[str, FloatArray]]:
+        """Times of each run [us] with its label."""
+        return [(v.label, of_run(v.run)) for v in self.views]
+
     @cached_property
     def images(self) -> tuple[ImageView, ...]:
         """Exposures of the runs whose optics are known."""
@@ -164,16 +163,6 @@ class Drawn:
         return any(v.spectrum for v in self.views)
 
 
-def _intervals(d: Drawn) -> Picture | None:
-    times = [(v.label, intervals_us(v.run)) for v in d.views]
-    return figures.timing(times, "Tick intervals", "interval of ticks [µs]")
-
-
-def _latency(d: Drawn) -> Picture | None:
-    times = [(v.label, latency_us(v.run)) for v in d.views]
-    return figures.timing(times, "Sensor to command", "latency sensor to command [µs]")
-
-
 PICTURES: tuple[Callable[[Drawn], Picture | str | Sequence[Picture | str] | None], ...] = (
     lambda d: figures.time_history(d.views),
     lambda d: figures.trajectory(d.views, d.requirements),
@@ -189,11 +178,11 @@ PICTURES: tuple[Callable[[Drawn], Picture | str | Sequence[Picture | str] | None
     lambda d: figures.by_line(d.views, d.model.lines),
     lambda d: distributions(d.views, d.requirements),
     lambda d: over_exposure(d.views, d.requirements),
-    lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
+    lambda d: figures.commands(d.views, {topic: telescope_value(d.views[-1].run, a) for topic, a in AUTHORITY.items()}),
     lambda d: nyquist(d.names, d.model.loops),
     lambda d: sensitivity(d.names, d.model.loops),
-    _intervals,
-    _latency,
+    lambda d: figures.timing(d.times(intervals_us), "Tick intervals", "interval of ticks [µs]"),
+    lambda d: figures.timing(d.times(latency_us), "Sensor to command", "latency sensor to command [µs]"),
 )
 """Pictures of the page in reading order, sentences in the place of those that cannot be made; None: none is due."""
 

@@ -81,9 +81,7 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
     start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
     if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or not 0 < start < size - _TAIL:
         return None
-    if tail[-len(MAGIC) :] != MAGIC:
-        return None
-    if size - start > MAX_SUMMARY or not checksum:
+    if tail[-len(MAGIC) :] != MAGIC or size - start > MAX_SUMMARY or not checksum:
         return None
     stream.seek(start)
     data = stream.read(size - _TAIL - start)
