@@ -99,12 +99,12 @@ def gains_above(T: ComplexArray, fraction: float) -> FloatArray:
 
 def leading_pairs(T: ComplexArray) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """All singular values (descending) and vectors of a stack of a few matrices: s (N, r), U (N, p, r), V (N, m, r)."""
-    wide = T.shape[1] <= T.shape[2]
-    gram = T @ T.conj().swapaxes(1, 2) if wide else T.conj().swapaxes(1, 2) @ T
+    wide, adjoint = T.shape[1] <= T.shape[2], T.conj().swapaxes(1, 2)
+    gram = T @ adjoint if wide else adjoint @ T
     values, vectors = _eigh_of_two(gram) if gram.shape[1] == 2 else np.linalg.eigh(gram)
     s = np.sqrt(np.maximum(values[:, ::-1], 0.0))
     first = vectors[:, :, ::-1]
-    other = (T.conj().swapaxes(1, 2) if wide else T) @ first / np.maximum(s, 1e-300)[:, None, :]
+    other = (adjoint if wide else T) @ first / np.maximum(s, 1e-300)[:, None, :]
     return s, (first if wide else other), (other if wide else first)
 
 

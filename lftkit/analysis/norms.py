@@ -399,8 +399,9 @@ def _continuous(system: Matrices, rtol: float, certificate: str, settings: NormS
         return HInfNorm(*norm, "hamiltonian")
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
+    unstable = HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
     if response.poles[worst].real >= 0.0 or response.on_axis.size:
-        return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
+        return unstable
     for fine in (False, True) if response.modal and certificate != "hamiltonian" else ():
         if fine:  # the slowest decays may be below the rounding of the poles
             response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False, fine=True)

@@ -172,8 +172,8 @@ def _least(standard: StandardPlant, generalised: WorkingPlant, proven: ProvenLow
         lower = max(design.lower, min(above, design.value))
         if design.lower == -np.inf and lower < near:
             lower = max(lower, level())
-        if design.lower == -np.inf and lower < near:
-            lower = max(lower, confirmed_optimum(standard.system, measured, commanded, design.value))
+            if lower < near:
+                lower = max(lower, confirmed_optimum(standard.system, measured, commanded, design.value))
         return replace(design, lower=lower if lower >= settings.least * design.value else -np.inf)
 
     best = bounded(_controller_of_least_norm(standard, generalised))

@@ -39,13 +39,14 @@ class FullOrderEstimator:
 
 def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
     """Controller with the least H2 norm, D11 left out; None where an equation has no solution."""
-    X = riccati(plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, plant.C1.T @ plant.D12)
-    Y = riccati(plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, plant.B1 @ plant.D21.T)
+    R, W = plant.D12.T @ plant.D12, plant.D21 @ plant.D21.T
+    X = riccati(plant.A, plant.B2, plant.C1.T @ plant.C1, R, plant.C1.T @ plant.D12)
+    Y = riccati(plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, W, plant.B1 @ plant.D21.T)
     if X is None or Y is None:
         return None
     try:
-        F = -regular_solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
-        L = -regular_solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
+        F = -regular_solve(R, plant.B2.T @ X + plant.D12.T @ plant.C1)
+        L = -regular_solve(W, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
     except linalg.LinAlgError:
         return None
     D = np.zeros((len(F), L.shape[1]))

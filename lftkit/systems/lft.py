@@ -22,8 +22,9 @@ def solve_loop(matrix: FloatArray, right: FloatArray, requirement: str) -> Float
     solution = _solution(matrix, right)
     if solution is None:
         rows = _powers(np.abs(matrix).max(axis=1))
-        columns = _powers(np.abs(matrix * rows[:, None]).max(axis=0))
-        solution = _solution(matrix * rows[:, None] * columns, right * rows[:, None])
+        by_rows = matrix * rows[:, None]
+        columns = _powers(np.abs(by_rows).max(axis=0))
+        solution = _solution(by_rows * columns, right * rows[:, None])
         if solution is None:
             raise InputError(f"{requirement}, got a singular algebraic loop")
         solution = solution * columns[:, None]
@@ -64,10 +65,11 @@ def at_deviations(M: Matrices, delta: FloatArray, requirement: str) -> Matrices:
         loop = np.eye(active.size) - M[3][np.ix_(active, active)] * delta[active]
         right = np.hstack([M[2][active], M[3][active, q:]])
         w = delta[active, None] * solve_loop(loop, right, requirement)
-        A = A + M[1][:, active] @ w[:, :n]
-        B = B + M[1][:, active] @ w[:, n:]
-        C = C + M[3][q:, active] @ w[:, :n]
-        D = D + M[3][q:, active] @ w[:, n:]
+        to_states, to_outputs = M[1][:, active], M[3][q:, active]
+        A = A + to_states @ w[:, :n]
+        B = B + to_states @ w[:, n:]
+        C = C + to_outputs @ w[:, :n]
+        D = D + to_outputs @ w[:, n:]
     return A, B, C, D
 
 

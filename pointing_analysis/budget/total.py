@@ -155,8 +155,9 @@ def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudge
     fixed = [s for s in budget.sources if s.random == _worst(requirement)]
     drawn = [s for s in budget.sources if s.random != _worst(requirement)]
     means = {s.path: s.mean if window is None else np.zeros_like(s.mean) for s in budget.sources}
-    offset = sum((means[s.path] for s in budget.sources), np.zeros(len(budget.axes)))
-    largest = sum((_largest(s, window, factor) for s in fixed), np.zeros(len(budget.axes)))
+    none = np.zeros(len(budget.axes))
+    offset = sum((means[s.path] for s in budget.sources), none)
+    largest = sum((_largest(s, window, factor) for s in fixed), none)
 
     error = (_draw(drawn, budget, window, len(budget.axes)) + offset)[:, axes]
     if requirement.interpretation == "temporal":
@@ -166,7 +167,7 @@ def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudge
         sizes = [np.sqrt(np.square(np.abs(error) + largest[axes]).sum(axis=1))]
     quantiles = (confidence.quantile(size, p, 0.975, effective=size.size) for size in sizes)
     worst_axis = max(quantiles, key=lambda quantile: quantile.value)
-    sigma = np.sqrt(sum((s.sigma(window) ** 2 for s in drawn), np.zeros(len(budget.axes))))
+    sigma = np.sqrt(sum((s.sigma(window) ** 2 for s in drawn), none))
     reach = (np.abs(offset) + largest)[axes]
     rss = float(reach[0] + factor * sigma[axes[0]]) if len(axes) == 1 else norm_quantile(reach, sigma, p)
     total = worst_axis.value if budget.summation == "distribution" else rss

@@ -95,14 +95,15 @@ def centroid(frame: FloatArray, camera: StarCamera, settings: CentroidSettings =
     boxes = np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
     row, column = np.unravel_index(int(np.argmax(boxes)), boxes.shape)
     brightest, sigma = float(boxes[row, column]), np.sqrt(camera.camera.floor_variance)
-    if brightest < settings.detection * 3.0 * sigma:
+    faintest = settings.detection * 3.0 * sigma
+    if brightest < faintest:
         return _missing(NO_STAR)
     near = data[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
     if float(near.max()) > settings.sharpest * brightest + settings.detection * sigma:
         return _missing(NOT_A_STAR)
     rows, columns = (np.arange(size) - at for size, at in zip(data.shape, (row, column)))
     far = np.hypot(rows[:, None], columns) * camera.optics.pixel > settings.apart * camera.optics.resolution
-    if far.any() and float(boxes[far].max()) > settings.detection * 3.0 * sigma + settings.second * brightest:
+    if far.any() and float(boxes[far].max()) > faintest + settings.second * brightest:
         return _missing(TWO_STARS)
     start = _moments(data, int(row), int(column), camera, settings)
     return (

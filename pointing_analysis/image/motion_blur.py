@@ -271,11 +271,11 @@ def _worst_of(x: FloatArray, frequency: float, count: int) -> tuple[FloatArray, 
         move = np.where(bend > 0, 0.5 * (sides[0] - sides[1]) / np.where(bend > 0, bend, 1.0), 0.0)
         middle = angle + step * np.clip(move, -1.0, 1.0)
         step /= 5
-        three = middle[:, None] + step * np.array([-1.0, 0.0, 1.0])
-        found = np.abs(motion_transfer(x, frequency * _direction(three)))
+        beside = step * np.array([-1.0, 0.0, 1.0])
+        found = np.abs(motion_transfer(x, frequency * _direction(middle[:, None] + beside)))
         better = found[:, 1] <= best
         if not better.all():  # the parabola led away: about the best direction so far instead
-            again = angle[~better, None] + step * np.array([-1.0, 0.0, 1.0])
+            again = angle[~better, None] + beside
             found[~better] = np.abs(motion_transfer(x[~better], frequency * _direction(again)))
             middle = np.where(better, middle, angle)
         angle, best, sides = middle, found[:, 1], (found[:, 0], found[:, 2])

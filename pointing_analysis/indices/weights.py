@@ -47,9 +47,10 @@ def rpe_discrete(omega: ArrayLike, samples: float, dt: float) -> FloatArray:
         that the edges of disjoint windows have in their samples
     dt : sampling period T [s]
     """
+    angle = np.asarray(omega, dtype=float) * dt
     if samples != round(samples):
-        return _rpe_fractional(np.asarray(omega, dtype=float) * dt, samples)
-    half = np.asarray(omega, dtype=float) * dt / 2
+        return _rpe_fractional(angle, samples)
+    half = angle / 2
     bottom = samples * np.sin(half)
     flat = np.abs(bottom) < 1e-9
     kernel = np.where(flat, 1.0, np.sin(samples * half) / np.where(flat, 1.0, bottom))

@@ -202,8 +202,9 @@ def _delays(
             falls = end < logged.size and level - delay[end] > least  # below the level: a step
             caught_up = end - 1 if falls else end
         elif period > 0:  # of a topic without one, several nodes may send, each with its own delay
-            change = float(after[: settings.before].min() - level)
-            jitter = float(np.quantile(after[: settings.before], settings.usual) - after[: settings.before].min())
+            few = after[: settings.before]
+            change = float(few.min() - level)
+            jitter = float(np.quantile(few, settings.usual) - few.min())
             if change > least or change < -least - jitter:  # the few messages before may all have come late
                 start = i + 1
                 delays[i] = ("clock step", change)

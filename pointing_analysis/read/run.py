@@ -154,15 +154,15 @@ class Run:
         described = {sensor.topic: ", ".join(sensor.unit.split(",")) for sensor in sensors_of(self)}
         unit = {**described, **KNOWN}.get(name, UNITS[column.schema])
         topic = column.topic(unit, period)
-        unfinished = self._window[1] == math.inf and self._read.cut
+        to_its_end = self._window[1] == math.inf
         before, after = self._lost_ends(topic)
         expected = self._expected(topic)
-        if self._window[1] == math.inf and expected is not None:
+        if to_its_end and expected is not None:
             after = max(expected - before - topic.span, after, 0)
         whole = name == "truth/los" and self._window == WHOLE and not self._read.cut
         unsent = run_end(self.parameters).unsent if whole else 0
         topic = replace(topic, lost_before=before, lost_after=after, unsent_after=unsent)
-        return replace(topic, open_end=unfinished and expected is None)
+        return replace(topic, open_end=to_its_end and self._read.cut and expected is None)
 
     def _lost_ends(self, topic: Topic) -> tuple[int, int]:
         """Messages before the first and after the last one that the bag knows to be lost."""

@@ -111,14 +111,14 @@ def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeG
     usual = (steps > 0.49 * middle) & (steps < 1.51 * middle)  # also of times rounded to half of the period
     if middle <= 0 or not usual.any():
         return None
-    width = min(settings.local, steps.size)
+    width, mean = min(settings.local, steps.size), float(steps[usual].mean())
     counts = uniform_filter1d(usual.astype(float), width, mode="nearest")
     sums = uniform_filter1d(np.where(usual, steps, 0.0), width, mode="nearest")
-    local = np.where(counts > 0.5 / width, sums / np.maximum(counts, 0.5 / width), float(steps[usual].mean()))
+    local = np.where(counts > 0.5 / width, sums / np.maximum(counts, 0.5 / width), mean)
     places = np.rint(steps / local)
     told = (np.abs(steps / local - places)[usual] <= settings.told).all() and bool((places >= 1.0).all())
     # By intervals where each tells its places, else along a line
-    place = np.append(0.0, np.cumsum(places)) if told else _line(since, float(steps[usual].mean()))
+    place = np.append(0.0, np.cumsum(places)) if told else _line(since, mean)
     if not np.ptp(place):
         return None
     centred = place - place.mean()
@@ -138,7 +138,7 @@ def time_grid(times: FloatArray, settings: TimeGridSettings = SETTINGS) -> TimeG
     noise = max(16.0 * jitter, 2.0 * max(resolution, 1.0 / NANO)) / (width * period)
     drift = float(np.sqrt(drift**2 - noise**2)) if drift > 1.01 * noise else 0.0
     if not told and largest > settings.lost * period:
-        period = float(steps[usual].mean())
+        period = mean
     elif drift == 0.0:
         period = _round_rate(period, float(np.ptp(place)), max(2.0 * largest, 1e-9))
     whole = place.astype(np.int64)

@@ -110,14 +110,15 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
     Modes are marked at the speeds that were recorded: a ramp may continue after the end of the record.
     """
     omega, time, values = _spectra(view)
-    speed = np.interp(time, motion.time, motion.speed[:, motion.wheel])
+    of_wheel = motion.speed[:, motion.wheel]
+    speed = np.interp(time, motion.time, of_wheel)
     keep = np.concatenate([[True], np.diff(speed) != 0.0])
     order = np.argsort(speed[keep], kind="stable")
     x, shown = speed[keep][order], values[:, keep][:, order]
     x, first = np.unique(x, return_index=True)
     end = view.series.start + len(view.series.values) * view.series.dt
     during = np.clip(motion.time, view.series.start, end)
-    recorded = np.interp(during, motion.time, motion.speed[:, motion.wheel])
+    recorded = np.interp(during, motion.time, of_wheel)
     low, high = float(recorded.min()), float(recorded.max())
     top = min(float(omega[-1]), max(RAYS_SHOWN * float(np.abs(motion.speed).max()), LOWEST_TOP))
 
@@ -125,7 +126,7 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
         axis = _image(figure, x, omega, shown[:, first])
         for i, harmonic in enumerate(np.sort(motion.harmonics)[:HARMONICS]):
             axis.plot(x, harmonic * np.abs(x), **GUIDE, label=None if i else "harmonics of the speed")
-        marks = [(np.interp(at, motion.time, motion.speed[:, motion.wheel]), modes) for at, modes in motion.modes]
+        marks = [(np.interp(at, motion.time, of_wheel), modes) for at, modes in motion.modes]
         for i, (where, modes) in enumerate((where, modes) for where, modes in marks if low <= where <= high):
             below = modes[modes < top]
             axis.plot(

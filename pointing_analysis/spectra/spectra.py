@@ -112,10 +112,11 @@ def highest_frequency(error: FloatArray, dt: float, settings: BandSettings = BAN
     if len(e) < settings.fewest or np.isnan(e).any():
         return None
     # A window whose side lobes are below the rounding of a double: leakage would hide the end.
-    power = np.square(np.abs(np.fft.rfft((e - e.mean(axis=0)) * np.kaiser(len(e), settings.beta)[:, None], axis=0)))
+    taper = np.kaiser(len(e), settings.beta)
+    power = np.square(np.abs(np.fft.rfft((e - e.mean(axis=0)) * taper[:, None], axis=0)))
     size, steps = power.max(axis=1), np.abs(np.diff(e, axis=0))
     quantum = float(np.min(steps, where=steps > 0.0, initial=np.inf))
-    of_quantum = quantum**2 / 12.0 * float(np.square(np.kaiser(len(e), settings.beta)).sum())
+    of_quantum = quantum**2 / 12.0 * float(np.square(taper).sum())
     floor = float(np.median(size[-int(settings.top * len(size)) :]))
     if not floor <= max(settings.rounding * float(size.max()), settings.quantum * of_quantum) < np.inf:
         return None

@@ -164,8 +164,8 @@ def circle_modes(
     right = complex_rows(eigen.poles, first + correction)
     inverse = len(B) / max(eigen.reciprocal_condition, EPS)
     lost = EPS * float(np.abs(correction).max(initial=0.0)) + TWICE * float(np.abs(first).max(initial=0.0))
-    error = 2.0 * EPS * np.sqrt(np.sum(np.abs(right) ** 2, axis=1)) + inverse * lost
     rows, columns = np.sqrt(np.sum(np.abs(left) ** 2, axis=0)), np.sqrt(np.sum(np.abs(right) ** 2, axis=1))
+    error = 2.0 * EPS * columns + inverse * lost
     residues = (left.T[:, :, None] * right[:, None, :]).reshape(n, -1)
     inexact = rows * error + 4.0 * EPS * rows * columns
     couplings = couplings * rows[:, None] * columns

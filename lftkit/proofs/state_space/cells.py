@@ -250,7 +250,8 @@ class CellTest:
         first = [] if n else [np.zeros((0, 0), complex)]
         matrices_D, matrices_G = [*first, *scalings.D], [*first, *scalings.G]
         for d, g, size, width in zip(matrices_D, matrices_G, [n, *self.sizes], widths):
-            s = np.outer(scale[at : at + len(d)], scale[at : at + len(d)])
+            part = scale[at : at + len(d)]
+            s = np.outer(part, part)
             at += size
             D.append(s * d / width**2)
             G.append(s * g / width)

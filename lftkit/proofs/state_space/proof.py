@@ -118,8 +118,9 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
     inequality, q = Inequality(claim), len(system.channels)
     deviations = {p.name: values[p.name] - p.nominal for p in system.parameters}
     deviation = np.array([deviations.get(c, 0.0) for c in system.channels])
-    loop = np.eye(q) - system.D[:q, :q] * deviation
-    through = np.eye(q) + deviation[:, None] * linalg.solve(loop, system.D[:q, :q]) if q else np.eye(0)
+    D11 = system.D[:q, :q]
+    loop = np.eye(q) - D11 * deviation
+    through = np.eye(q) + deviation[:, None] * linalg.solve(loop, D11) if q else np.eye(0)
     A, channels = np.array(system.at(values, beyond_range=True).A), system.B[:, :q] @ through
     if system.dt:  # what follows is for the sum and the difference of next states and states
         ahead, step, (above, below) = A + np.eye(len(A)), A - np.eye(len(A)), (channels, channels)

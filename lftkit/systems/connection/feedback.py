@@ -46,11 +46,11 @@ def close_loop(plant: System, controller: System, inputs: Sequence[str], outputs
         )
     A, B, C, D = plant.matrices
     Ak, Bk, Ck, Dk = controller.matrices
-    loop = np.eye(len(cu)) - Dk @ D[np.ix_(ry, cu)]
+    B2, C2, D12, D21, D22 = B[:, cu], C[ry], D[np.ix_(rz, cu)], D[np.ix_(ry, cw)], D[np.ix_(ry, cu)]
+    loop = np.eye(len(cu)) - Dk @ D22
     if np.abs(linalg.det(loop)) < 1e-12:
         raise InputError(f"the loop of {plant.name} and {controller.name} is not well posed (I - D_K D_22 singular)")
     E = linalg.inv(loop)
-    B2, C2, D12, D21, D22 = B[:, cu], C[ry], D[np.ix_(rz, cu)], D[np.ix_(ry, cw)], D[np.ix_(ry, cu)]
     X, U, W = E @ Dk @ C2, E @ Ck, E @ Dk @ D21  # u = X x + U x_K + W w
     Acl = np.block([[A + B2 @ X, B2 @ U], [Bk @ (C2 + D22 @ X), Ak + Bk @ D22 @ U]])
     Bcl = np.vstack([B[:, cw] + B2 @ W, Bk @ (D21 + D22 @ W)])

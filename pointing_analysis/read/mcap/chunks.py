@@ -363,6 +363,7 @@ def unpack_messages(block: Block, limit: int) -> tuple[Block, int]:
             payloads.append(payload)
     heads = block.heads[kept]
     heads["length"] = BODY + np.array([len(payload) for payload in payloads], np.uint64)
-    ends = np.cumsum(heads["length"].astype(np.int64) + RECORD.size)
+    sizes = heads["length"].astype(np.int64) + RECORD.size
+    ends = np.cumsum(sizes)
     data = b"".join(head.tobytes() + payload for head, payload in zip(heads, payloads))
-    return Block(data, heads, ends - heads["length"].astype(np.int64) - RECORD.size), len(block.heads) - len(kept)
+    return Block(data, heads, ends - sizes), len(block.heads) - len(kept)

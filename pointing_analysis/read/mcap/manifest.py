@@ -109,9 +109,8 @@ def decode_manifest(body: bytes) -> Manifest | None:
         return None
     runs = np.frombuffer(body, RUN, length // RUN.itemsize, _HEAD.size + 4)
     checksums = np.frombuffer(body[at + 4 :], "<u4") if (len(body) - at) % 4 == 0 else np.empty(0, "<u4")
-    total = int(runs["count"].astype(np.int64).sum())
-    sizes = int((runs["count"].astype(np.int64) * runs["length"]).sum())
-    if checksums.size != total or sizes != size:
+    counts = runs["count"].astype(np.int64)
+    if checksums.size != counts.sum() or (counts * runs["length"]).sum() != size:
         return None
     return Manifest(checksum, digest, size, runs, checksums, not verified or body != read, verified)
 
