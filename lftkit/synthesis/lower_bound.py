@@ -387,8 +387,9 @@ def _best(
             W = dual[2]
             unseen = _met(plant, kernels[0] @ _root(dual[0]), W[:n, :n])
             unmoved = _met(adjoint, kernels[1] @ _root(dual[1][:second, :second]), W[len(W) - m :, len(W) - m :])
-            optimum = working.level * float(np.sqrt(v[-1]))
-            proof = working.claimed(*working.vectors(unseen, unmoved / np.sqrt(v[-1])), 0.0)
+            root = np.sqrt(v[-1])
+            optimum = working.level * float(root)
+            proof = working.claimed(*working.vectors(unseen, unmoved / root), 0.0)
             if proof is not None:
                 proofs.append(proof)
     best: LowerBoundProof | None = None

@@ -76,9 +76,10 @@ def constant(
     zero = np.zeros(m.size)
 
     def draw(rng: np.random.Generator, u: FloatArray, window: float | None) -> FloatArray:
+        shape = u.size, m.size
         if window is not None:
-            return np.zeros((u.size, m.size))
-        return np.asarray(rng.uniform(-1, 1, (u.size, m.size)) * h + rng.standard_normal((u.size, m.size)) * s)
+            return np.zeros(shape)
+        return np.asarray(rng.uniform(-1, 1, shape) * h + rng.standard_normal(shape) * s)
 
     def largest(window: float | None) -> FloatArray:
         return zero if window is not None else np.where(s > 0, np.inf, h)

@@ -104,17 +104,16 @@ def write_kernel(
     """Write the kernel as a FITS picture; raises as `chosen_paths` and `kernel`."""
     paths = chosen_paths(series, exposure, number)
     found = kernel(paths, step_mas * RAD_PER_MAS)
+    length = (paths.shape[1] - 1) * series.dt
     header = {
         "PIXELSCL": (step_mas * RAD_PER_MAS / RAD_PER_ARCSEC, "[arcsec] grid spacing"),
-        "EXPTIME": ((paths.shape[1] - 1) * series.dt, "[s] exposure"),
+        "EXPTIME": (length, "[s] exposure"),
         "NEXPOS": (len(paths), "exposures stacked at their means"),
         "DELTAT": (series.dt, "[s] between samples, the path is linear between them"),
         "ORIGFILE": (name[-60:], "recording"),
     }
     write_picture(path, found, header)
-    text = (
-        f"{len(paths)} exposures of {(paths.shape[1] - 1) * series.dt:g} s on {len(found)}^2 cells of {step_mas:g} mas"
-    )
+    text = f"{len(paths)} exposures of {length:g} s on {len(found)}^2 cells of {step_mas:g} mas"
     return Exported(text, {"exposures": len(paths), "places": len(found), "step_mas": step_mas})
 
 

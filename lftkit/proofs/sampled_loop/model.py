@@ -53,8 +53,9 @@ class LoopModel(Loop):
         response = (self.C / (s - self.poles)) @ self.B[:, : q + d] + self.D[:, : q + d]
         if not len(self.K_C):
             return response[:q], np.asarray(response[q:][list(self.rows)])
-        seen = (self.C[q:] * (gain / (z - growth))) @ self.B[:, q + d :] + self.D[q:, q + d :]
-        felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
+        commanded = self.B[:, q + d :]
+        seen = (self.C[q:] * (gain / (z - growth))) @ commanded + self.D[q:, q + d :]
+        felt = (self.C[:q] / (s - self.poles)) @ commanded + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
         from lftkit.analysis.lft_response import feedback  # what reads a proof does without

@@ -87,11 +87,11 @@ class ScalarBarrierProblem(BarrierProblem):
         a, b = zS @ self.z.conj().T, zS @ self.w.conj().T
         c, d = wS @ self.z.conj().T, wS @ self.w.conj().T
         by_d = np.abs(a) ** 2 - np.abs(b) ** 2 - np.abs(c) ** 2 + np.abs(d) ** 2
-        mixed = (c * d.conj() - a * b.conj()).imag
+        mixed = (c * d.conj() - a * b.conj()).imag[np.ix_(self.scaled, self.turned)]
         by_g = 0.5 * (a * d.conj() - b.conj() * c).real
         curvature[np.ix_(self.of_d, self.of_d)] = by_d[np.ix_(self.scaled, self.scaled)]
-        curvature[np.ix_(self.of_d, self.of_g)] = mixed[np.ix_(self.scaled, self.turned)]
-        curvature[np.ix_(self.of_g, self.of_d)] = mixed[np.ix_(self.scaled, self.turned)].T
+        curvature[np.ix_(self.of_d, self.of_g)] = mixed
+        curvature[np.ix_(self.of_g, self.of_d)] = mixed.T
         curvature[np.ix_(self.of_g, self.of_g)] = by_g[np.ix_(self.turned, self.turned)]
         slope[self.positive] -= 1.0 / y[self.positive]
         curvature[self.positive, self.positive] += y[self.positive] ** -2.0

@@ -80,10 +80,8 @@ def with_input_filter(system: System, filters: Mapping[str, System]) -> System:
     wires: list[tuple[str, str]] = []
     for port in system.inputs:
         if port.name in filters:
-            wires += [
-                (port.name, f"filter_{port.name}.{port.name}"),
-                (f"filter_{port.name}.{port.name}", f"system.{port.name}"),
-            ]
+            filtered = f"filter_{port.name}.{port.name}"
+            wires += [(port.name, filtered), (filtered, f"system.{port.name}")]
         else:
             wires.append((port.name, f"system.{port.name}"))
     return connect(systems, wires, inputs=system.inputs, outputs={p.name: f"system.{p.name}" for p in system.outputs})

@@ -42,12 +42,11 @@ class Column:
     def add(self, stamp: IntArray, values: FloatArray, sent: IntArray) -> None:
         """Append messages: stamps, values (m, k), times of publishing."""
         width = values.shape[1]
-        if not self.size and width != self.arrays[1].columns:
+        columns = self.arrays[1].columns
+        if width != columns:
+            if self.size:
+                raise BagError(f"all messages must have the same number of values, got {columns} and {width}")
             self.arrays = _nothing(width)
-        if width != self.arrays[1].columns:
-            raise BagError(
-                f"all messages must have the same number of values, got {self.arrays[1].columns} and {width}"
-            )
         for array, new in zip(self.arrays, (stamp, values, sent)):
             array.append(new)
         self.size += len(stamp)
