@@ -6,6 +6,7 @@ import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import matplotlib as mpl
@@ -106,7 +107,7 @@ class Picture:
         """
         if self.draw is None:
             raise InputError(f"{self.name} must be a picture that can be drawn again, got its SVG alone")
-        return _drawn(self.name, self.height, self.draw, _pdf)
+        return _drawn(self.name, self.height, self.draw, partial(_saved, kind="pdf", metadata=NO_PDF_METADATA))
 
     def csv(self) -> bytes:
         """Its curves, see `curves_csv`; empty where it has none or was not made by :func:`picture`."""
@@ -158,15 +159,9 @@ def _power_of_ten(value: float, _: object = None) -> str:
     return "10" + str(exponent).translate(_RAISED) if exact else ""
 
 
-def _svg(figure: Figure) -> bytes:
+def _saved(figure: Figure, kind: str, metadata: Mapping[str, None]) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def _pdf(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="pdf", metadata=NO_PDF_METADATA)
+    figure.savefig(buffer, format=kind, metadata=metadata)
     return buffer.getvalue()
 
 
@@ -187,7 +182,8 @@ def _drawn(name: str, height: float, draw: Callable[[Figure], None], save: Calla
 
 def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
     """Draw one picture in the style of the report, `height` [inch]; `draw` fills an empty figure, each time alike."""
-    return Picture(name, title, alt, _drawn(name, height, draw, _svg), height, draw)
+    save = partial(_saved, kind="svg", metadata={"Date": None, "Creator": None})
+    return Picture(name, title, alt, _drawn(name, height, draw, save), height, draw)
 
 
 def envelope(time: FloatArray, values: FloatArray, points: int = 700) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.formatting.number_text import percent
+from pointing_analysis.formatting.number_text import number, percent
 from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
@@ -94,7 +94,7 @@ class ToneBudget:
         """Values for JSON; NaN becomes None."""
         values = {part: float(getattr(self, part)) for part in PARTS}
         values["noise_error"] = self.noise_error
-        shown = {part: float(f"{x:.6g}") if math.isfinite(x) else None for part, x in values.items()}
+        shown = {part: number(x) for part, x in values.items()}
         return {**shown, "allowances": dict(self.allowances), "lines_found": [_as_row(line) for line in self.found]}
 
 
