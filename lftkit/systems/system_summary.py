@@ -4,20 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from lftkit.support.counted_nouns import counted
-from lftkit.uncertainty.elements import description
+from lftkit.uncertainty.elements import Element, description
 
 if TYPE_CHECKING:
     from lftkit.systems.ports import Port
-    from lftkit.systems.sampled.sampled_system import SampledSystem
-    from lftkit.systems.system import System
 
 Row = tuple[str, ...]
 
 
-def lines(system: System) -> list[str]:
+class WithPorts(Protocol):
+    """A system with a name, ports and a number of states, for a line about it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Ports of the inputs."""
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Ports of the outputs."""
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+
+
+class Summarised(WithPorts, Protocol):
+    """A system with period, elements and their occurrences as well, for a summary."""
+
+    @property
+    def dt(self) -> float:
+        """Sampling period [s]; 0: continuous time."""
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """Uncertain elements."""
+
+    def occurrences(self) -> dict[str, int]:
+        """Number of repetitions of each element in Delta."""
+
+
+def lines(system: Summarised) -> list[str]:
     """Five lines or fewer: what stands in a session or a debugger.
 
     Examples
@@ -40,12 +73,12 @@ def lines(system: System) -> list[str]:
     return [head, *sides, f"  Delta {size} x {size}: {_first(occurrences)}"]
 
 
-def _kind(system: System) -> str:
+def _kind(system: Summarised) -> str:
     time = f"dt {system.dt:g} s" if system.dt else "continuous time"
     return f"order {system.order}, {time}" if system.order or system.dt else "gain without states"
 
 
-def named_line(system: SampledSystem, *facts: str) -> str:
+def named_line(system: WithPorts, *facts: str) -> str:
     """Type, name, order, the first ports by name and size, and further `facts`."""
     sides = [f"{kind}{'' if len(ports) == 1 else 's'} {_named(ports)}" for ports, kind in _sides(system)]
     return f"{type(system).__name__}({', '.join([repr(system.name), f'order {system.order}', *sides, *facts])})"
@@ -60,7 +93,7 @@ def _first(names: Sequence[str], shown: int = 4) -> str:
     return f"{', '.join(names[:shown]) or 'none'}{more}"
 
 
-def text(system: System) -> str:
+def text(system: Summarised) -> str:
     """Ports with sizes and units, elements with range and occurrences in Delta."""
     parts = [f"{system.name}: {_kind(system)}"]
     for ports, kind in _sides(system):
@@ -71,7 +104,7 @@ def text(system: System) -> str:
     return "\n".join([*parts, *_columns(rows)])
 
 
-def html(system: System) -> str:
+def html(system: Summarised) -> str:
     """The same as HTML: one line, ports and elements in tables that fold out."""
     parts = [f"<strong>{escape(system.name)}: {_kind(system)}</strong>"]
     for ports, kind in _sides(system):
@@ -83,7 +116,7 @@ def html(system: System) -> str:
     return f"<div>{''.join(parts)}</div>"
 
 
-def _sides(system: System | SampledSystem) -> tuple[tuple[tuple[Port, ...], str], ...]:
+def _sides(system: WithPorts) -> tuple[tuple[tuple[Port, ...], str], ...]:
     return (system.inputs, "input"), (system.outputs, "output")
 
 
@@ -91,7 +124,7 @@ def _port_rows(ports: Sequence[Port]) -> list[Row]:
     return [(p.name, str(p.size), p.unit) for p in ports]
 
 
-def _element_rows(system: System) -> list[Row]:
+def _element_rows(system: Summarised) -> list[Row]:
     count = system.occurrences()
     return [(e.name, description(e), str(count[e.name])) for e in system.elements]
 
