@@ -55,7 +55,14 @@ def lost_gaps(run: Recording, name: str, lost: int) -> int:
     topic = run[name]
     if not unsent(run, name) or not lost:
         return topic.integrity.gap_count if lost else 0
-    stamps, gaps = _missing(topic)
+    # Stamps [ns] at which the topic has no sample, and the number of the gap of each
+    period, stamp = round(topic.period * 1e9), np.asarray(topic.stamp)
+    steps = np.rint(np.diff(stamp) / period).astype(np.int64) if period and len(stamp) else np.zeros(0, np.int64)
+    holes = np.flatnonzero(steps > 1)[:MAX_GAPS]
+    sizes = np.minimum(steps[holes] - 1, MAX_GAP)
+    gaps = np.repeat(np.arange(len(holes)), sizes)
+    index = np.arange(len(gaps)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    stamps = np.repeat(stamp[holes], sizes) + period * (index + 1)
     sent = np.zeros(len(stamps), bool)
     for other in OF_EVERY_TICK:
         if other != name and other in run:
@@ -63,17 +70,6 @@ def lost_gaps(run: Recording, name: str, lost: int) -> int:
     certain = np.unique(gaps[sent])
     rest = np.setdiff1d(gaps, certain)
     return len(certain) + min(len(rest), max(lost - int(sent.sum()), 0))
-
-
-def _missing(topic: Topic) -> tuple[IntArray, IntArray]:
-    """Stamps [ns] at which a topic has no sample, and the number of the gap of each."""
-    period, stamp = round(topic.period * 1e9), np.asarray(topic.stamp)
-    steps = np.rint(np.diff(stamp) / period).astype(np.int64) if period and len(stamp) else np.zeros(0, np.int64)
-    holes = np.flatnonzero(steps > 1)[:MAX_GAPS]
-    sizes = np.minimum(steps[holes] - 1, MAX_GAP)
-    gaps = np.repeat(np.arange(len(holes)), sizes)
-    index = np.arange(len(gaps)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return np.repeat(stamp[holes], sizes) + period * (index + 1), gaps
 
 
 def _among(stamps: IntArray, topic: Topic) -> BoolArray:

@@ -150,6 +150,7 @@ def content_of(
     first = (*LEADING, "star" if images else "trajectory")
     leading = sorted((p for p in drawn if p.name in first), key=lambda p: first.index(p.name))
     bags = tuple(dict.fromkeys(run.path.name for run in runs))
+    kind = "Bag" if all(run.kind == "bag" for run in runs) else "File"
     tables = (
         _requirements(rows, several, all(not s.requirements_known for s in summaries), names),
         ReportSection("metrics", "Metrics", (ReportPart(table=metric_table(names, summaries)),)),
@@ -165,7 +166,7 @@ def content_of(
     )
     return ReportContent(
         " / ".join(names),
-        f"{_origin(runs)} RPE and RKE: exposures of {windows_text(views)}. {_from(runs)}: {', '.join(bags)}.",
+        f"{_origin(runs)} RPE and RKE: exposures of {windows_text(views)}. {kind}{'s' * several}: {', '.join(bags)}.",
         bags,
         names,
         tuple((name, Marked(s.overall, css_class(s.overall))) for name, s in zip(names, summaries)),
@@ -338,8 +339,3 @@ def _origin(runs: Sequence[Recording]) -> str:
         return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
     names = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)
     return f"Line of sight: {'; '.join(names)}."
-
-
-def _from(runs: Sequence[Recording]) -> str:
-    what = "Bag" if all(run.kind == "bag" for run in runs) else "File"
-    return what if len(runs) == 1 else f"{what}s"
