@@ -43,7 +43,7 @@ from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS
 from titop_plant.telescope.control_plant import OPTICAL_NOISE, control_plant, disturbances_of
 from titop_plant.telescope.telescope import Telescope
 
-MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
+MEASURED_NAMES = tuple(port.name for port in K_PMA_INPUTS)
 ORDER = 4
 MIRROR_COMMAND, FORCE = COMMAND_PORTS
 ADDED_COMMAND, ADDED_FORCE = (Port(f"added_{p.name}", p.size, p.unit) for p in COMMAND_PORTS)
@@ -53,7 +53,7 @@ PADE_ORDER = 3
 PLATFORM_NOISE, MIRRORS_NOISE = "platform_noise", "mirror_noise"
 NOISE_PORTS = {
     **{name: port if port == OPTICAL_NOISE.name else MIRRORS_NOISE for name, port in PLANT_NOISE_PORTS.items()},
-    **dict.fromkeys(MEASUREMENTS, PLATFORM_NOISE),
+    **dict.fromkeys(MEASURED_NAMES, PLATFORM_NOISE),
 }
 """Input of the noise of each measured port."""
 SENSITIVITY_PORTS = {

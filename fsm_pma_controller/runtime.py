@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Protocol
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from lftkit.systems.ports import Port, total_size
+from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.held_samples import HeldSamples
-from titop_plant.interface import (
-    COMMANDS,
-    DT,
-    FORCE_STAGES,
-    FORCES,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MIRROR,
-    MIRROR_STAGES,
-    STAGES,
-)
-from titop_plant.sensors import MEASURED_SENSORS, PLATFORM_PORT, Sensor, port_alone
+from titop_plant.interface import COMMANDED, DT, FORCE_STAGES, MIRROR, MIRROR_STAGES, STAGES
+
+if TYPE_CHECKING:
+    from titop_plant.telescope.loop_ports import LoopPorts
+
+FORCE_PORT = COMMANDED[1]
+"""Port of the proof-mass actuators, whose limit is that of the run."""
 
 
 class ForceLaw(Protocol):
@@ -38,45 +33,32 @@ class ForceLaw(Protocol):
         """Raise a ValueError for other ports or another period [s] than its own."""
 
     def step(self, u: FloatArray, out: FloatArray, /) -> None:
-        """Write the forces (6,) [N] of this tick; `u` (6,) is ``accel_Ip``; both with those of further devices."""
+        """Write the commands of this tick, such as forces (6,) [N]; `u` are the values of its sensors."""
 
     def reset(self, state: FloatArray | None = None) -> None:
         """Back to the zero state, or to another `state` (order,)."""
 
 
-class ForceActuator(Protocol):
-    """A further actuator; :class:`titop_plant.telescope.actuators.Actuator` is one."""
-
-    @property
-    def port(self) -> Port:
-        """Its force, an output of K_PMA."""
-
-    @property
-    def authority(self) -> float:
-        """Largest force [N]."""
-
-
 class FsmPmaController:
-    """Mirror law ``u_fsm = -LOS_hat / los_sensitivity`` and proof-mass law ``u_pma = K_PMA accel_Ip``.
+    """Mirror law ``u_fsm = -LOS_hat / los_sensitivity`` and proof-mass law ``u_pma = K_PMA y``.
 
     ======== ============ ==== =========================================
     port     name         size content
     ======== ============ ==== =========================================
     input    los_estimate 2    output of the observer [rad]
-    input    accel_Ip     6    twist derivative of the payload base
+    input    of a sensor       one for each of `ports`: ``accel_Ip`` of the stored K_PMA
     output   fsm_command  2    mirror angles [rad]
-    output   pma_force    6    forces of the proof-mass actuators [N]
+    output   of actuators      one for each of `ports`: ``pma_force`` (6) [N] of the stored K_PMA
     ======== ============ ==== =========================================
 
     **A positive LOS estimate drives the mirror to a negative angle.** Both outputs are saturated at
     the authority of their actuators. Stages without a loop give zeros on it. A change of the stage between two steps
-    fades the outputs of a loop in or out, so that no command steps. A law of the user may read sensors and
-    command actuators of a telescope's file: their values follow those of the table.
+    fades the outputs of a loop in or out, so that no command steps.
 
     Parameters
     ----------
     k_pma : ForceLaw
-        Input ``accel_Ip`` (6), output ``pma_force`` (6), period one tick.
+        Inputs and outputs of `ports`, period one tick.
     loop : {"none", "isolator", "fsm", "fsm+pma"}
         Stage: which of the loops are closed.
     los_sensitivity : float
@@ -84,10 +66,8 @@ class FsmPmaController:
         (:meth:`titop_plant.interface.DesignBasis.mirror_sensitivity`).
     fsm_authority, pma_authority : float
         Limits per channel [rad], [N].
-    sensors : sequence of Sensor
-        Further inputs of K_PMA, which between samples of a slow one takes the last.
-    actuators : sequence of ForceActuator
-        Further outputs of K_PMA, with their limits.
+    ports : LoopPorts
+        Sensors and actuators of K_PMA, which between samples of a slow sensor takes the last.
     fade_ticks : int
         Length of the fade after a change of the stage.
 
@@ -101,9 +81,12 @@ class FsmPmaController:
     With a sensitivity of 0.1 the mirror turns by ten times the estimate, and stops at its limit:
 
     >>> from lftkit.systems.sampled.sampled_system import SampledSystem
-    >>> k = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    >>> controller = FsmPmaController(k, "fsm", los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
-    >>> u = np.zeros(COMMANDS)
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> rows = load_telescope().loop_ports.of_law("k_pma")
+    >>> k = SampledSystem([], [], [], np.zeros((6, 6)), rows.measured, rows.commanded, DT)
+    >>> limits = {"los_sensitivity": 0.1, "fsm_authority": 2e-3, "pma_authority": 30.0}
+    >>> controller = FsmPmaController(k, rows, "fsm", **limits)
+    >>> u = np.zeros(8)
     >>> controller.step(np.array([1e-6, -1e-3]), np.zeros(6), u)
     >>> [round(float(x), 9) for x in u[MIRROR]]
     [-1e-05, 0.002]
@@ -112,13 +95,12 @@ class FsmPmaController:
     def __init__(
         self,
         k_pma: ForceLaw,
+        ports: LoopPorts,
         loop: str = STAGES[-1],
         *,
         los_sensitivity: float,
         fsm_authority: float,
         pma_authority: float,
-        sensors: Sequence[Sensor] = (),
-        actuators: Sequence[ForceActuator] = (),
         fade_ticks: int = FADE_TICKS,
     ) -> None:
         if loop not in STAGES:
@@ -127,27 +109,26 @@ class FsmPmaController:
             "los_sensitivity": los_sensitivity,
             "fsm_authority": fsm_authority,
             "pma_authority": pma_authority,
-            **{f"authority of {actuator.port.name}": actuator.authority for actuator in actuators},
+            **{f"authority of {a.port.name}": a.authority for a in ports.actuators if a.port.name != FORCE_PORT},
         }
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} must be positive and finite, got {value}")
-        inputs = (*K_PMA_INPUTS, *(sensor.port for sensor in sensors))
-        k_pma.require(inputs, (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT)
+        k_pma.require(ports.measured, ports.commanded, DT)
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
-        self._limit: FloatArray = np.array([0.0] * COMMANDS + [actuator.authority for actuator in actuators])
+        self.ports = ports
+        self._limit: FloatArray = np.concatenate([np.zeros(MIRROR.stop), ports.limits])
         self._negative_limit = -self._limit
         self.limit(fsm_authority, pma_authority)
         self._mirror_fade, self._force_fade = Fade(fade_ticks), Fade(fade_ticks)
         self._begun = False
         self.switch(loop)
-        self._force = np.zeros(self._limit.size - FORCES.start)
+        self._force = np.zeros(self._limit.size - MIRROR.stop)
         self._start: FloatArray = np.zeros(k_pma.order)
-        platform = [port_alone(entry) for entry in MEASURED_SENSORS if entry.port.name == PLATFORM_PORT]
-        self._held = HeldSamples((*platform, *sensors))
-        self._measured = np.zeros(total_size(inputs))
+        self._held = HeldSamples(ports.sensors)
+        self._measured = np.zeros(ports.measurements)
 
     def start_at(self, state: FloatArray) -> None:
         """Say where the next reset leads to: `state` (order of K_PMA,), for a run that starts in its steady state.
@@ -182,12 +163,13 @@ class FsmPmaController:
         if fsm_authority is not None:
             self._limit[MIRROR] = fsm_authority
         if pma_authority is not None:
-            self._limit[FORCES] = pma_authority
+            forces = port_slices(self.ports.commanded).get(FORCE_PORT, slice(0, 0))
+            self._limit[MIRROR.stop :][forces] = pma_authority
         np.negative(self._limit, out=self._negative_limit)
 
     @property
     def limits(self) -> FloatArray:
-        """Copy of the largest commands, shape (8,): mirror [rad], forces [N]; those of further actuators behind."""
+        """Copy of the largest commands, shape (2 + outputs of K_PMA,): mirror [rad], forces [N]."""
         return self._limit.copy()
 
     @property
@@ -200,10 +182,10 @@ class FsmPmaController:
         """From the estimate to the command of the mirror, rad/rad."""
         return self._mirror_gain
 
-    def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
-        """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N].
+    def step(self, los_estimate: FloatArray, measured: FloatArray, out: FloatArray) -> None:
+        """Write the command of this tick into `out`: mirror angles [rad], then the outputs of K_PMA.
 
-        Values of further sensors stand behind `accel_Ip` (6,), forces of further actuators at the end of `out`.
+        `measured` are the values of the sensors of K_PMA, such as ``accel_Ip`` (6).
         """
         self._begun = True
         mirror = force = 1.0
@@ -215,37 +197,37 @@ class FsmPmaController:
             out[MIRROR] = 0.0
         if force:
             if self._held.columns.size:
-                self._measured[:] = accel_Ip
+                self._measured[:] = measured
                 self._held.fill(self._measured)
-                accel_Ip = self._measured
-            self.k_pma.step(accel_Ip, self._force)
-            out[FORCES.start :] = self._force
+                measured = self._measured
+            self.k_pma.step(measured, self._force)
+            out[MIRROR.stop :] = self._force
         else:
-            out[FORCES.start :] = 0.0
+            out[MIRROR.stop :] = 0.0
         np.minimum(out, self._limit, out=out)
         np.maximum(out, self._negative_limit, out=out)
         if mirror < 1.0:
             out[MIRROR] *= mirror
         if force < 1.0:
-            out[FORCES.start :] *= force
+            out[MIRROR.stop :] *= force
 
-    def steps(self, los_estimates: FloatArray, accel_Ip: FloatArray) -> FloatArray:
-        """Commands (k, 8) of the ticks with these inputs, (k, 2) and (k, 6): bit for bit those of :meth:`step`."""
-        out: FloatArray = np.zeros((len(accel_Ip), self._limit.size))
+    def steps(self, los_estimates: FloatArray, measurements: FloatArray) -> FloatArray:
+        """Commands of the ticks with these inputs, a row for each: bit for bit those of :meth:`step`."""
+        out: FloatArray = np.zeros((len(measurements), self._limit.size))
         single = 0
         linear = isinstance(self.k_pma, SampledSystem)
         while single < len(out) and not (linear and self._mirror_fade.settled and self._force_fade.settled):
-            self.step(los_estimates[single], accel_Ip[single], out[single])
+            self.step(los_estimates[single], measurements[single], out[single])
             single += 1
         rest = slice(single, None)
         if self._mirror_fade.whole:
             np.multiply(los_estimates[rest], self._mirror_gain, out=out[rest, MIRROR])
         if self._force_fade.whole and isinstance(self.k_pma, SampledSystem):
-            measured = accel_Ip[rest]
+            measured = measurements[rest]
             if self._held.columns.size:
                 measured = measured.copy()
                 self._held.fill_rows(measured)
-            out[rest, FORCES.start :] = self.k_pma.steps(measured)
+            out[rest, MIRROR.stop :] = self.k_pma.steps(measured)
         self._begun = True
         np.minimum(out[rest], self._limit, out=out[rest])
         np.maximum(out[rest], self._negative_limit, out=out[rest])

@@ -43,7 +43,6 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import LOOP_DELAY, MIRROR_STAGES, STAGES
 from titop_plant.telescope.control_plant import loop_plant
-from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 Report = Callable[[str], None]
@@ -215,19 +214,20 @@ def _effort(options: DesignOptions) -> str:
 
 def _key(telescope: Telescope, options: DesignOptions) -> dict[str, Any]:
     """What a design is the same for."""
-    effort, ports = _effort(options), telescope.loop_ports  # sensors are not part of the hash
+    effort = _effort(options)
     key: dict[str, Any] = {"parameters_hash": telescope.parameters_hash, "seed": options.seed, "effort": effort}
-    devices = {"devices": _devices(ports)} if ports.further else {}
+    placed = telescope.placed_sensors or telescope.placed_actuators  # sensors are not part of the hash
+    devices = {"devices": _devices(telescope)} if placed else {}
     return {**key, **devices, **({"nominal": True} if options.nominal else {})}
 
 
-def _devices(ports: LoopPorts) -> str:
-    """Further rows as the key of a design has them in its files: a design goes on where this text is the same."""
-    noise = tuple(value for row in ports.further_sensors for value in row.noise.tolist())
-    units = tuple(row.scale for row in ports.further_actuators)
-    return (
-        f"Placed(sensors={ports.further_measured}, actuators={ports.further_commanded}, noise={noise}, units={units})"
-    )
+def _devices(telescope: Telescope) -> str:
+    """Devices at places as the key of a design has them in its files: a design goes on where this text is the same."""
+    sensors, actuators = telescope.placed_sensors, telescope.placed_actuators
+    noise = tuple(value for row in sensors for value in row.noise.tolist())
+    measured, commanded = tuple(row.port for row in sensors), tuple(row.port for row in actuators)
+    units = tuple(row.scale for row in actuators)
+    return f"Placed(sensors={measured}, actuators={commanded}, noise={noise}, units={units})"
 
 
 def _pair(

@@ -35,7 +35,6 @@ from titop_plant.interface import (
     FSM_ANGLE,
     K_FSM_INPUTS,
     K_FSM_OUTPUTS,
-    MEASUREMENTS,
     DesignBasis,
 )
 from titop_plant.ports import accel
@@ -54,7 +53,7 @@ SEEN = tuple(accel(point).name for point in ("Ip", "M1", "M2"))
 FITTED, FIT_POINTS, FIT_RANK = (5.0, 500.0), 60, 1e-6
 """Frequencies [rad/s] of the fit of :func:`fitted_sensitivity`, and what counts as no direction of it."""
 
-MODELLED = np.concatenate([np.arange(MEASUREMENTS)[COLUMNS[name]] for name in SEEN])
+MODELLED = np.concatenate([np.r_[COLUMNS[name]] for name in SEEN])
 """Columns of the accelerometers in the model; it leaves sensors aside that the paper does not have."""
 
 
@@ -133,7 +132,7 @@ def kalman_observer(telescope: Telescope, *, lead: float = 0.0) -> System:
         C_a = acceleration_sensitivity(telescope, assembled.bodies[1])
     else:
         C_a = fitted_sensitivity(assembled.system)
-    sigma = telescope.loop_ports.reference.noise
+    sigma = telescope.loop_ports.of_law("k_fsm").noise
     noise, camera = sigma[MODELLED], float(sigma[CAMERA.start])
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT
@@ -143,10 +142,10 @@ def kalman_observer(telescope: Telescope, *, lead: float = 0.0) -> System:
     P = linalg.solve_continuous_are(A.T, C.T, Q, R)
     L = P @ C.T @ linalg.inv(R)
     S_fsm = telescope.fsm.los_sensitivity
-    B = np.zeros((4, MEASUREMENTS))
+    B = np.zeros((4, sigma.size))
     B[2:, MODELLED], B[:, CAMERA], B[:, FSM_ANGLE] = C_a, L, -S_fsm * L
     out = np.hstack([np.eye(2), lead * np.eye(2)])
-    return state_space(A - L @ C, B, out, np.zeros((2, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS)
+    return state_space(A - L @ C, B, out, np.zeros((2, sigma.size)), K_FSM_INPUTS, K_FSM_OUTPUTS)
 
 
 def sampled_observer(
@@ -162,7 +161,7 @@ def sampled_observer(
     Parameters
     ----------
     observer : System
-        Continuous, ports of K_FSM; behind them those of further accelerometers.
+        Continuous, ports of K_FSM; behind them those of accelerometers at places.
     washout : float
         Corner of F_w [rad/s].
     name : str

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,11 @@ from lftkit.errors import InputError
 from lftkit.systems.ports import total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.held_samples import HeldSamples
-from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS
-from titop_plant.sensors import MEASURED_SENSORS, Sensor, port_alone
+from titop_plant.interface import DT, K_FSM_OUTPUTS
+from titop_plant.sensors import CAMERA_PORT
+
+if TYPE_CHECKING:
+    from titop_plant.telescope.loop_ports import LoopPorts
 
 
 class LosEstimator:
@@ -22,8 +25,8 @@ class LosEstimator:
     ======== ============ ==== ========================================================================
     port     name         size content
     ======== ============ ==== ========================================================================
-    input    of a sensor       one for each entry of :mod:`titop_plant.sensors`, in their order; a
-                               file may leave out some of them, which then have no effect
+    input    of a sensor       one for each sensor of `ports`, in their order; a file may leave out some of
+                               them, which then have no effect
     output   los_estimate 2    LOS without the mirror's share [rad]
     ======== ============ ==== ========================================================================
 
@@ -35,8 +38,8 @@ class LosEstimator:
     ----------
     k_fsm : SampledSystem
         Ports as in the table, period 1 ms.
-    sensors : sequence of Sensor
-        Further inputs, of sensors of a telescope's file: their values follow the measurements.
+    ports : LoopPorts
+        Rows of the telescope that it uses (:meth:`titop_plant.telescope.loop_ports.LoopPorts.of_system`).
 
     Raises
     ------
@@ -47,26 +50,28 @@ class LosEstimator:
     --------
     An observer that hands on the camera value holds it between two frames:
 
-    >>> from titop_plant.interface import COLUMNS, MEASUREMENTS
-    >>> D = np.zeros((2, MEASUREMENTS)); D[:, COLUMNS["camera_los"]] = np.eye(2)
-    >>> k = SampledSystem([], [], [], D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
-    >>> estimator, y, los = LosEstimator(k), np.zeros(MEASUREMENTS), np.zeros(2)
-    >>> y[COLUMNS["camera_los"]] = 1e-6, -2e-6
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> rows = load_telescope().loop_ports.of_law("k_fsm")
+    >>> D = np.zeros((2, rows.measurements)); D[:, rows.columns["camera_los"]] = np.eye(2)
+    >>> k = SampledSystem([], [], [], D, rows.measured, K_FSM_OUTPUTS, DT)
+    >>> estimator, y, los = LosEstimator(k, rows), np.zeros(rows.measurements), np.zeros(2)
+    >>> y[rows.columns["camera_los"]] = 1e-6, -2e-6
     >>> estimator.step(y, los); los.tolist()
     [1e-06, -2e-06]
-    >>> y[COLUMNS["camera_los"]] = np.nan
+    >>> y[rows.columns["camera_los"]] = np.nan
     >>> estimator.step(y, los); los.tolist()
     [1e-06, -2e-06]
     """
 
-    def __init__(self, k_fsm: SampledSystem, sensors: Sequence[Sensor] = ()) -> None:
-        inputs = (*K_FSM_INPUTS, *(sensor.port for sensor in sensors))
+    def __init__(self, k_fsm: SampledSystem, ports: LoopPorts) -> None:
+        inputs = ports.measured
         k_fsm = k_fsm.with_inputs(inputs)
         k_fsm.require(inputs, K_FSM_OUTPUTS, DT)
-        self.k_fsm = k_fsm
+        self.k_fsm, self.ports = k_fsm, ports
         self._u = np.zeros(total_size(inputs))
-        self._held = HeldSamples((*map(port_alone, MEASURED_SENSORS), *sensors))
-        self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(HELD.size))
+        self._held = HeldSamples(ports.sensors)
+        self._camera = ports.held_parts.get(CAMERA_PORT, slice(0, 0))
+        self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), self._held.values[self._camera].copy())
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
         """Say where the next reset leads to, for a run that starts in its steady state.
@@ -74,9 +79,9 @@ class LosEstimator:
         Parameters
         ----------
         state : ndarray, shape (order of K_FSM,)
-        camera : ndarray, shape (h,)
-            Values that are held, of the reference's sensors [rad], in the order of the measurement; others are zero, as
-            every sensor has a sample at the first tick.
+        camera : ndarray, shape (2,)
+            Values of the camera that are held [rad]; those of other sensors are zero, as every one has a sample at the
+            first tick.
 
         Raises
         ------
@@ -94,22 +99,19 @@ class LosEstimator:
         return self.k_fsm.design_basis
 
     @property
-    def held(self) -> FloatArray:
-        """The values that are held (h,), for compiled loops, which write them."""
-        return self._held.values
+    def held(self) -> HeldSamples:
+        """The values that are held, for compiled loops, which write them."""
+        return self._held
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
-        """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone.
-
-        Values of further sensors stand behind the 22.
-        """
+        """Write the estimate of this tick into `out` (2,) [rad]; `measurement`, the sensors' values, is left alone."""
         u = self._u
         u[:] = measurement
         self._held.fill(u)
         self.k_fsm.step(u, out)
 
     def steps(self, measurements: FloatArray) -> FloatArray:
-        """Estimates (k, 2) [rad] of the ticks with these measurements (k, 22): bit for bit those of :meth:`step`."""
+        """Estimates (k, 2) [rad] of the ticks with these measurements (k, m): bit for bit those of :meth:`step`."""
         u = measurements.copy()
         self._held.fill_rows(u)
         return self.k_fsm.steps(u)
@@ -118,4 +120,4 @@ class LosEstimator:
         """Back to the start: the zero state and a held values of zero, or those of :meth:`start_at`."""
         self.k_fsm.reset(self._start[0])
         self._held.values[:] = 0.0
-        self._held.values[: HELD.size] = self._start[1]
+        self._held.values[self._camera] = self._start[1]

@@ -29,12 +29,7 @@ from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from los_loop.spec import state_parts
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import (
-    CAMERA,
-    FSM_ANGLE,
-    MEASUREMENTS,
-    TRUTH,
-)
+from titop_plant.interface import CAMERA, FSM_ANGLE, TRUTH
 from titop_plant.sensors import CAMERA_PORT
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, step_matrix
@@ -65,9 +60,9 @@ class ClosedLoop:
         rad/s.
     lft : LftResponse
         From (Delta, disturbances, signals added to the commands) to (Delta, line of sight, commands applied).
-    open : ndarray, complex, shape (N, q + 24, q + m + 8)
+    open : ndarray, complex, shape (N, q + y + 2, q + m + u)
         LFT of the telescope that was closed.
-    control : ndarray, complex, shape (N, 8, 22)
+    control : ndarray, complex, shape (N, u, y)
         Commands by measurements that it was closed with.
     """
 
@@ -137,15 +132,13 @@ def sampled_loop(
     Parameters
     ----------
     plant : System or ModalPlant
-        Continuous; inputs start with the 8 commands, outputs are the 22 measurements and the
-        controlled line of sight (2), as in :func:`titop_plant.simulation.build.build_plant`. In modal coordinates, the
-        plant's part of the state is in these. With sensors and actuators of the telescope's file the readings are
-        behind the line of sight, and the forces behind the commands.
+        Continuous; inputs start with the commands, outputs are the measurements and the controlled line of sight (2),
+        as in :func:`titop_plant.telescope.control_plant.loop_plant`. In modal coordinates, the plant's part of the
+        state is in these.
     control : ControlLaws
         With the sensors, at their rates, and the actuators that plant and `step` have.
-    step : ndarray, shape (n + 24, n + 8), optional
+    step : ndarray, shape (n + m + 2, n + c), optional
         Of the plant, as :func:`titop_plant.simulation.plant_step.step_matrix` makes it without tones, if it is known.
-        A plant in modal coordinates has no forces of a file: `step` must be given then.
     delays : Delays
         Of a rig. With late frames the laws must have a sensitivity of the mirror.
 
@@ -163,7 +156,7 @@ def sampled_loop(
         if isinstance(plant, ModalPlant):
             step = held_step(plant)
         else:
-            step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
+            step = step_matrix(plant, no_tones(plant.B.shape[1] - commands))
     close = _TickClosing(step, control, delays)
     due = _due(every, ports.period, delays)
     frame, noise_frame = close.matrices(due[0])
@@ -179,7 +172,7 @@ class _TickClosing:
 
     Parameters
     ----------
-    step : ndarray, shape (n + 24, n + 8)
+    step : ndarray, shape (n + m + 2, n + c)
         Of the plant: from its state and the command in force to its next state, measurements and line of sight.
     control : ControlLaws
     delays : Delays
@@ -187,7 +180,7 @@ class _TickClosing:
 
     def __init__(self, step: FloatArray, control: ControlLaws, delays: Delays) -> None:
         self.control, self.delays = control, delays
-        commands, truth = control.ports.commands, slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
+        commands = control.ports.commands
         n = self.plant_order = step.shape[1] - commands
         self.mirror = control.los_sensitivity or 0.0
         k_fsm, k_pma = (law.system.order for law in control.laws)
@@ -197,8 +190,8 @@ class _TickClosing:
         self.late = slice(ends[-1], ends[-1] + (2 if delays.frames else 0))
         self.ports = control.ports
         self.held = slice(self.late.stop, self.late.stop + self.ports.held.size)
-        self.next, self.truth = step[:n], step[n:][truth]
-        self.measured = self.of_plant(np.delete(step[n:], truth, axis=0))
+        self.next, self.truth = step[:n], step[-TRUTH:]
+        self.measured = self.of_plant(step[n:-TRUTH])
 
     def of_plant(self, rows: FloatArray) -> FloatArray:
         """Rows of the plant's step as rows over the whole state of the loop."""

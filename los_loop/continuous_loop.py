@@ -21,7 +21,7 @@ from los_loop.control_laws import transfer_matrices
 from los_loop.figures_of_merit import FigureOfMerit, figure, paper_figures
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.open_loop import OpenLoop
-from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR, PLATFORM
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
 from titop_plant.telescope.telescope import Telescope
 
@@ -119,10 +119,10 @@ def mirror_law(k_fsm: FloatArray, sensitivity: float) -> FloatArray:
 def joint_gain_matrix(mirror: FloatArray, force_law: FloatArray, *, forces: bool) -> FloatArray:
     """Both controllers as one, from all measurements to all commands; without `forces` these are zero."""
     n, commands, count = len(mirror) - 2, len(force_law) - 6, PLATFORM.stop - PLATFORM.start
-    m = commands if forces else 0
-    K = np.zeros((n + m + 8, n + m + MEASUREMENTS))
+    m, measured = commands if forces else 0, mirror.shape[1] - n
+    K = np.zeros((n + m + 8, n + m + measured))
     own = np.r_[0:n, n + m : n + m + 2]
-    K[np.ix_(own, np.r_[0:n, n + m : n + m + MEASUREMENTS])] = mirror
+    K[np.ix_(own, np.r_[0:n, n + m : n + m + measured])] = mirror
     if forces:
         rows = np.r_[n : n + m, n + m + 2 : n + m + 8]
         K[np.ix_(rows, np.r_[n : n + m, n + m + PLATFORM.start : n + m + PLATFORM.start + count])] = force_law

@@ -17,17 +17,7 @@ from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
 from lftkit.systems.ports import port_indices
 from los_loop.spec import held_response
-from titop_plant.interface import (
-    COLUMNS,
-    COMMAND_PORTS,
-    DT,
-    FORCE_STAGES,
-    K_FSM_INPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MIRROR_STAGES,
-    DesignBasis,
-)
+from titop_plant.interface import DT, FORCE_STAGES, MIRROR, MIRROR_STAGES, DesignBasis
 from titop_plant.telescope.loop_ports import LoopPorts
 
 
@@ -50,11 +40,10 @@ class Law:
 
 
 def _in_units(k_pma: SampledSystem, ports: LoopPorts) -> SampledSystem:
-    """K_PMA with its actuators in the order of the rows, and their forces in units of their scale."""
-    outputs = ports.driven_by(k_pma, K_PMA_OUTPUTS)
-    rows = port_indices(k_pma.outputs, [port.name for port in outputs], "output", k_pma.name)
-    scale = ports.scale[ports.command_columns(outputs)][:, None]
-    return replace(k_pma, C=k_pma.C[rows] / scale, D=k_pma.D[rows] / scale, outputs=outputs)
+    """K_PMA with the rows that it uses, sensors and actuators in their order, and commands in units of their scale."""
+    rows = port_indices(k_pma.outputs, [port.name for port in ports.commanded], "output", k_pma.name)
+    law, scale = k_pma.with_inputs(ports.measured), ports.scale[:, None]
+    return replace(law, C=law.C[rows] / scale, D=law.D[rows] / scale, outputs=ports.commanded)
 
 
 @dataclass(frozen=True)
@@ -67,8 +56,7 @@ class ControlLaws:
         Measured ports that the file of K_FSM leaves out have no effect.
     stage : {"none", "isolator", "fsm", "fsm+pma"}
     ports : LoopPorts
-        Rows that the loop has. A controller has the further sensors that it uses behind its other inputs, in this
-        order, and K_PMA the further actuators behind its other outputs.
+        Rows that the loop has; the controllers use those that they name.
     los_sensitivity : float, optional
         Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
         one it was made.
@@ -95,13 +83,16 @@ class ControlLaws:
         if self.stage in MIRROR_STAGES:
             basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
             mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=self.los_sensitivity))
-        seen = [ports.seen_by(k_fsm, K_FSM_INPUTS), ports.seen_by(k_pma, K_PMA_INPUTS)]
-        driven = ports.command_columns(ports.driven_by(k_pma, K_PMA_OUTPUTS))
-        if ports.further:
-            k_pma = _in_units(k_pma.with_inputs(seen[1]), ports)
+        observed, used = ports.of_system("k_fsm", k_fsm).measured, ports.of_system("k_pma", k_pma)
+        forces = 1.0 if self.stage in FORCE_STAGES else 0.0
         return (
-            Law(k_fsm.with_inputs(seen[0]), mirror, ports.measured_columns(seen[0]), COLUMNS[COMMAND_PORTS[0].name]),
-            Law(k_pma, 1.0 if self.stage in FORCE_STAGES else 0.0, ports.measured_columns(seen[1]), driven),
+            Law(k_fsm.with_inputs(observed), mirror, ports.measured_columns(observed), MIRROR),
+            Law(
+                _in_units(k_pma, used),
+                forces,
+                ports.measured_columns(used.measured),
+                ports.command_columns(used.commanded),
+            ),
         )
 
     @property
@@ -110,10 +101,9 @@ class ControlLaws:
         return np.concatenate([np.full(row.port.size, row.ticks) for row in self.ports.sensors])
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22), one tick of delay and the hold in it.
+        """Commands by measurements at N frequencies [rad/s], shape (N, u, y), one tick of delay and the hold in it.
 
-        Commands are ``u = K y``: the sign of the mirror law is in K. Forces of actuators of a file and readings of its
-        sensors are behind the 8 and the 22.
+        Commands are ``u = K y``: the sign of the mirror law is in K.
         """
         z = np.exp(1j * omega * DT)
         out = np.zeros((len(omega), self.ports.commands, self.ports.measurements), complex)
@@ -129,7 +119,7 @@ class ControlLaws:
         return np.asarray(out / z[:, None, None])
 
     def modes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
-        """Poles (k,), B (k, 22), C (8, k) and D (8, 22) of both laws as one, in z, for the loops that are closed.
+        """Poles (k,), B (k, y), C (u, k) and D (u, y) of both laws as one, in z, for the loops that are closed.
 
         Delay and hold are left out.
         """

@@ -6,8 +6,8 @@ singular value sigma of a closed response::
 
     d sigma / d Delta_c = Re( (sigma-left vector side)_c (right vector side)_c )
 
-Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
-line of sight (2), the 8 commands applied to the plant.
+Inputs: Delta channels, normalised disturbances, signals added to the commands. Outputs: Delta channels, controlled
+line of sight (2), the commands applied to the plant.
 
 Commands are held for a tick (:mod:`los_loop.open_loop`). The hold of
 the values of slower sensors is its fundamental, the mean of the delays of a sample's ticks: sidebands are left out.
@@ -33,7 +33,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.spec import DISTURBANCE, LOS_ROWS
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.sections import LOOP_FREQUENCIES
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
@@ -78,13 +78,14 @@ def loop_metrics(
     telescope: Telescope,
     stage: str,
     within: tuple[float, float] = (LOWEST, HIGHEST),
-    ports: LoopPorts = REFERENCE_PORTS,
+    ports: LoopPorts | None = None,
     rows: Sequence[FigureOfMerit] | None = None,
 ) -> dict[str, LoopMetric]:
     """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s].
 
-    `ports` are those of the loop, default: the reference's.
+    `ports` are those of the loop, default: of the stored controllers.
     """
+    ports = telescope.loop_ports.used_by() if ports is None else ports
     return {
         row.name: LoopMetric(
             row.name,
@@ -131,7 +132,7 @@ class ImplementedLoop:
         return self.open.delta(point)
 
     def controls(self, omega: FloatArray) -> ComplexArray:
-        """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22): delay and hold are in it."""
+        """Commands by measurements at N frequencies [rad/s], shape (N, u, y): delay and hold are in it."""
         return self.control_laws.response(omega)
 
     def at(self, omega: float) -> ClosedAt:
@@ -230,7 +231,7 @@ class ImplementedLoop:
         rows: slice = slice(None),
         columns: slice = slice(None),
     ) -> ComplexArray:
-        """Responses of all or some outputs to inputs at N points (N, 7) of the unit cube: shape (N, 10, 30)."""
+        """Responses of all or some outputs to inputs at N points (N, 7) of the unit cube: shape (N, 2 + u, m + u)."""
         return self.some_responses(closed, self.delta(points), rows, columns)
 
     def some_responses(
@@ -240,7 +241,7 @@ class ImplementedLoop:
         return closed.lft.part(rows, columns).closed(delta, self.open.angle)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
-        """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
+        """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, u, u)."""
         return self.all_responses(closed, points, self.ports.applied, self.ports.added)
 
     def sampled_at(self, values: Mapping[str, float]) -> tuple[System, SampledLoop]:

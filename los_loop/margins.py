@@ -20,7 +20,7 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import LOS_ROWS
-from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, MIRROR
+from titop_plant.interface import DT, FORCE_STAGES, FORCES, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 BOUND_ROUNDING = 1e-9
@@ -94,7 +94,7 @@ def delay_margins(
     return smallest
 
 
-def change_names(stage: str, commands: int = COMMANDS) -> list[str]:
+def change_names(stage: str, commands: int) -> list[str]:
     """Names of the changes of :func:`changed_loops`, in its order, for a loop with so many commands."""
     names = ["one more tick"]
     for factor in GAINS:
@@ -106,7 +106,7 @@ def change_names(stage: str, commands: int = COMMANDS) -> list[str]:
 
 
 def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -> BoolArray:
-    """Whether a change could meet -1 at a frequency, for N sensitivities (N, 8, 8): shape (N, changes).
+    """Whether a change could meet -1 at a frequency, for N sensitivities (N, u, u): shape (N, changes).
 
     `omega` [rad/s] is that of all of them, or has one for each, shape (N,).
 

@@ -91,13 +91,12 @@ def covariances(loop: SampledLoop, telescope: Telescope, sensors: str | None) ->
     Parameters
     ----------
     loop : SampledLoop
-        With all sensors of the telescope, or with those of the reference.
     telescope : Telescope
-        Of the telescope: noise of the sensors, window of the relative error.
+        Window of the relative error.
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
-    sigma = telescope.loop_ports.noise[: loop.noise_hold.shape[1]]
+    sigma = loop.ports.noise
     if sensors == "platform":  # the paper's figure
         sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
     w = sampled(relative_error_weight(telescope.weights.rpe_window), DT)

@@ -21,7 +21,7 @@ from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
-from titop_plant.interface import DT, MEASUREMENTS, TRUTH
+from titop_plant.interface import DT, TRUTH
 from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
@@ -41,7 +41,7 @@ class OpenLoop:
         Keep Delta real, with all channels of the arrays' angle.
     ports : LoopPorts, optional
         Rows of the telescope that the system has (:func:`titop_plant.telescope.control_plant.loop_plant`); default:
-        the reference's.
+        those of the stored controllers.
     held : bool
         Whether commands are held for a tick; otherwise they act as they are, in continuous time.
     """
@@ -55,7 +55,7 @@ class OpenLoop:
         ports: LoopPorts | None = None,
         held: bool = True,
     ) -> None:
-        self.ports, self.held = telescope.loop_ports.reference if ports is None else ports, held
+        self.ports, self.held = telescope.loop_ports.used_by() if ports is None else ports, held
         self.system, self.telescope = system, telescope
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)
@@ -67,8 +67,7 @@ class OpenLoop:
         self.low = np.array([p.lower for p in system.parameters])
         self.width = np.array([p.upper for p in system.parameters]) - self.low
         columns = np.r_[kept, len(system.channels) : system.D.shape[1]]
-        y = len(system.channels) + np.arange(self.ports.measurements + TRUTH)
-        rows = np.r_[kept, y[:MEASUREMENTS], y[MEASUREMENTS + TRUTH :], y[MEASUREMENTS : MEASUREMENTS + TRUTH]]
+        rows = np.r_[kept, len(system.channels) + np.arange(self.ports.measurements + TRUTH)]
         B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
         self._response = FrequencyResponse.of(system.A, B, C, D)
         self._u = slice(self.channels, self.channels + self.ports.commands)
@@ -121,8 +120,8 @@ class OpenLoop:
         Returns
         -------
         ndarray, complex
-            Shape (N, channels + 24, channels + m + 8): from Delta, m normalised disturbances (22 for the reference)
-            and held commands (8) to Delta, measurements (22) and the controlled line of sight (2).
+            Shape (N, channels + y + 2, channels + m + u): from Delta, m normalised disturbances and u held commands to
+            Delta, y measurements and the controlled line of sight.
         """
         q, m = self.channels, self.disturbances
         G = self._response.at(omega)
@@ -147,7 +146,7 @@ class OpenLoop:
         Parameters
         ----------
         omega : ndarray, shape (N,)
-        rows, columns : ndarray, complex, shapes (N, channels + 24) and (N, channels + m + 8)
+        rows, columns : ndarray, complex, shapes (N, channels + y + 2) and (N, channels + m + u)
         """
         q, m = self.channels, self.disturbances
         hold = _hold(omega) if self.held else np.ones(len(omega))
@@ -181,7 +180,7 @@ class OpenLoop:
 
         Returns
         -------
-        ndarray, complex, shape (N, 24, 30)
+        ndarray, complex, shape (N, y + 2, m + u)
         """
         return LftResponse.of(lft, self.channels).closed(self.delta(points), self.angle)
 

@@ -28,9 +28,7 @@ from los_loop.noise import covariances, noise_rms
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import LOS_ROWS, held_response
 from titop_plant.interface import (
-    COMMANDS,
     DT,
-    MEASUREMENTS,
     MIRROR_STAGES,
     TRUTH,
 )
@@ -200,7 +198,7 @@ class ToneResponse:
 
 
 def disturbance_response(loop: SampledLoop, plant: System, omega: FloatArray) -> ComplexArray:
-    """Line of sight (2) and commands (8) at the frequency of tones on the 22 inputs, shape (k, 10, 22), complex."""
+    """Line of sight (2) and commands (u) at the frequency of tones on the m inputs, shape (k, 2 + u, m), complex."""
     return tone_response(loop, plant, omega).fundamental
 
 
@@ -211,18 +209,18 @@ class ToneModes:
     Parameters
     ----------
     plant : FrequencyResponse
-        Of the continuous plant alone: disturbances (22) to measurements (22) and line of sight (2).
+        Of the continuous plant alone: disturbances to measurements (y) and line of sight (2).
     loop : FrequencyResponse
-        Of the loop at a tick without held values: from what is added to the measurement (22), and the held values, to
-        line of sight (2), commands (8) and the held values at their samples.
+        Of the loop at a tick without held values: from what is added to the measurement (y), and the held values, to
+        line of sight (2), commands (u) and the held values at their samples.
     sensed, whole : int
         Values of the measurement; rows of line of sight and commands.
     """
 
     plant: FrequencyResponse
     loop: FrequencyResponse
-    sensed: int = MEASUREMENTS
-    whole: int = TRUTH + COMMANDS
+    sensed: int
+    whole: int
 
     @classmethod
     def of(cls, loop: SampledLoop, plant: System | ModalPlant) -> ToneModes:
@@ -283,9 +281,8 @@ def tone_response(
     z = np.exp(1j * omega * DT)
     alone, closed = modes.plant.at(omega), modes.loop.at_points(z)
     # the loop answers what the tone does to the measurement as it answers noise
-    los = slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
-    forced = closed[:, :, : modes.sensed] @ np.delete(alone, los, axis=1)
-    forced[:, LOS_ROWS] += alone[:, los]
+    forced = closed[:, :, : modes.sensed] @ alone[:, :-TRUTH]
+    forced[:, LOS_ROWS] += alone[:, -TRUTH:]
     whole = slice(0, modes.whole)
     if not held:
         return ToneResponse(forced, None, [])

@@ -20,7 +20,7 @@ from lftkit.errors import InputError
 from los_loop.sampled_loop import SampledLoop
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
-from titop_plant.interface import HELD
+from titop_plant.sensors import CAMERA_PORT
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class LoopStart:
     ----------
     plant : ndarray, shape (n,)
         State of the plant.
-    command : ndarray, shape (8 + further actuators,)
+    command : ndarray, shape (u,)
         Command that tick 0 applies, within the limits of the actuators [rad, N].
     k_fsm, k_pma : ndarray
         States of the sampled controllers.
-    camera : ndarray, shape (h,)
-        Values of the sensors that are held, of a camera [rad].
+    camera : ndarray, shape (2,)
+        Values of the camera that are held [rad].
     """
 
     plant: FloatArray
@@ -71,8 +71,8 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     ----------
     model : ToneModel
         The loop with the tones of the run.
-    bias : ndarray, shape (22 + readings,)
-        Constant part of the measurement, and of further sensors that the loop has, [m/s2, rad/s2, rad].
+    bias : ndarray, shape (y,)
+        Constant part of the measurement [m/s2, rad/s2, rad].
     orders : (int, int)
         Orders of K_FSM and K_PMA.
 
@@ -97,7 +97,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
         command=np.clip(v, -model.limits, model.limits),
         k_fsm=f,
         k_pma=p,
-        camera=c[: HELD.size],  # others have a sample at the first tick
+        camera=c[model.loop.ports.held_parts[CAMERA_PORT]],  # others have a sample at the first tick
     )
 
 

@@ -41,12 +41,10 @@ from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import SpectralLine, background, lines
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
-from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH
+from titop_plant.interface import DT, FORCES, MIRROR, TRUTH
 from titop_plant.simulation.build import PlantConfig, PlantFamily
-from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.simulation.plant_step import held_step, tone_step
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.simulation.plant_step import tone_step
 
 SAME = 1e-12
 """Relative difference of frequencies up to which two tones are one: that of rounding, for instance of two wheels of
@@ -99,8 +97,8 @@ class ToneModel:
         Frequencies [rad/s], rising.
     amplitude : ndarray, shape (22, K), complex
         Phasors on the disturbance inputs [N, Nm].
-    limits : ndarray, shape (8,)
-        Largest commands: mirror [rad], actuators [N]; behind them those of actuators of a file that a law commands.
+    limits : ndarray, shape (u,)
+        Largest commands: mirror [rad], other actuators [N, Nm].
     steady : bool
         Whether a run starts in the steady state of the loop, or at rest.
     """
@@ -123,14 +121,13 @@ class ToneModel:
         authority: tuple[float, float],
         steady: bool = True,
         delays: Delays = NONE,
-        ports: LoopPorts = REFERENCE_PORTS,
     ) -> ToneModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
         Parameters
         ----------
         family : PlantFamily
-            Of the telescope, with its further sensors where a controller uses them.
+            Of the telescope, with the sensors and actuators of the loop.
         physical : PlantConfig
             Member of the family and disturbance of the run.
         controllers : mapping
@@ -143,9 +140,6 @@ class ToneModel:
             As the attribute.
         delays : Delays
             Of a rig.
-        ports : LoopPorts
-            Rows that the loop has: the further sensors that the family has, and the further actuators that K_PMA
-            commands, in the order of its outputs.
 
         Raises
         ------
@@ -153,19 +147,13 @@ class ToneModel:
             A telescope outside its family.
         """
         data, tones = family.plant_and_tones(physical)
-        plant = ModalPlant.of(data)
-        step = held_step(plant)
-        if driven := ports.further_actuators:
-            held = held_forces(family, physical, driven, DT)
-            moved = plant.form.excited(held[: plant.order])
-            step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
+        plant = ModalPlant.of(data, family.ports.commands)
         sensitivity = family.telescope.fsm.los_sensitivity
-        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, ports.unscaled(), sensitivity)
-        closed = sampled_loop(plant, laws, step=step, delays=delays)
-        limits = family.limits
+        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, family.ports, sensitivity)
+        closed = sampled_loop(plant, laws, delays=delays)
+        limits = family.ports.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
-        limits = np.concatenate([limits, [row.authority for row in driven]])
         return cls(closed, plant, *_together(tones), limits, steady)
 
     def with_tones(self, tones: Tones) -> ToneModel:
@@ -187,8 +175,7 @@ class ToneModel:
         moved, seen = tone_step(self.plant, tones)
         drive = np.zeros((size, self.omega.size), complex)
         drive[:n] = moved
-        los = slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
-        return drive, np.delete(seen, los, axis=0), seen[los]
+        return drive, seen[:-TRUTH], seen[-TRUTH:]
 
     def _ticks(self) -> tuple[list[tuple[FloatArray, ComplexArray]], ComplexArray]:
         """Matrix and forcing of each tick of a period, and forcing of the line of sight."""

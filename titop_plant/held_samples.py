@@ -24,6 +24,8 @@ class HeldSamples:
     ----------
     columns : ndarray of int, shape (h,)
         Columns of the values that are held.
+    parts : ndarray of int, shape (sensors + 1,)
+        Where each sensor that is held begins among them, and the end.
     values : ndarray, shape (h,)
         The last samples, the same array at every tick.
 
@@ -47,7 +49,8 @@ class HeldSamples:
                 parts.append(range(first, first + sensor.port.size))
             first += sensor.port.size
         self.columns: IntArray = np.array([column for part in parts for column in part], dtype=np.int64)
-        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        self.parts: IntArray = np.cumsum([0, *map(len, parts)])
+        ends = self.parts.tolist()
         self._parts = [tuple(zip(part, range(begin, end))) for part, begin, end in zip(parts, ends, ends[1:])]
         self.values = np.zeros(len(self.columns))
 

@@ -88,9 +88,13 @@ K_PMA_INPUTS = tuple(port for port in MEASURED_PORTS if port.name == PLATFORM_PO
 K_PMA_OUTPUTS = COMMAND_PORTS[1:]
 """Ports of a proof-mass controller."""
 
-MEASUREMENTS, ESTIMATES = total_size(MEASURED_PORTS), total_size(ESTIMATE_PORTS)
-COMMANDS, TRUTH = total_size(COMMAND_PORTS), total_size(TRUTH_PORTS)
-"""Sizes of the four vectors."""
+LAW_PORTS: Mapping[str, tuple[tuple[Port, ...], tuple[Port, ...]]] = MappingProxyType(
+    {"k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
+)
+"""Inputs and outputs of the stored controllers."""
+
+ESTIMATES, TRUTH = total_size(ESTIMATE_PORTS), total_size(TRUTH_PORTS)
+"""Sizes of the vectors that every loop has."""
 
 MEASURED = tuple(port.name for port in MEASURED_PORTS)
 """Names of the measured ports in the order of the vector."""

@@ -2,9 +2,8 @@
 
 Vectors of the loop, simulation, topics, recorder, observer, design, prediction and budget are made from the table.
 The numbers themselves, such as noise and filter, are keys of the table ``sensors`` of the parameter file, and a
-:class:`Sensor` has them. Further sensors are the tables ``[[sensor]]`` of a user's file
-(:mod:`titop_plant.telescope.devices`). This module needs numpy and the names of ports only, so that the controllers at
-run time may import it.
+:class:`Sensor` has them. Sensors at places are the tables ``[[sensor]]`` (:mod:`titop_plant.telescope.devices`). This
+module needs numpy and the names of ports only, so that the controllers at run time may import it.
 """
 
 from __future__ import annotations
@@ -90,11 +89,6 @@ class SensorEntry:
     def framed(self) -> bool:
         """Whether it may have samples at some ticks only, which are held between them."""
         return bool(self.rate)
-
-    @property
-    def source(self) -> str:
-        """Output of the assembled telescope that it measures."""
-        return self.measures or self.port.name
 
 
 def whole_ticks(rate: float) -> int | None:
@@ -182,7 +176,7 @@ MEASURED_SENSORS = tuple(sorted(SENSORS, key=lambda entry: entry.group != ACCELE
 
 @dataclass(frozen=True)
 class SensorMount:
-    """What a further sensor measures, where and along which axes.
+    """Where a sensor is, and the axes along which it measures.
 
     Parameters
     ----------
@@ -194,8 +188,8 @@ class SensorMount:
         From the point [m].
     angular : bool
         Whether it measures the angular acceleration.
-    source : str
-        Output of the assembled telescope that it measures; empty: the acceleration of its point.
+    accelerates : bool
+        Whether it measures the acceleration of its point; otherwise an output of the assembled telescope.
     scale : float
         Relative error of its scale.
     """
@@ -204,19 +198,19 @@ class SensorMount:
     axes: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
     angular: bool = False
-    source: str = ""
+    accelerates: bool = True
     scale: float = 0.0
 
     @property
-    def key(self) -> tuple[str, str, list[list[float]]]:
+    def key(self) -> tuple[str, list[list[float]]]:
         """What tells it from other mounts."""
-        return self.place, self.source, self.rows.tolist()
+        return self.place, self.rows.tolist()
 
     @property
     def rows(self) -> FloatArray:
-        """Its values from its source, or from the acceleration of its point as a twist (6): shape (k, size)."""
+        """Its values from what it measures, of an acceleration the twist (6) of its point: shape (k, size)."""
         axes = self.axes * (1.0 + self.scale)
-        if self.source:
+        if not self.accelerates:
             return axes
         if self.angular:
             return np.hstack([np.zeros_like(axes), axes])
@@ -225,7 +219,7 @@ class SensorMount:
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A sensor of the loop: of the reference, or of a telescope's file.
+    """A sensor: a row of the loop.
 
     Parameters
     ----------
@@ -242,12 +236,14 @@ class Sensor:
     low_pass : tuple of float
         ``c0, c1, c2`` of its low-pass ``c0 / (s^2 + c1 s + c2)``; empty: none.
     step, range : float
-        Quantisation (0: none) and largest value (inf: none) of a further sensor, in the unit of the port. Those of the
-        reference are limits of the devices (:mod:`titop_plant.simulation.device_limits`).
+        Quantisation (0: none) and largest value (inf: none) of a sensor with a mount, in the unit of the port. Those of
+        others are limits of the devices (:mod:`titop_plant.simulation.device_limits`).
     random_walk : float
-        Of the bias of a further sensor, in the unit of the port and the root of a second.
+        Of the bias, in the unit of the port and the root of a second.
     mount : SensorMount, optional
-        Of a further sensor; one of the reference measures an output of the assembled telescope.
+        Where it is; a sensor without one measures an output of the assembled telescope as it is.
+    measures : str
+        Output of the assembled telescope that it measures; empty: that of its own name.
     """
 
     port: Port
@@ -261,17 +257,23 @@ class Sensor:
     range: float = math.inf
     random_walk: float = 0.0
     mount: SensorMount | None = None
+    measures: str = ""
 
     @property
     def name(self) -> str:
         """Name of its port."""
         return self.port.name
 
+    @property
+    def source(self) -> str:
+        """Output of the assembled telescope that it measures."""
+        return self.measures or self.name
+
 
 def port_alone(entry: SensorEntry) -> Sensor:
     """A sensor of no telescope: its noise and bias are unknown (NaN), and a rate that has a key (0 ticks)."""
     unknown = np.full(entry.port.size, math.nan)
-    return Sensor(entry.port, unknown, unknown, entry.framed, 0 if entry.framed else 1)
+    return Sensor(entry.port, unknown, unknown, entry.framed, 0 if entry.framed else 1, measures=entry.measures)
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
@@ -301,6 +303,6 @@ def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
         noise, bias = (value(entry, key) * size for key in (entry.noise, entry.bias))
         low_pass = tuple(map(float, value(entry, entry.low_pass))) if entry.low_pass else ()
         ticks = divided_ticks(value(entry, entry.rate), entry.rate) if entry.framed else 1
-        return Sensor(entry.port, noise, bias, entry.framed, ticks, washout, low_pass)
+        return Sensor(entry.port, noise, bias, entry.framed, ticks, washout, low_pass, measures=entry.measures)
 
     return tuple(sensor(entry) for entry in MEASURED_SENSORS)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsm_pma_controller.problem import FORCE, MEASUREMENTS, actuator_plant
+from fsm_pma_controller.problem import FORCE, MEASURED_NAMES, actuator_plant
 from lftkit import SampledSystem, System, close
 from lftkit.analysis.norms import spectral_abscissa
 from los_design.synthesis.store import continuous
@@ -60,8 +60,8 @@ class PaperStages:
         observer, actuators = (continuous(design) for design in pair)
         plant = actuator_plant(telescope, observer).system
         disturbances = disturbances_of(plant)
-        open_forces = plant[(LINE_OF_SIGHT, *MEASUREMENTS), (*disturbances, FORCE.name)]
-        both = close(open_forces, actuators, {**{name: name for name in MEASUREMENTS}, FORCE.name: FORCE.name})
+        open_forces = plant[(LINE_OF_SIGHT, *MEASURED_NAMES), (*disturbances, FORCE.name)]
+        both = close(open_forces, actuators, {**{name: name for name in MEASURED_NAMES}, FORCE.name: FORCE.name})
         systems = {
             "none": responses.hard,
             "isolator": responses.isolated,

@@ -17,7 +17,6 @@ from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_design.files import WORST_POINTS
-from titop_plant.interface import COMMANDS
 from titop_plant.telescope.telescope import Telescope
 
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
@@ -55,7 +54,7 @@ class WorstPoint:
     def channel(self, telescope: Telescope) -> str:
         """Name of the input of a telescope with the largest part of the disturbance."""
         k = int(np.abs(self.disturbance).argmax())
-        if len(self.disturbance) <= COMMANDS or self.requirement.startswith("sensitivity"):
+        if len(self.disturbance) != telescope.channels or self.requirement.startswith("sensitivity"):
             return f"command {k + 1}"
         wheel, of_wheel = divmod(k, len(WHEEL_CHANNELS))
         wheels = telescope.turning_wheels

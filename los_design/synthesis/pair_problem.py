@@ -39,8 +39,6 @@ from titop_plant.interface import (
     COLUMNS,
     COMMANDED,
     DT,
-    K_FSM_INPUTS,
-    K_PMA_INPUTS,
     MEASURED,
     MIRROR,
     MIRROR_STAGES,
@@ -74,11 +72,11 @@ LEAST_DECAY = 5e-4
 def blocks(telescope: Telescope, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
     """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate).
 
-    Both measure with the further sensors of the telescope, behind their other inputs and the same washout; K_PMA
-    commands its further actuators.
+    Both measure with the sensors at places, behind their other inputs and the same washout; K_PMA commands the
+    actuators at places.
     """
     mirror, rows = -1.0 / telescope.fsm.los_sensitivity, telescope.loop_ports
-    observed, measured = ((*ports, *rows.further_measured) for ports in (K_FSM_INPUTS, K_PMA_INPUTS))
+    observed, measured = (rows.of_design(name).measured for name in ("k_fsm", "k_pma"))
 
     def delay(omega: FloatArray) -> ComplexArray:
         return np.asarray(np.exp(-1j * omega * DT))

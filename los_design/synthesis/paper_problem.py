@@ -31,6 +31,7 @@ from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import System
 from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.systems.ports import total_size
 from lftkit.tuning.responses import ControllerBlock, PlantSamples, ResponseGain, ResponseNoise, ResponseProblem
 from lftkit.tuning.responses.blocks import gain_matrices
 from los_design.search.worst_case_search import Search, SearchOptions
@@ -56,7 +57,7 @@ from los_loop.continuous_loop import ContinuousLoop, paper_gains
 from los_loop.figures_of_merit import FigureOfMerit, figure
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
-from titop_plant.interface import COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.interface import COLUMNS, DT, FORCES, MEASURED_PORTS, MIRROR, PLATFORM
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -94,7 +95,7 @@ def paper_blocks(
         )
 
     return (
-        block("K_FSM", orders[0], slice(0, MEASUREMENTS), MIRROR, mirror, OBSERVER),
+        block("K_FSM", orders[0], slice(0, total_size(MEASURED_PORTS)), MIRROR, mirror, OBSERVER),
         block("K_PMA", orders[1], PLATFORM, FORCES, 1.0, ACTUATORS),
     )
 
@@ -127,7 +128,7 @@ def response_gains(
 def response_noises(samples: PaperSamples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Noise of the platform's accelerometers, behind their washout, in the line of sight of the nominal telescope."""
     telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
-    omega, density = nominal.omega, np.zeros((len(nominal), MEASUREMENTS))
+    omega, density = nominal.omega, np.zeros((len(nominal), total_size(MEASURED_PORTS)))
     for sensor in telescope.sensors:
         if sensor.port.name in NOISE.inputs:
             size = np.abs(1j * omega / (1j * omega + sensor.washout))

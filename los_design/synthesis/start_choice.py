@@ -38,7 +38,7 @@ LAW_SEEDS, LAW_GAINS = (2, 3, 4), (100.0, 10.0, 1.0, 0.0)
 """Random K_PMA beside the Kalman observer: of each seed the one with the largest of these gains that is stable."""
 POINTS, STEPS, COMPARED, GOOD = 6, 12, 2, 1.0
 """Random points of a comparison, steps of its descents, how many starts descend, and the value that ends it."""
-DEVICE_PART, WITH_DEVICES = 0.1, ", with some use of the further sensors and actuators"
+DEVICE_PART, WITH_DEVICES = 0.1, ", with some use of the sensors and actuators at places"
 """What such a start uses of them, beside its use of the platform's accelerometer and of the forces: from exact zero,
 steps in proportion to the size of an entry would hardly leave."""
 STORED_START, STORED_PAIR, KALMAN = "the stored start", "the stored pair", "the Kalman observer with the stored K_PMA"
@@ -81,7 +81,7 @@ def choose_start(
         gain_matrix if gain_matrix is not None else gain_matrix_of(stored_start("k-fsm")),
         gain_matrix_of(stored_start("k-pma")),
     ]
-    devices = bool(telescope.loop_ports.further)
+    devices = bool(telescope.placed_sensors or telescope.placed_actuators)
     if is_reference(telescope) and not devices and stable(entries(stored)):
         return entries(stored)
     report("another telescope than that of the stored start: starts are compared")
@@ -107,7 +107,7 @@ def choose_start(
 
 
 def _widened(M: FloatArray, block: ControllerBlock, part: float) -> FloatArray:
-    """A gain matrix with columns and rows of further sensors and actuators: random, `part` of the size of others."""
+    """A gain matrix with columns and rows of sensors and actuators at places: random, `part` of the size of others."""
     n, (rows, columns) = block.order, block.shape
     out = np.zeros((rows, columns))
     out[: len(M), : M.shape[1]] = M

@@ -12,9 +12,7 @@ from lftkit import SampledSystem, System
 from lftkit.errors import InputError
 from lftkit.systems.ports import spread_columns
 from lftkit.tuning.nested_orders import with_decaying_states
-from los_design.synthesis.store import design_ports
-from titop_plant.interface import DT
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS
+from titop_plant.interface import DT, LAW_PORTS
 
 START_POLES = (20.0, 400.0)
 START_GAIN = 100.0
@@ -25,7 +23,7 @@ def stored_start(kind: str) -> System:
     path = Path(__file__).with_name(f"start_{kind.replace('-', '_')}.json")
     content = json.loads(path.read_text(encoding="utf-8"))
     A, B, C, D = (np.array(content[key], dtype=float) for key in "ABCD")
-    inputs, outputs = design_ports(kind, REFERENCE_PORTS)
+    inputs, outputs = LAW_PORTS[kind.replace("-", "_")]
     known = [port for port in inputs if port.name in content["inputs"]]
     B, D = (spread_columns(matrix, known, inputs) for matrix in (B, D))
     return System(A, B, C, D, inputs, outputs, f"start of {kind}")
@@ -33,7 +31,7 @@ def stored_start(kind: str) -> System:
 
 def zero_controller(kind: str) -> SampledSystem:
     """A controller of a kind whose outputs are zero."""
-    inputs, outputs = design_ports(kind, REFERENCE_PORTS)
+    inputs, outputs = LAW_PORTS[kind.replace("-", "_")]
     rows, columns = (sum(p.size for p in ports) for ports in (outputs, inputs))
     none = np.zeros((0, 0))
     return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
@@ -46,7 +44,7 @@ def random_law(seed: int, gain: float = START_GAIN, order: int = ACTUATOR_ORDER)
     B = rng.standard_normal((order, 6))
     C = gain * rng.standard_normal((6, order))
     D = np.zeros((6, 6)) if order else gain / np.sqrt(np.prod(START_POLES)) * rng.standard_normal((6, 6))
-    return System(np.diag(poles), B, C, D, *design_ports("k-pma", REFERENCE_PORTS), f"start {seed}")
+    return System(np.diag(poles), B, C, D, *LAW_PORTS["k_pma"], f"start {seed}")
 
 
 def padded(system: System, order: int) -> System:

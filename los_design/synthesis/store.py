@@ -12,7 +12,7 @@ from lftkit import Port, SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.errors import InputError
 from lftkit.systems.ports import spread_columns
-from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.telescope.loop_ports import LoopPorts
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
@@ -93,10 +93,9 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
 
 
 def design_ports(kind: str, ports: LoopPorts) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Input and output ports of a kind of design, with the further ones that the loop has."""
-    if kind == "k-fsm":
-        return (*K_FSM_INPUTS, *ports.further_measured), K_FSM_OUTPUTS
-    return (*K_PMA_INPUTS, *ports.further_measured), (*K_PMA_OUTPUTS, *ports.further_commanded)
+    """Input and output ports of a kind of design in a loop with some rows."""
+    name = kind.replace("-", "_")
+    return ports.of_design(name).law_ports(name)
 
 
 def matrices_of(kind: str, M: FloatArray, ports: LoopPorts) -> Matrices:

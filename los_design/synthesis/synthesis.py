@@ -323,7 +323,7 @@ def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _in_newton(M: FloatArray, ports: LoopPorts) -> FloatArray:
-    """Gain matrix of K_PMA with the forces of further actuators in N."""
+    """Gain matrix of K_PMA with its commands in their units."""
     forces = ports.scale[ports.forces]
     size = np.ones(len(M))
     size[-len(forces) :] = forces

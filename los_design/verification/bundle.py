@@ -57,14 +57,12 @@ from los_design.verification.combined_bounds import error_sums, in_few_bands
 from los_design.verification.error_sum import FAST, PART, ErrorSum, window_limit
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
-from los_design.verification.loop_models import box_of, provable
+from los_design.verification.loop_models import box_of, check_provable, provable, provable_open_loop
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
 from los_design.verification.subject import Subject
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.open_loop import OpenLoop
-from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
-from titop_plant.telescope.control_plant import control_loop_plant
+from titop_plant.interface import MIRROR_STAGES
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
 from titop_plant.telescope.plant_file import FILE, PLANT
 from titop_plant.telescope.requirements import design_limits, read_requirements
@@ -306,8 +304,7 @@ def _read(members: Mapping[str, bytes], folder: Path) -> ProofBundle:
     for name in (K_FSM, K_PMA):
         parsed(members[name], name)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
-    k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
-    k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    check_provable(telescope, k_fsm, k_pma)
     return ProofBundle(folder, frozenset(members), telescope, k_fsm, k_pma)
 
 
@@ -425,7 +422,7 @@ def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] =
     """
     try:
         telescope = bundle.telescope
-        open_loop = OpenLoop(control_loop_plant(telescope), telescope)
+        open_loop = provable_open_loop(telescope, bundle.k_fsm, bundle.k_pma)
         stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
         loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
         figures, stable = [], dict.fromkeys(loops, 0.0)

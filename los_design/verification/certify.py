@@ -326,7 +326,7 @@ def certify_figure(
     report : callable
         Told how many parts are done, and of how many.
     """
-    metric = provable(loop.telescope, loop.stage)[name]
+    metric = provable(loop.telescope, loop.stage, loop.ports)[name]
     model, box = telescope_model(loop, metric), box_of(loop)
     lower, omega, values = 0.0, 0.0, {p.name: p.nominal for p in loop.system.parameters}
     for point in known:
@@ -397,14 +397,14 @@ def _parts(
 @lru_cache(maxsize=4)
 def nominal_stable(loop: ImplementedLoop) -> bool:
     """Whether the nominal loop was proven stable."""
-    metric = next(iter(figures_of(loop.telescope, loop.stage).values()))
+    metric = next(iter(figures_of(loop.telescope, loop.stage, loop.ports).values()))
     return nominal_windows(telescope_model(loop, metric)) > 0
 
 
 @lru_cache(maxsize=4)
 def stable_above(loop: ImplementedLoop) -> bool:
     """Whether it was proven that no pole of a member crosses the axis above half of the sampling rate."""
-    metric = next(iter(figures_of(loop.telescope, loop.stage).values()))
+    metric = next(iter(figures_of(loop.telescope, loop.stage, loop.ports).values()))
     return windows_above(telescope_model(loop, metric), box_of(loop)) > 0
 
 

@@ -23,21 +23,12 @@ from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
 from los_design.verification.certify import FigureBounds, ProofLevel, Prover, certify_figure
-from los_design.verification.loop_models import figures_of, provable
+from los_design.verification.loop_models import figures_of, provable, provable_open_loop
 from los_design.verification.noise_certificate import NOISE, certify_noise
 from los_design.verification.proof_comparison import compare_noise, compare_proof
 from los_design.verification.subject import BUNDLE
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.open_loop import OpenLoop
-from titop_plant.interface import (
-    DT,
-    K_FSM_INPUTS,
-    K_FSM_OUTPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    design_warnings,
-)
-from titop_plant.telescope.control_plant import control_loop_plant
+from titop_plant.interface import design_warnings
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
@@ -97,22 +88,12 @@ def loops_of(
         telescope, k_fsm, k_pma = load_folder(folder)
         if same_telescope:
             refuse_other_telescope(folder, telescope, (k_fsm, k_pma))
-        if telescope.loop_ports.used_by(k_fsm, k_pma).further:
-            known = {port.name for port in (*K_FSM_INPUTS, *K_FSM_OUTPUTS, *K_PMA_INPUTS, *K_PMA_OUTPUTS)}
-            ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
-            further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
-            raise InputError(
-                "controllers must use no sensors and actuators of the telescope's file here: proofs and their "
-                f"checker have the ports of the reference's loop, got {further}"
-            )
-        k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
-        k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     telescope = telescope.with_uncertain(uncertain)
     warn(design_warnings((k_fsm, k_pma), telescope.design_basis, closed=True))
     points = []
     if folder is None or (folder / WORST_POINTS).exists():
         points = [point for table in load_worst_points(folder).values() for point in table.values()]
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
+    open_loop = provable_open_loop(telescope, k_fsm, k_pma)
     return Loops({stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points)
 
 

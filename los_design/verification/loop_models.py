@@ -6,11 +6,13 @@ See :mod:`los_design.verification.certify`.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from lftkit import SampledSystem
 from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
@@ -21,9 +23,13 @@ from los_design.verification.frames import IMAGES, SEEN
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.open_loop import OpenLoop
 from los_loop.spec import LOS_ROWS
-from titop_plant.interface import COMMANDED, COMMANDS, DT
+from titop_plant.interface import COMMANDED, DT
 from titop_plant.physical_settings import ANGLE
+from titop_plant.sensors import TICKS_PER_SECOND, Sensor
+from titop_plant.telescope.control_plant import loop_plant
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 Box = tuple[Interval, ...]
@@ -31,6 +37,58 @@ NYQUIST = math.pi / DT
 HALVED, LATER = "gain x0.5", "one more tick"
 RETURNED, LIMITS = {HALVED: 1, LATER: 2}, {HALVED: 2.0, LATER: 1.0}
 """Of margins that are no sensitivity: what is bounded (:class:`lftkit.proofs.sampled_loop.LoopModel`), and by what."""
+
+
+def provable_open_loop(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem) -> OpenLoop:
+    """The telescope with the sensors and actuators that controllers use, for loops that can be proven.
+
+    Raises
+    ------
+    ValueError
+        As :func:`check_provable`.
+    """
+    check_provable(telescope, k_fsm, k_pma)
+    ports = telescope.loop_ports.used_by(k_fsm, k_pma)
+    return OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+
+
+def check_provable(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
+    """Refuse controllers of which no loop can be proven.
+
+    Raises
+    ------
+    ValueError
+        Ports that the telescope does not have, or another period; a sensor slower than the tick at another rate than
+        the camera: the proof of what is held has one such rate.
+    """
+    for name, law in (("k_fsm", k_fsm), ("k_pma", k_pma)):
+        used = telescope.loop_ports.of_system(name, law)
+        inputs, outputs = used.law_ports(name)
+        law.with_inputs(inputs).require(inputs, outputs, DT)
+        refuse_other_rates(used.sensors, telescope.frame_ticks)
+
+
+def refuse_other_rates(sensors: Iterable[Sensor], frame_ticks: int) -> None:
+    """Refuse sensors that are slower than the tick at another rate than the camera.
+
+    Parameters
+    ----------
+    sensors : iterable of Sensor
+        Of a loop that is to be proven.
+    frame_ticks : int
+        Ticks from one frame of the camera to the next.
+
+    Raises
+    ------
+    ValueError
+        The message names them.
+    """
+    other = [row.name for row in sensors if row.ticks not in (1, frame_ticks)]
+    if other:
+        raise InputError(
+            f"sensors of a loop that is proven must have a sample at each tick or the rate of the camera, "
+            f"{TICKS_PER_SECOND / frame_ticks:g} Hz, got {', '.join(other)}"
+        )
 
 
 def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
@@ -55,7 +113,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
         drives = [[bound, 1.0, 1.0] for bound in telescope.torque_bounds]
         inputs = np.array([*wheels, *drives], dtype=float)
         return _model(loop, inputs, None, window=window, rows=rows, scale=metric.limit, commands=commands)
-    added = tuple(range(COMMANDS))[metric.columns]
+    added = tuple(range(loop.ports.commands))[metric.columns]
     kind = RETURNED.get(metric.name.split(",")[0], 0)
     outcome = {"window": window, "rows": rows, "scale": metric.limit, "commands": commands}
     return _model(loop, np.ones((len(added), 3)), None, added=added, returned=kind, **outcome)
@@ -101,17 +159,17 @@ def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, *
 
     Of the 32 occurrences of the arrays' angle 16 are left (:mod:`los_loop.angle_channels`).
     """
-    system = loop.system
+    system, commands = loop.system, loop.ports.commands
     names, q = system.channels, len(system.channels)
     if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
         raise InputError(f"the nominal value of {ANGLE} must be 0")
     kept = kept_channels(system).tolist()
     rows = [*kept, *range(q, system.C.shape[0])]
-    columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
+    columns = [*kept, *range(q + commands, system.B.shape[1]), *range(q, q + commands)]
     poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
     K_poles, K_B, K_C, K_D = loop.control_laws.modes()
     order = [names[channel] for channel in kept]
-    D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(columns) - COMMANDS)
+    D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(columns) - commands)
     if outcome.get("added") or noisy is not None:
         B = np.hstack([B[:, :first], np.zeros((len(B), len(weights))), B[:, last:]])
         D = np.hstack([D[:, :first], np.zeros((len(D), len(weights))), D[:, last:]])
@@ -145,13 +203,21 @@ def box_of(loop: ImplementedLoop) -> Box:
     )
 
 
-def figures_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
-    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
-    metrics = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
+def figures_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate.
+
+    Parameters
+    ----------
+    telescope : Telescope
+    stage : str
+    ports : LoopPorts, optional
+        Rows of the loop; default: those of the stored controllers.
+    """
+    metrics = loop_metrics(telescope, stage, (0.0, NYQUIST), ports)
     return {name: metric for name, metric in metrics.items() if metric.disturbed}
 
 
-def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
+def margins_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
     """Margins of a stage that can be proven, each at the commands of one port, up to half of the sampling rate.
 
     ==========================  =====================================================================================
@@ -165,7 +231,7 @@ def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     At the forces one more tick breaks the last bound (near 2600 rad/s), though the loop bears it: the norm does not
     see the phase.
     """
-    metrics = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
+    metrics = loop_metrics(telescope, stage, (0.0, NYQUIST), ports)
     margins = {name: metric for name, metric in metrics.items() if not metric.disturbed}
     for metric in list(margins.values()):
         port = metric.name.split(", ")[1]
@@ -175,22 +241,22 @@ def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     return margins
 
 
-def parts_near_edge(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
+def parts_near_edge(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
     """Parts of the fast tones' band that can have bounds of their own, by name."""
-    fast = figures_of(telescope, stage)[FAST]
+    fast = figures_of(telescope, stage, ports)[FAST]
     return {name: replace(fast, name=name, band=band) for name, band in parts_of_band(telescope).items()}
 
 
-def frames_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
+def frames_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
     """Gains that show what the camera's frames do to stability (:mod:`los_design.verification.frames`)."""
     if telescope.frame_ticks == 1:
         return {}
-    edge, like = NYQUIST / telescope.frame_ticks, next(iter(margins_of(telescope, stage).values()))
+    edge, like = NYQUIST / telescope.frame_ticks, next(iter(margins_of(telescope, stage, ports).values()))
     bands = {SEEN: (0.0, edge), IMAGES: (edge, NYQUIST)}
     return {name: replace(like, name=name, limit=FRAME_LIMITS[name], band=band) for name, band in bands.items()}
 
 
-def provable(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
+def provable(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
     """All gains of a stage that can be proven: figures, margins, frames, parts of the fast tones' band."""
-    others = margins_of(telescope, stage) | frames_of(telescope, stage) | parts_near_edge(telescope, stage)
-    return figures_of(telescope, stage) | others
+    asked = telescope, stage, ports
+    return figures_of(*asked) | margins_of(*asked) | frames_of(*asked) | parts_near_edge(*asked)

@@ -67,7 +67,7 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
     figure : str
         One of :func:`los_design.verification.loop_models.provable`.
     """
-    metric = provable(loop.telescope, loop.stage).get(figure)
+    metric = provable(loop.telescope, loop.stage, loop.ports).get(figure)
     if metric is None:
         return ProofComparison((f"stage {loop.stage} has no figure {figure}",))
     mismatches, model = _claim_mismatches(proof, loop, metric), telescope_model(loop, metric)
@@ -112,7 +112,7 @@ def proof_of_loop(proof: LoopProof, loop: ImplementedLoop, figure: str) -> LoopP
     ProofError
         The loop has no such figure, or the file claims less than its whole box and band.
     """
-    metric = provable(loop.telescope, loop.stage).get(figure)
+    metric = provable(loop.telescope, loop.stage, loop.ports).get(figure)
     if metric is None:
         raise ProofError(f"stage {loop.stage} has no figure {figure}")
     missing = _claim_mismatches(proof, loop, metric)

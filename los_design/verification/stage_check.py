@@ -196,7 +196,7 @@ def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[_Seen]:
     for i, values in enumerate(item.points):
         plant = reaches[0].loop.system.at(values)
         commands = reaches[0].loop.ports.commands
-        step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
+        step = step_matrix(plant, no_tones(plant.B.shape[1] - commands))
         for reach, seen, doubts in zip(reaches, results, item.doubts):
             sampled, doubt = reach.loop.sampled_around(plant, step), doubts[i].copy()
             multipliers = sampled.multipliers()

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config.run_config import RunConfig
+from support.loop_rows import MEASUREMENTS
 
 from pointing_analysis.read.run import Run
-from titop_plant.interface import CAMERA, MEASUREMENTS
+from titop_plant.interface import CAMERA
 from titop_plant.simulation.driven_plant import DISTURBANCE_SIZE
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.loop_rows import COMMANDS
 
 from lftkit import System
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import FloatArray
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
-from titop_plant.interface import COMMANDS, DT
+from titop_plant.interface import DT
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
@@ -95,7 +96,7 @@ def simulated(plant: Plant, commands: FloatArray) -> FloatArray:
 
 
 def commands_for(plant: Plant, ticks: int) -> FloatArray:
-    return np.random.default_rng(2).uniform(-0.01, 0.01, (ticks, COMMANDS)) * plant.limits
+    return np.random.default_rng(2).uniform(-0.01, 0.01, (ticks, COMMANDS)) * plant.authority
 
 
 @pytest.mark.further

@@ -30,12 +30,13 @@ from support.flight_library import (
     same_bits,
     write,
 )
+from support.loop_rows import COMMANDS
 from support.scripts import script
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import replay
-from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, ESTIMATES, PLATFORM, STAGES
+from titop_plant.interface import CAMERA_PORT, COLUMNS, ESTIMATES, PLATFORM, STAGES
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags/reference"
@@ -65,7 +66,8 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
     states = RunStart.from_bytes(recorded.attachments[START_FILE]).states
     assert states is not None
     observer = observer_of(library, (np.array(states.k_fsm), np.array(states.camera)))
-    made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=layout_of())
+    layout = layout_of(laws.estimator.ports, laws.controller.ports)
+    made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=layout)
     assert len(made.stamp) == 4100
     for name, (stamp, values) in made.topics().items():
         topic = recorded[name]

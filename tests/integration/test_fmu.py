@@ -18,9 +18,10 @@ from los_testbed.flight import export
 from los_testbed.flight.fmu import plant_model
 from los_testbed.parts.run_parts import RunParts
 from support.flight_library import STRICT, same_bits
+from support.loop_rows import COMMANDS, MEASUREMENTS, ROWS
 
 from lftkit.arrays import FloatArray
-from titop_plant.interface import COMMANDS, DT, ESTIMATES, FORCES, MEASUREMENTS, PLATFORM, TRUTH
+from titop_plant.interface import DT, ESTIMATES, FORCES, PLATFORM, TRUTH
 
 fmpy = pytest.importorskip("fmpy")
 with_compiler = pytest.mark.skipif(export.compiler() is None, reason="no C compiler")
@@ -171,4 +172,4 @@ def test_the_sources_compile_without_a_warning(units: Path, tmp_path: Path, name
 def test_a_plant_that_is_no_telescope_with_constant_parameters_is_refused() -> None:
     config = RunConfig(mode="inprocess", scenario="ramp", theta_rate=0.01, ramp_duration=1.0, start="rest")
     with pytest.raises(ValueError, match="constant parameters"):
-        plant_model(RunParts(config).plant())
+        plant_model(RunParts(config).plant(), ROWS)

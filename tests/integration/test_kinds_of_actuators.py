@@ -74,7 +74,7 @@ def test_a_constant_value_turns_the_spacecraft_as_its_inertia_says(tmp_path: Pat
     angles = []
     for one in (telescope, moved):
         system = build_telescope(one, motors=True).system.at({})
-        part = system.select(inputs=("actuator_force",), outputs=("attitude",))
+        part = system.select(inputs=[actuator.name for actuator in one.placed_actuators], outputs=("attitude",))
         angles.append(part.D - part.C @ np.linalg.solve(part.A, part.B))
     motor, thruster, _ = telescope.placed_actuators
     assert motor.mount is not None and thruster.mount is not None
@@ -83,7 +83,7 @@ def test_a_constant_value_turns_the_spacecraft_as_its_inertia_says(tmp_path: Pat
     arm = np.cross([0.1, 0.2, 0.3], thruster.mount.axis) / stiffness
     np.testing.assert_allclose(angles[0][:, 1] - angles[1][:, 1], arm, rtol=1e-8)
     assert np.abs(angles[0][:, 2]).max() < 1e-9 * np.abs(arm).max()  # the force of a mass is within the spacecraft
-    assert [port.unit for port in telescope.actuator_ports] == ["Nm,N,N"]
+    assert [actuator.port.unit for actuator in telescope.placed_actuators] == ["Nm", "N", "N"]
 
 
 @pytest.mark.parametrize("start", ["rest", "steady"])

@@ -23,7 +23,7 @@ from los_design.synthesis.store import continuous, load_designs
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.run import Run
-from titop_plant.interface import DT, K_FSM_INPUTS, K_PMA_INPUTS
+from titop_plant.interface import DT
 from titop_plant.sensors import Sensor
 from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.load import load_telescope
@@ -101,8 +101,8 @@ def test_their_errors_have_the_sizes_of_the_file(tmp_path: Path) -> None:
         readings = SensorReadings([sensor], seed, noise=True)
         rows = np.empty((ticks, 2))
         for row in rows:
-            readings.read(still)
-            row[:] = readings.values
+            row[:] = still
+            readings.read(row)
         runs.append(rows)
     values = np.array(runs)
     ends = values[:, -20:].mean(axis=1) - values[:, :20].mean(axis=1)  # of the walk over about a second
@@ -228,8 +228,8 @@ def test_the_tuner_has_the_gains_of_the_loop_with_slow_sensors(stage: tuple[int,
 
 def ports_of(telescope: Telescope) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
     """Inputs of both controllers with all sensors of the file."""
-    further = telescope.loop_ports.further_measured
-    return (*K_FSM_INPUTS, *further), (*K_PMA_INPUTS, *further)
+    rows = telescope.loop_ports
+    return rows.of_design("k_fsm").measured, rows.of_design("k_pma").measured
 
 
 def washed(ports: LoopPorts, port: Port) -> bool:

@@ -12,6 +12,7 @@ from los_testbed.parts.run_parts import build_controller, build_estimator
 from los_testbed.run.loop.closed_loop import SimulatedLoop
 from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
+from support.loop_rows import ROWS
 
 from pointing_analysis.read.run import Run
 
@@ -31,7 +32,8 @@ class Delayed(SimpleTelescope):
 
 def test_the_command_of_a_tick_is_applied_at_the_next(config):
     plant, rows = Delayed(), []
-    loop = SimulatedLoop(plant, build_estimator(config), build_controller(config))
+    used = ROWS.of_law("k_fsm"), ROWS.of_law("k_pma")
+    loop = SimulatedLoop(plant, build_estimator(config), build_controller(config), ROWS, used)
     loop.run(2500, lambda block, n: rows.append(block.command[:n].copy()))
     sent = np.concatenate(rows)
     applied = np.array(plant.commands)

@@ -13,10 +13,10 @@ from los_testbed.run.loop.closed_loop import SimulatedLoop
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.predictions import predictions
 from los_testbed.run.summary.ran_loop import RanLoop
+from support.loop_rows import COMMANDS, MEASUREMENTS, ROWS, estimator_of
 
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
-from los_estimator.runtime import LosEstimator
 from los_loop.noise import periodic_covariances
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import sampled_loop_metrics
@@ -24,7 +24,7 @@ from los_loop.spec import state_parts
 from pointing_analysis.read.run import Run
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import COMMANDS, ESTIMATES, FORCE_STAGES, MEASURED, MEASUREMENTS, PLATFORM, TRUTH
+from titop_plant.interface import ESTIMATES, FORCE_STAGES, MEASURED, PLATFORM, TRUTH
 from titop_plant.simulation.build import DISTURBANCES
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
@@ -47,8 +47,10 @@ def test_noise_has_the_predicted_variance() -> None:
     camera, gauge = ([noise[f"{name}_noise"]] * 2 for name in ("camera", "strain_gauge"))
     sensors = SensorModel(np.r_[np.tile(noise["accelerometer_noise"], 3), camera, gauge], np.zeros(22), 20, 0.0, 3)
     dynamics = ConstantStep(plant_step(data, tones), np.zeros(len(data.A)), tones.frequency)
-    controller = assemble_controller(models, telescope.design_basis, "fsm+pma")
-    loop = SimulatedLoop(Plant(dynamics, sensors, np.full(8, 1e6), "test"), LosEstimator(models["k_fsm"]), controller)
+    used = ROWS.of_law("k_fsm"), ROWS.of_law("k_pma")
+    controller = assemble_controller(models, telescope.design_basis, "fsm+pma", used[1])
+    plant = Plant(dynamics, sensors, np.full(8, 1e6), "test")
+    loop = SimulatedLoop(plant, estimator_of(models["k_fsm"]), controller, ROWS, used)
     los: list[np.ndarray] = []
     loop.run(60000, lambda block, rows: los.append(block.truth[:rows].copy()))
     metrics = sampled_loop_metrics(data, models["k_fsm"], models["k_pma"], telescope, loop="fsm+pma")
@@ -98,7 +100,7 @@ def test_the_relative_error_of_noise_is_the_predicted_one(tmp_path: Path) -> Non
     parts = RunParts(config)
     model = parts.tone_model().loop
     assert model.spectral_radius() < 1.0
-    predicted = relative_error(model, parts.telescope.loop_ports.reference.noise)
+    predicted = relative_error(model, parts.telescope.loop_ports.noise)
     run_in_process(config, tmp_path / "bag")
     los = np.asarray(Run.open(tmp_path / "bag")["truth/los"].values)[:, :2]
     windows = los.reshape(-1, WINDOW, 2)

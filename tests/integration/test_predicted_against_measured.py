@@ -15,13 +15,13 @@ from los_testbed.run.replay import write_signals
 from los_testbed.run.summary.predictions import predictions
 from los_testbed.run.summary.ran_loop import RanLoop
 from simple_telescope import SimpleTelescope, write_controllers
+from support.loop_rows import COMMANDS
 
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import render
-from titop_plant.interface import COMMANDS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

@@ -21,9 +21,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg
-from support.loop_rows import FRAME_TICKS, loop_rows
+from support.loop_rows import COMMANDS, FRAME_TICKS, controller_of, estimator_of, loop_rows
 
-from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, System
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.bounds import member_gains
@@ -31,7 +30,6 @@ from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.loop_models import figures_of, telescope_model
-from los_estimator.runtime import LosEstimator
 from los_loop import implemented_loop
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
@@ -100,8 +98,8 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     plant = system.at(system.sample_values(rng, 1)[0])
     (omega, amplitude), bias = tones(rng, telescope), 1e-5 * rng.standard_normal(22)
-    limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
-    modal = ModalPlant.of(plant)
+    limits = PlantFamily.of(PlantConfig(disturbance=False)).ports.limits
+    modal = ModalPlant.of(plant, COMMANDS)
     loop = sampled_loop(modal, ControlLaws(*pair, stage, loop_rows()))
     model = ToneModel(loop, modal, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))
@@ -128,8 +126,8 @@ def run(plant: Plant, start, stage: str, pair: Pair, limits: np.ndarray) -> np.n
     """Line of sight (TICKS, 2) with the classes that run."""
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
     estimator, controller = (
-        LosEstimator(pair[0]),
-        FsmPmaController(pair[1], stage, los_sensitivity=pair[0].design_basis["los_sensitivity"], **authority),
+        estimator_of(pair[0]),
+        controller_of(pair[1], stage, los_sensitivity=pair[0].design_basis["los_sensitivity"], **authority),
     )
     estimator.start_at(start.k_fsm, start.camera)
     controller.start_at(start.k_pma)

@@ -7,13 +7,13 @@ import pytest
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_scenario
 from los_testbed.parts.run_parts import RunParts
-from support.loop_rows import loop_rows
+from support.loop_rows import COMMANDS, loop_rows
 from support.true_los import true_los
 
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.worst_tone import INDICES, worst_tone
-from titop_plant.interface import COMMANDS, DT, STAGES
+from titop_plant.interface import DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.load import load_telescope
@@ -51,7 +51,7 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
 
 
 def loop_at(config: RunConfig):
-    plant = ModalPlant.of(plant_and_tones(RunParts(config).physical)[0])
+    plant = ModalPlant.of(plant_and_tones(RunParts(config).physical)[0], 8)
     chosen = RunParts(config).models
     return sampled_loop(plant, ControlLaws(chosen["k_fsm"], chosen["k_pma"], config.loop, loop_rows(20))), plant
 

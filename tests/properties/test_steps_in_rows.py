@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.loop_rows import controller_of, estimator_of
 
-from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.sampled.rounding import rounding_bound
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_estimator.runtime import LosEstimator
 from pointing_analysis.replay.gap_stepping import FILLS, GapStepper
 from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, STAGES
 
@@ -49,17 +48,17 @@ def test_a_system_in_rows(seed: int, order: int, ticks: int) -> None:
 @given(seeds, st.integers(1, 40))
 def test_an_observer_in_rows_holds_what_its_camera_saw(seed: int, ticks: int) -> None:
     rng = np.random.default_rng(seed)
-    estimator = LosEstimator(system(rng, 3, (K_FSM_INPUTS, K_FSM_OUTPUTS)))
+    estimator = estimator_of(system(rng, 3, (K_FSM_INPUTS, K_FSM_OUTPUTS)))
     estimator.start_at(rng.standard_normal(3), rng.standard_normal(2))
     samples = rng.standard_normal((ticks, 22))
     samples[rng.random(ticks) < 0.6, CAMERA] = np.nan
     samples[rng.random(ticks) < 0.2, CAMERA.start] = np.nan
     estimator.reset()
-    single, held = one_by_one(estimator.step, samples, 2), estimator.held.copy()
+    single, held = one_by_one(estimator.step, samples, 2), estimator.held.values.copy()
     for cut in (0, ticks // 2, ticks):
         estimator.reset()
         parts = [estimator.steps(part) for part in (samples[:cut], samples[cut:]) if len(part)]
-        assert np.array_equal(np.concatenate(parts), single) and np.array_equal(estimator.held, held)
+        assert np.array_equal(np.concatenate(parts), single) and np.array_equal(estimator.held.values, held)
 
 
 @given(seeds, st.sampled_from(STAGES[1:]), st.lists(st.sampled_from(STAGES[1:]), max_size=3), st.integers(1, 60))
@@ -69,7 +68,7 @@ def test_a_controller_in_rows_fades_as_it_does(seed: int, first: str, stages: li
     samples = rng.standard_normal((len(stages) + 1, ticks, 8))
     results = []
     for in_rows in (False, True):
-        controller = FsmPmaController(law, first, los_sensitivity=0.1, fsm_authority=5.0, pma_authority=3.0)
+        controller = controller_of(law, first, los_sensitivity=0.1, fsm_authority=5.0, pma_authority=3.0)
         controller.reset()
         found = []
         for stage, part in zip([first, *stages], samples):

@@ -19,6 +19,7 @@ import threading
 import numpy as np
 from los_estimator.runtime import LosEstimator
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from titop_plant.telescope.load import load_telescope
 """
 MODULE += STORED_LAW
 MODULE += """
@@ -32,7 +33,7 @@ class Gusts:
 
 class Observer(LosEstimator):
     def __init__(self):
-        super().__init__(SampledSystem.from_file("k_fsm.json"))
+        super().__init__(SampledSystem.from_file("k_fsm.json"), load_telescope().loop_ports.of_law("k_fsm"))
 
 class Law(StoredLaw):
     def step(self, accel_Ip, out):

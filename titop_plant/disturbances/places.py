@@ -11,7 +11,7 @@ an appendage, a point              the node of the bus under an antenna, or any 
 ``M1``, ``M2``, ``detector``       nodes of the payload; body
 ``wheel_1`` ..                     the structure at a wheel; the wheel's frame, z along its spin axis
 ``drive_1`` ..                     the torque about the axis of an array drive, the source's last axis
-a further actuator                 the force of its motor on the structure along its axis, the source's force along z
+an actuator at a place             the force of its motor on the structure along its axis, the source's force along z
 =================================  ==================================================================================
 
 With a compliant bearing forces and lateral torques at a wheel act on its rotor.
@@ -31,7 +31,6 @@ from lftkit.errors import InputError
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port, motor_ports
-from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, WHEEL_TORQUE
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.telescope import Telescope
@@ -48,9 +47,9 @@ def drive_places(telescope: Telescope) -> tuple[str, ...]:
     return tuple(f"drive_{i}" for i in range(1, len(telescope.driven_arrays) + 1))
 
 
-def actuator_places(telescope: Telescope) -> tuple[str, ...]:
-    """Names of the further actuators, in the order of their forces."""
-    return tuple(one.name for one in telescope.placed_actuators)
+def actuator_places(telescope: Telescope) -> dict[str, Port]:
+    """Input of each actuator at a place, by its name."""
+    return {one.name: one.port for one in telescope.placed_actuators}
 
 
 def all_places(telescope: Telescope) -> tuple[str, ...]:
@@ -100,12 +99,12 @@ def place_matrix(
         raise InputError("frame must be a rotation, three rows of three numbers, got another matrix")
     actuators = actuator_places(telescope)
     if place in drives or place in actuators:
-        port = SADM_TORQUE if place in drives else ACTUATOR_FORCE
-        turns = place in drives or telescope.placed_actuators[actuators.index(place)].port.unit == "Nm"
+        turns = place in drives or actuators[place].unit == "Nm"
         one, axis = ("torque about", 5) if turns else ("force along", 2)
         if offset is not None or frame is not None:
             raise InputError(f"frame and offset must be absent at {place}, which has a {one} its axis only")
-        whole[columns[port].start + (drives if place in drives else actuators).index(place), axis] = 1.0
+        row = columns[SADM_TORQUE].start + drives.index(place) if place in drives else columns[place].start
+        whole[row, axis] = 1.0
         return whole
     wrench = np.kron(np.eye(2), turn)
     if offset is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from lftkit.errors import InputError
 from lftkit.proofs.trusted.digests import digest
 from lftkit.support.threads import one_thread
 from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
-from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.interface import DT, TRUTH, frame_ticks
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
@@ -26,9 +26,11 @@ from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_int
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.assembly import assembled_telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, control_loop_plant, disturbances_of
+from titop_plant.telescope.control_plant import DISTURBANCES, control_loop_plant, disturbances_of, loop_plant
 from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.placed.readings import SensorReadings
 from titop_plant.telescope.telescope import Telescope
 
 SPEED_ROUNDS = 4
@@ -42,35 +44,45 @@ class PlantFamily:
     ----------
     telescope : Telescope
         Of the file.
+    ports : LoopPorts
+        Sensors and actuators of its loop, with commands in their units.
     control_loop : System
-        Commands (8), disturbances (22 for the reference) to measurements (22), line of sight (2), and what else is
-        asked of a run (`with_sensors`).
+        Commands, disturbances (22 for the reference) to measurements, line of sight (2).
     path : str or None
         The file; None for the reference telescope.
     isolated : bool
     """
 
     telescope: Telescope
+    ports: LoopPorts
     control_loop: System
     path: str | None
     isolated: bool
     _last: dict[tuple[tuple[str, float], ...], System] = field(default_factory=dict, repr=False, compare=False)
+    _loops: dict[tuple[str, ...], tuple[System, dict[Any, System]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, config: PlantConfig) -> PlantFamily:
-        """The family that a configuration belongs to."""
+        """The family that a configuration belongs to, in a loop of the stored controllers."""
         telescope = load_telescope(config.parameters)
-        loop = control_loop_plant(telescope, isolated=config.isolated)
-        return cls(telescope, loop, config.parameters, config.isolated)
+        ports = telescope.loop_ports.used_by()
+        loop = loop_plant(telescope, ports, isolated=config.isolated)
+        return cls(telescope, ports, loop, config.parameters, config.isolated)
 
-    @cached_property
-    def sensed(self) -> PlantFamily:
-        """The same telescopes with the values of the further sensors behind the line of sight."""
-        further = tuple(port.name for port in self.telescope.sensor_ports)
-        if not further:
-            return self
-        loop = control_loop_plant(self.telescope, further, isolated=self.isolated)
-        return replace(self, control_loop=loop, _last={})
+    def with_ports(self, ports: LoopPorts) -> PlantFamily:
+        """The same telescopes in a loop with other sensors and actuators of them; plants that were made are kept."""
+        rows, self._loops[self._names(self.ports)] = ports.unscaled(), (self.control_loop, self._last)
+        names = self._names(rows)
+        if names not in self._loops:
+            self._loops[names] = loop_plant(self.telescope, rows, isolated=self.isolated), {}
+        loop, last = self._loops[names]
+        return replace(self, ports=rows, control_loop=loop, _last=last)
+
+    @staticmethod
+    def _names(ports: LoopPorts) -> tuple[str, ...]:
+        return tuple(port.name for port in (*ports.measured, *ports.commanded))
 
     def build(self, config: PlantConfig, start: FloatArray | None = None) -> Plant:
         """The member of a configuration, see :func:`build_plant`.
@@ -89,7 +101,8 @@ class PlantFamily:
             dynamics = RampedStep(*self.nodes(config, DT), state)
         else:
             dynamics = ConstantStep(plant_step(number, tones), state, np.unique(tones.frequency))
-        return Plant(dynamics, self._sensors(config), self.limits, self.name(config))
+        sensors, readings = self._sensors(config), self._readings(config)
+        return Plant(dynamics, sensors, self.ports.limits, self.name(config), readings=readings)
 
     def plant_and_tones(self, config: PlantConfig) -> tuple[System, Tones]:
         """The continuous plant at the start of a run, and the disturbance that acts on it.
@@ -97,7 +110,7 @@ class PlantFamily:
         Returns
         -------
         plant : System
-            Inputs: commands (8), disturbances; outputs: measurements (22), controlled line of sight (2).
+            Inputs: commands, disturbances; outputs: measurements, controlled line of sight (2).
         tones : Tones
             On the disturbance inputs.
 
@@ -131,23 +144,21 @@ class PlantFamily:
         """The disturbance of a configuration at the start of a run."""
         return _tones(config, self.telescope, parameter_values(config, self.telescope))
 
-    @property
-    def limits(self) -> FloatArray:
-        """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
-        limits = np.empty(COMMANDS)
-        limits[MIRROR], limits[FORCES] = self.telescope.fsm.authority, self.telescope.pma.authority
-        return limits
-
     def bias(self, config: PlantConfig) -> FloatArray:
-        """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
-        bias = self.telescope.loop_ports.reference.bias
+        """Constant part of the measurement of a run [m/s2, rad/s2, rad]; zero without noise."""
+        bias = self.ports.bias
         return np.asarray(bias if config.noise else np.zeros_like(bias))
 
     def _sensors(self, config: PlantConfig) -> SensorModel:
-        rows = self.telescope.loop_ports.reference
-        sigma = float(config.noise) * rows.noise
+        """Noise and bias of the sensors without a mount, which are the first of the measurement."""
+        rows = [row for row in self.ports.sensors if row.mount is None]
+        sigma = float(config.noise) * np.concatenate([row.noise for row in rows])
         frame = frame_ticks(config.camera_rate or self.telescope.camera_rate)
-        return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
+        return SensorModel(sigma, self.bias(config)[: sigma.size], frame, config.camera_dropout, config.seed)
+
+    def _readings(self, config: PlantConfig) -> SensorReadings | None:
+        rows = [row for row in self.ports.sensors if row.mount is not None]
+        return SensorReadings(rows, config.seed, config.noise) if rows else None
 
     def name(self, config: PlantConfig) -> str:
         """`Plant.parameters_hash` of a configuration, without building the plant."""
@@ -260,8 +271,8 @@ def _design_tones(telescope: Telescope, values: tuple[tuple[str, float], ...], s
     """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
     with one_thread():
         data = _isolated_loop(telescope).at(dict(values))  # that of the run, unless the run has no isolator
-        plant = ModalPlant.of(data)
-        los = plant.response.part(slice(MEASUREMENTS, None), slice(None))
+        plant = ModalPlant.of(data, telescope.loop_ports.used_by().commands)
+        los = plant.response.part(slice(-TRUTH, None), slice(None))
         tones = design_tones(telescope, los, _phases(seed))
     for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
         array.flags.writeable = False
@@ -280,7 +291,7 @@ def _unit_tones(config: PlantConfig, telescope: Telescope) -> Tones | None:
 
 
 def _steady_state(data: System, tones: Tones) -> FloatArray:
-    drive = data.B[:, COMMANDS:] @ tones.amplitude
+    drive = data.B[:, -len(tones.amplitude) :] @ tones.amplitude
     eye = np.eye(data.A.shape[0])
     state = np.zeros(data.A.shape[0])
     for k, w in enumerate(tones.frequency):

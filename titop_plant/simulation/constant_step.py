@@ -74,10 +74,10 @@ class ConstantStep:
         ----------
         tick : int
             Number of the tick.
-        values : ndarray, shape (n + 8 + 2 K,)
+        values : ndarray, shape (n + c + 2 K,)
             Coordinates, which are replaced by the next ones; commands; phasors.
-        sums : ndarray, shape (24 + further sensors,)
-            Measurement, truth and further sensors of this tick, without noise; written.
+        sums : ndarray, shape (m + 2,)
+            Measurement and truth of this tick, without noise; written.
         """
         later = self._later
         if self.compiled and (compiled := kernel()) is not None:

@@ -26,8 +26,9 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR
+from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MIRROR
 from titop_plant.sensors import MEASURED_SENSORS
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.sections import OscillatorTable
 
 
@@ -82,8 +83,9 @@ class LimitedDevices:
     limits : DeviceLimits
     actuator : OscillatorTable
         Of the proof-mass actuators.
-    authority : ndarray, shape (8 + actuators,)
-        Largest commands: mirror [rad], forces [N], forces of further actuators [N], which have no other limit.
+    ports : LoopPorts
+        Sensors and actuators of the plant. Actuators at places have no limit but their authority; sensors at places
+        are quantised where they are read.
     dt : float
         Sampling period [s].
 
@@ -100,10 +102,10 @@ class LimitedDevices:
     0.9
     """
 
-    def __init__(self, limits: DeviceLimits, actuator: OscillatorTable, authority: FloatArray, dt: float = DT) -> None:
+    def __init__(self, limits: DeviceLimits, actuator: OscillatorTable, ports: LoopPorts, dt: float = DT) -> None:
         self.limits, self.name = limits, str(astuple(limits))
-        self._authority = authority
-        self._most = np.full(authority.size, np.inf)
+        self._authority = ports.limits
+        self._most = np.full(ports.commands, np.inf)
         self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * dt, limits.force_rate * dt
         self._push, self._move = held_oscillator(actuator, dt)
         self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
@@ -112,11 +114,11 @@ class LimitedDevices:
 
             self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / dt))
         self._filtered = bool(limits.cut_off)
-        self._step = np.zeros(MEASUREMENTS)
+        self._step = np.zeros(ports.measurements)
         for entry in MEASURED_SENSORS:
             self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step) if entry.step else 0.0
         self._coarse = self._step > 0.0
-        self._command = np.zeros(authority.size)
+        self._command = np.zeros(ports.commands)
         self.reset()
 
     def reset(self) -> None:
@@ -134,7 +136,7 @@ class LimitedDevices:
         return np.array(self._mass[0])
 
     def before(self, command: FloatArray) -> FloatArray:
-        """Output of the actuators for `command` (8 + actuators,) in this tick; the next call overwrites it."""
+        """Output of the actuators for `command` (c,) in this tick; the next call overwrites it."""
         v, stroke = self._command, self.limits.stroke
         np.clip(command, -self._authority, self._authority, out=v)
         if self._last is not None:  # the first command is that of the start
@@ -149,7 +151,7 @@ class LimitedDevices:
         return v
 
     def after(self, measurement: FloatArray) -> None:
-        """Filter and round the measurement (22,) of this tick."""
+        """Filter and round the measurement (m,) of this tick."""
         if self._filtered:
             self._low_pass(measurement[ACCELERATIONS])
         coarse = self._coarse

@@ -11,30 +11,26 @@ frame, torques of the array drives, and a wrench on the spacecraft's bus; 28 val
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from lftkit import Port, System, sampled
+from lftkit import Port, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
-from titop_plant.disturbances.sources import loaded_telescope
-from titop_plant.interface import COMMANDED, COMMANDS
+from titop_plant.interface import COMMANDED
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
 
 def driven_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Ports of the vector that a disturbance of the user writes."""
-    further = (EXTERNAL_WRENCH,) if telescope.has_input(EXTERNAL_WRENCH.name) else ()
-    return (*telescope.disturbance_ports, *further)
+    outside = (EXTERNAL_WRENCH,) if telescope.has_input(EXTERNAL_WRENCH.name) else ()
+    return (*telescope.disturbance_ports, *outside)
 
 
 DISTURBANCE_PORTS = driven_ports(load_telescope())
@@ -65,9 +61,9 @@ class DisturbanceInput:
 
     Parameters
     ----------
-    held : ndarray, shape (n + 24, size of the ports)
-        Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22), the
-        truth (2), and the further sensors that there are.
+    held : ndarray, shape (n + m + 2, size of the ports)
+        Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (m) and
+        the truth (2).
         Of sources with another number of values as many columns.
     disturbance : Disturbance
         Frequencies of its tones [rad/s], an attribute ``lines``, are added to those of the plant.
@@ -75,15 +71,13 @@ class DisturbanceInput:
         Of the disturbance, for the name of the configuration.
     """
 
-    limits: FloatArray = np.zeros(0)
-
     def __init__(self, held: FloatArray, disturbance: Disturbance, name: str) -> None:
         self.held, self.disturbance, self.name = held, disturbance, name
         self.lines = np.asarray(getattr(disturbance, "lines", []), dtype=float)
         self.acts = True
         self._value = np.zeros(held.shape[1])
 
-    def value(self, command: FloatArray) -> FloatArray:
+    def value(self) -> FloatArray:
         """Forces and torques (size of the ports,) of this tick [N, Nm]; the next call overwrites them."""
         self.disturbance.step(self._value)
         return self._value
@@ -99,41 +93,6 @@ class DisturbanceInput:
             self.acts = bool(value)
 
 
-class ActuatorInput:
-    """Further actuators that a controller commands, as a held input of :class:`titop_plant.simulation.plant.Plant`.
-
-    Their forces follow the eight values of a command. Each is clipped to its authority.
-
-    Parameters
-    ----------
-    held : ndarray, shape (n + 24 + sensors, actuators)
-        Of :func:`held_forces`.
-    actuators : sequence of Actuator
-    """
-
-    name = ""
-    lines: FloatArray = np.zeros(0)
-    acts = True
-
-    def __init__(self, held: FloatArray, actuators: Sequence[Actuator]) -> None:
-        self.held = held
-        self.limits = np.array([one.authority for one in actuators])
-        self._lowest = -self.limits
-        self._force = np.zeros(self.limits.size)
-
-    def value(self, command: FloatArray) -> FloatArray:
-        """Forces (actuators,) of this tick [N], of `command` (8 + actuators,); the next call overwrites them."""
-        np.minimum(command[COMMANDS:], self.limits, out=self._force)
-        np.maximum(self._force, self._lowest, out=self._force)
-        return self._force
-
-    def reset(self) -> None:
-        """Nothing to reset: the forces are those of each command."""
-
-    def change(self, name: str, value: float) -> None:
-        """No setting of a run changes the actuators."""
-
-
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
     """Contribution of a disturbance held for one tick to next state, measurement and truth.
 
@@ -147,36 +106,12 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
 
     Returns
     -------
-    ndarray, shape (n + 24, size of the ports)
-        More rows where the family is that with the further sensors.
+    ndarray, shape (n + m + 2, size of the ports)
     """
     ports = driven_ports(family.telescope)
     whole = assembled_telescope(family.telescope, family.isolated).system
-    return _held(whole, [p.name for p in ports], family, config, dt)[:, -total_size(ports) :]
-
-
-def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Actuator], dt: float) -> FloatArray:
-    """Contribution of a unit force of each further actuator, held for one tick: columns as `held_disturbance`.
-
-    Parameters
-    ----------
-    family : PlantFamily
-    config : PlantConfig
-        Member of the family, a telescope of constant parameters.
-    actuators : sequence of Actuator
-        Of its file.
-    dt : float
-        Tick [s].
-    """
-    names = [one.name for one in family.telescope.placed_actuators]
-    whole = loaded_telescope(family.telescope, family.isolated).system
-    every = _held(whole, [ACTUATOR_FORCE], family, config, dt)[:, -len(names) :]
-    return every[:, [names.index(one.name) for one in actuators]]
-
-
-def _held(whole: System, inputs: Sequence[str], family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
-    """Next state, measurement, truth and further sensors by held commands and `inputs`."""
-    outputs = [p.name for p in family.control_loop.outputs]
-    driven = with_sensors(whole, family.telescope).select(inputs=(*COMMANDED, *inputs), outputs=outputs)
+    driven = with_sensors(whole, family.telescope).select(
+        inputs=(*COMMANDED, *(port.name for port in ports)), outputs=[p.name for p in family.control_loop.outputs]
+    )
     held = sampled(driven.at(family.known(parameter_values(config, family.telescope))), dt, method="hold")
-    return np.vstack([held.B, held.D])
+    return np.vstack([held.B, held.D])[:, -total_size(ports) :]

@@ -95,11 +95,11 @@ def advance(step: StepArrays, values: FloatArray, later: FloatArray, sums: Float
     Parameters
     ----------
     step : StepArrays
-    values : ndarray, shape (n + 8 + 2 K,)
+    values : ndarray, shape (n + c + 2 K,)
         Read, and the coordinates written.
     later : ndarray, shape (n,)
         Overwritten.
-    sums : ndarray, shape (24,)
+    sums : ndarray, shape (m + 2,)
         Outputs; written.
     """
     _product(step.outputs, values, sums)
@@ -119,16 +119,16 @@ def turn(factors: FloatArray, phasors: FloatArray) -> None:
 def between(
     nodes: FloatArray, place: float, values: FloatArray, later: FloatArray, other: FloatArray, sums: FloatArray
 ) -> None:
-    """Tick between two nodes of a profile, linear in the place: next states, and outputs (24,).
+    """Tick between two nodes of a profile, linear in the place: next states, and outputs (m + 2,).
 
     Parameters
     ----------
-    nodes : ndarray, shape (N, n + 8 + 2 K, n + 24)
+    nodes : ndarray, shape (N, n + c + 2 K, n + m + 2)
         Columns of the step matrix at each node.
     place : float
         Number of the node and share of the way to the next.
     values, later, other, sums
-        States, commands and phasors; two vectors (n + 24,); outputs.
+        States, commands and phasors; two vectors (n + m + 2,); outputs.
     """
     k = int(place)
     n, last = len(later) - len(sums), len(nodes) - 1
@@ -199,9 +199,9 @@ def loop(
     Parameters
     ----------
     step : StepArrays
-    values : ndarray, shape (n + 8 + 2 K,)
+    values : ndarray, shape (n + c + 2 K,)
         Coordinates, commands and phasors of the plant; written.
-    limits : ndarray, shape (8,)
+    limits : ndarray, shape (c,)
         Largest commands of its actuators.
     course : Course
     sensors : SensorArrays

@@ -18,12 +18,12 @@ class StepArrays(NamedTuple):
     ----------
     pairs : int
     own, cross : ndarray, shape (k,)
-    driven : ndarray, shape (8 or 8 + 2 K, k)
-    block : ndarray, shape (d + 8 or d + 8 + 2 K, d)
-    outputs : ndarray, shape (n + 8 + 2 K, 24)
+    driven : ndarray, shape (c or c + 2 K, k)
+    block : ndarray, shape (d + c or d + c + 2 K, d)
+    outputs : ndarray, shape (n + c + 2 K, m + 2)
     turn : ndarray, shape (2, K)
         Of a plant with constant parameters, see :class:`titop_plant.simulation.plant_step.PlantStep`.
-    nodes : ndarray, shape (N, n + 8 + 2 K, n + 24)
+    nodes : ndarray, shape (N, n + c + 2 K, n + m + 2)
         Columns of the step matrix at each node of a profile; N = 0 for constant parameters.
     """
 
@@ -57,9 +57,9 @@ class SensorArrays(NamedTuple):
 
     Parameters
     ----------
-    noise : ndarray, shape (rows, 22)
-    bias : ndarray, shape (22,)
-    absent : ndarray of bool, shape (rows, 22)
+    noise : ndarray, shape (rows, m)
+    bias : ndarray, shape (m,)
+    absent : ndarray of bool, shape (rows, m)
         Samples that are not there: a sensor slower than the tick, a frame that is lost.
     """
 
@@ -73,9 +73,9 @@ class ObserverArrays(NamedTuple):
 
     Parameters
     ----------
-    columns : ndarray, shape (n + 22, n + 2)
+    columns : ndarray, shape (n + m, n + 2)
         Columns of its matrix.
-    values : ndarray, shape (n + 22,)
+    values : ndarray, shape (n + m,)
         State and inputs; written.
     parts : ndarray of int
         Where each sensor that is held begins in `held_columns`, and the end.
@@ -107,9 +107,9 @@ class ControllerArrays(NamedTuple):
         Whether the loops of mirror and forces are closed.
     gain : float
         From estimate to command of the mirror [rad/rad].
-    authority : ndarray, shape (8,)
+    authority : ndarray, shape (c,)
         Commands are limited to [-authority, authority].
-    command : ndarray, shape (8,)
+    command : ndarray, shape (c,)
         That of the last tick [rad, N]; written.
     """
 
@@ -127,9 +127,9 @@ class TickRecord(NamedTuple):
 
     Parameters
     ----------
-    measurement : ndarray, shape (rows, 22)
+    measurement : ndarray, shape (rows, m)
     truth, estimate : ndarray, shape (rows, 2)
-    command : ndarray, shape (rows, 8)
+    command : ndarray, shape (rows, c)
     """
 
     measurement: FloatArray

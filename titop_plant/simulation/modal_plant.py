@@ -15,7 +15,6 @@ from lftkit import System
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import FloatArray
-from titop_plant.interface import COMMANDS
 
 
 @dataclass(frozen=True)
@@ -26,33 +25,38 @@ class ModalPlant:
     ----------
     form : ModalForm
         Its coordinates, order n.
-    excited : ndarray, shape (n, 30)
-        What commands (8) and disturbances (22) add to ``q'``.
-    observed : ndarray, shape (24, n)
-        Measurements (22) and truth (2).
-    D : ndarray, shape (24, 30)
+    excited : ndarray, shape (n, c + d)
+        What c commands and d disturbances add to ``q'``.
+    observed : ndarray, shape (m + 2, n)
+        m measurements and truth (2).
+    D : ndarray, shape (m + 2, c + d)
+    commands : int
+        Their number c.
     """
 
     form: ModalForm
     excited: FloatArray
     observed: FloatArray
     D: FloatArray
+    commands: int
 
     @classmethod
-    def of(cls, data: System) -> ModalPlant:
+    def of(cls, data: System, commands: int) -> ModalPlant:
         """Of a continuous plant; those of the last plants are kept, since a run needs one for start and simulation.
 
         Parameters
         ----------
         data : System
-            Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
+            Inputs: commands, disturbances; outputs: measurements, truth (2).
+        commands : int
+            Number of commands.
 
         Raises
         ------
         ArithmeticError
             The eigenvalues of the plant did not converge.
         """
-        return _modal_plant(*((matrix.tobytes(), matrix.shape) for matrix in data.matrices))
+        return _modal_plant(commands, *((matrix.tobytes(), matrix.shape) for matrix in data.matrices))
 
     @property
     def order(self) -> int:
@@ -61,18 +65,18 @@ class ModalPlant:
 
     @cached_property
     def response(self) -> FrequencyResponse:
-        """From the disturbances to measurements and truth, shape (24, 22)."""
-        disturbances = slice(COMMANDS, None)
+        """From the disturbances to measurements and truth, shape (m + 2, d)."""
+        disturbances = slice(self.commands, None)
         return FrequencyResponse.of_modal_form(
             self.form, self.excited[:, disturbances], self.observed, self.D[:, disturbances]
         )
 
 
 @lru_cache(maxsize=4)
-def _modal_plant(*contents: tuple[bytes, tuple[int, int]]) -> ModalPlant:
+def _modal_plant(commands: int, *contents: tuple[bytes, tuple[int, int]]) -> ModalPlant:
     A, B, C, D = (np.frombuffer(content).reshape(shape) for content, shape in contents)
     form = ModalForm.of(A)
-    return ModalPlant(form, form.excited(B), form.observed(C), D)
+    return ModalPlant(form, form.excited(B), form.observed(C), D, commands)
 
 
 __all__ = ["ModalPlant"]

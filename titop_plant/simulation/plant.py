@@ -5,10 +5,10 @@ A tick has these steps, in this order; all but the second and third are there wh
 1. The device limits change the command to what the actuators do (:mod:`titop_plant.simulation.device_limits`).
 2. The state advances by one tick (:mod:`titop_plant.simulation.constant_step`,
    :mod:`titop_plant.simulation.ramped_step`), under the command and the tones of the disturbance.
-3. The sensors add noise and bias (:mod:`titop_plant.simulation.sensor_samples`).
-4. Each held input adds what it does over the tick: a disturbance given in time, or further actuators
+3. The sensors without a mount add noise and bias (:mod:`titop_plant.simulation.sensor_samples`).
+4. Each held input adds what it does over the tick: a disturbance given in time
    (:mod:`titop_plant.simulation.driven_plant`).
-5. The further sensors are read (:mod:`titop_plant.telescope.placed.readings`).
+5. The sensors at places are read (:mod:`titop_plant.telescope.placed.readings`).
 6. The device limits filter and round the measurement.
 7. The camera replaces the angles by those of its images.
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
-from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import TRUTH
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.device_limits import LimitedDevices
@@ -44,16 +44,14 @@ class HeldInput(Protocol):
     """An input beside the commands, held over each tick: see :mod:`titop_plant.simulation.driven_plant`."""
 
     held: FloatArray
-    """Effect of a unit value on the next state (n), measurement (22), truth (2) and further sensors: (n + 24 + s, m)"""
+    """Effect of a unit value on the next state (n), measurement (m) and truth (2), shape (n + m + 2, values)."""
     name: str
     """Added to the name of the plant's values; empty: nothing is added."""
     lines: FloatArray
     """Frequencies of its tones [rad/s], of a disturbance; empty without any."""
-    limits: FloatArray
-    """Largest values [N] of an input that is commanded, behind the eight commands; empty for a disturbance."""
 
-    def value(self, command: FloatArray) -> FloatArray:
-        """Values (m,) of the tick of this command (8 + actuators,)."""
+    def value(self) -> FloatArray:
+        """Values of this tick."""
 
     @property
     def acts(self) -> bool:
@@ -70,7 +68,7 @@ class ImageStage(Protocol):
     """A camera that takes images instead of the camera's measurement."""
 
     def after(self, measurement: FloatArray, truth: FloatArray) -> None:
-        """Replace the camera's angles of a tick in `measurement` (22,) [rad]; `truth` (2,) is left alone."""
+        """Replace the camera's angles of a tick in `measurement` (m,) [rad]; `truth` (2,) is left alone."""
 
     def reset(self) -> None:
         """Back to tick 0."""
@@ -91,13 +89,14 @@ class Plant:
     dynamics : ConstantStep or RampedStep
         Start and next state (n,).
     sensors : SensorModel
-    authority : ndarray, shape (8,)
-        Commands are clipped to [-authority, authority]: mirror [rad], actuators [N].
+    authority : ndarray, shape (c,)
+        Commands are clipped to [-authority, authority]: mirror [rad], other actuators [N, Nm].
     name : str
         Of the configuration and its parameter values.
     inputs : tuple of HeldInput
-        Disturbances given in time, and further actuators.
-    further_sensors : SensorReadings, optional
+        Disturbances given in time.
+    readings : SensorReadings, optional
+        Sensors with a mount, whose values are the last of the measurement.
     devices : LimitedDevices, optional
     camera : ImageStage, optional
 
@@ -107,23 +106,19 @@ class Plant:
         Sampling period [s].
     frame_ticks : int
         Ticks from one frame of the camera to the next.
-    limits : ndarray, shape (8 + actuators,)
-        Largest commands, those of further actuators behind.
     tones : ndarray
         Frequencies of the disturbances at the start [rad/s], for reports.
     parameters_hash : str
         `name`, and the names of the parts.
     tick : int
         Number of the next tick.
-    sensed : ndarray, shape (s,)
-        Values of the further sensors at the last tick, without noise.
-    values : ndarray, shape (n + 8 + 2 K,)
+    values : ndarray, shape (n + c + 2 K,)
         Coordinates, commands and phasors of this tick; compiled loops write them.
 
     Raises
     ------
     ValueError
-        A held input of a plant of another order, or readings of another number of sensors.
+        A held input of a plant of another order, or sensors of another number of values.
     """
 
     dynamics: ConstantStep | RampedStep
@@ -131,37 +126,32 @@ class Plant:
     authority: FloatArray
     name: str = ""
     inputs: tuple[HeldInput, ...] = ()
-    further_sensors: SensorReadings | None = None
+    readings: SensorReadings | None = None
     devices: LimitedDevices | None = None
     camera: ImageStage | None = None
     dt: float = field(init=False)
     frame_ticks: int = field(init=False)
-    limits: FloatArray = field(init=False)
     tones: FloatArray = field(init=False)
     parameters_hash: str = field(init=False)
     tick: int = field(init=False)
-    sensed: FloatArray = field(init=False)
     values: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         dynamics, numbers = self.dynamics, self.dynamics.numbers
         self.dt, self.frame_ticks, self.tones = dynamics.dt, self.sensors.frame_ticks, dynamics.tones
-        self.limits = self.authority
         for one in self.inputs:
             if one.lines.size:
                 self.tones = np.union1d(self.tones, one.lines)
-            if one.limits.size:
-                self.limits = np.concatenate([self.limits, one.limits])
         names = [one.name for one in self.inputs] + ([] if self.devices is None else [self.devices.name])
         self.parameters_hash = " with ".join([self.name, *filter(None, names)])
         self._samples = SensorSamples(self.sensors)
         self._order, self._lowest = numbers.order, -self.authority
         self.values, self._sums = np.zeros(len(numbers.outputs)), np.zeros(numbers.outputs.shape[1])
         self._kept = np.zeros(numbers.turn.size)
-        self.sensed = np.zeros(self._sums.size - MEASUREMENTS - TRUTH)
-        if self.further_sensors is not None and self.further_sensors.values.size != self.sensed.size:
-            read = self.further_sensors.values.size
-            raise InputError(f"further_sensors must have {self.sensed.size} values, got {read}")
+        self._sampled, self._measured = self.sensors.sigma.size, self._sums.size - TRUTH
+        read = self._sampled + (0 if self.readings is None else self.readings.size)
+        if read != self._measured:
+            raise InputError(f"sensors and readings must have {self._measured} values, got {read}")
         self._start = self.coordinates(dynamics.start)
         self._responses = [self._response(one) for one in self.inputs]
         self._restart()
@@ -176,23 +166,18 @@ class Plant:
     @property
     def _parts(self) -> tuple[HeldInput | SensorReadings | LimitedDevices | ImageStage, ...]:
         """All parts that have a state of their own."""
-        single = (self.further_sensors, self.devices, self.camera)
+        single = (self.readings, self.devices, self.camera)
         return (*self.inputs, *(part for part in single if part is not None))
 
     @property
     def is_plain(self) -> bool:
-        """Whether the plant has no part beside its state, its tones and its 22 measurements."""
-        return not self._parts and not self.sensed.size
+        """Whether the plant has no part beside its state, its tones and the sensors without a mount."""
+        return not self._parts
 
     @property
     def motion(self) -> Mapping[str, Any] | None:
         """Motion for reports, see `RampedStep.motion`; None for constant parameters."""
         return self.dynamics.motion
-
-    @property
-    def readings(self) -> FloatArray:
-        """Of the further sensors at the last tick, the same array at every tick; empty without any."""
-        return np.zeros(0) if self.further_sensors is None else self.further_sensors.values
 
     def reset(self) -> None:
         """Return to tick 0: same seed, bit-identical outputs."""
@@ -221,7 +206,7 @@ class Plant:
     @property
     def _phasors(self) -> FloatArray:
         """Phasors of this tick, real and imaginary parts in turn."""
-        return self.values[self._order + COMMANDS :]
+        return self.values[self._order + self.authority.size :]
 
     @property
     def _steady(self) -> FloatArray:
@@ -274,36 +259,35 @@ class Plant:
         return np.asarray(self.dynamics.numbers.form.basis @ (self.values[: self._order] + self._steady))
 
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` from this tick on; write `measurement` (22,) and `truth` (2,) of this tick.
+        """Apply `command` from this tick on; write `measurement` (m,) and `truth` (2,) of this tick.
 
         The camera has NaN between its frames and for one that is lost. `truth` is the controlled line of sight without
         noise or filter [rad].
 
         Parameters
         ----------
-        command : ndarray, shape (8 + actuators,)
-            Mirror [rad], forces [N], forces of further actuators [N].
-        measurement : ndarray, shape (22,)
+        command : ndarray, shape (c,)
+            Mirror [rad], other actuators [N, Nm].
+        measurement : ndarray, shape (m,)
             [m/s2, rad/s2, rad].
         truth : ndarray, shape (2,)
         """
         applied = command if self.devices is None else self.devices.before(command)
-        added = [one.value(applied) for one in self.inputs]
-        n, sums = self._order, self._sums
-        acting = self.values[n : n + COMMANDS]
-        commanded = applied if self.limits is self.authority else applied[:COMMANDS]
-        np.minimum(commanded, self.authority, out=acting)  # two ufuncs: np.clip takes five times as long
+        added = [one.value() for one in self.inputs]
+        n, m, sampled, sums = self._order, self._measured, self._sampled, self._sums
+        acting = self.values[n : n + self.authority.size]
+        np.minimum(applied, self.authority, out=acting)  # two ufuncs: np.clip takes five times as long
         np.maximum(acting, self._lowest, out=acting)
         self.dynamics.advance(self.tick, self.values, sums)
-        self._samples.write(self.tick, sums[:MEASUREMENTS], measurement)
-        truth[:], self.sensed[:] = sums[MEASUREMENTS : MEASUREMENTS + TRUTH], sums[MEASUREMENTS + TRUTH :]
+        self._samples.write(self.tick, sums[:sampled], measurement[:sampled])
+        measurement[sampled:], truth[:] = sums[sampled:m], sums[m:]
         self.dynamics.turn(self.tick, self._phasors if self._disturbed else self._kept)
         self.tick += 1
         for one, response, value in zip(self.inputs, self._responses, added):
             if one.acts:
                 self._add(response @ value, measurement, truth)
-        if self.further_sensors is not None:
-            self.further_sensors.read(self.sensed)
+        if self.readings is not None:
+            self.readings.read(measurement[sampled:])
         if self.devices is not None:
             self.devices.after(measurement)
         if self.camera is not None:
@@ -311,11 +295,10 @@ class Plant:
 
     def _add(self, added: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Add what an input does in this tick to the next state, and to what is measured now."""
-        n = self._order
+        n, m = self._order, self._measured
         self.values[:n] += added[:n]
-        measurement += added[n : n + MEASUREMENTS]
-        truth += added[n + MEASUREMENTS : n + MEASUREMENTS + TRUTH]
-        self.sensed += added[n + MEASUREMENTS + TRUTH :]
+        measurement += added[n : n + m]
+        truth += added[n + m :]
 
     def ahead(self, rows: int) -> tuple[Course, SensorArrays] | None:
         """Course and sensors of the next `rows` ticks, which compiled code then does; None after a change."""

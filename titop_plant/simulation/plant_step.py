@@ -31,7 +31,7 @@ from lftkit import System
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.disturbances.wheel_and_drive_tones import Tones
-from titop_plant.interface import COMMANDS, DT
+from titop_plant.interface import DT
 from titop_plant.simulation.modal_plant import ModalPlant
 
 NEAREST = 1e-5
@@ -48,12 +48,12 @@ class PlantStep:
         Pairs m: coordinates i and m + i belong together.
     own, cross : ndarray, shape (k,)
         Factors of a coordinate and of its partner.
-    driven : ndarray, shape (8 or 8 + 2 K, k)
-        What commands, and phasors (real, imaginary in turn), add to the next coordinates: a row for each of them.
-    block : ndarray, shape (d + 8 or d + 8 + 2 K, d)
+    driven : ndarray, shape (c or c + 2 K, k)
+        What c commands, and phasors (real, imaginary in turn), add to the next coordinates: a row for each of them.
+    block : ndarray, shape (d + c or d + c + 2 K, d)
         What the block's coordinates, commands (and phasors) give as its next coordinates.
-    outputs : ndarray, shape (n + 8 + 2 K, 24)
-        What coordinates, commands and phasors give as measurement (22) and truth (2).
+    outputs : ndarray, shape (n + c + 2 K, m + 2)
+        What coordinates, commands and phasors give as measurement (m) and truth (2).
     turn : ndarray, shape (2, K)
         Real and imaginary part of e^(i w h).
     steady : ndarray, shape (n, K), complex
@@ -84,7 +84,7 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     Parameters
     ----------
     data : System
-        Continuous; inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
+        Continuous; inputs: commands, then the disturbances of the tones; outputs: measurements, truth (2).
     tones : Tones
     dt : float
         Sampling period [s].
@@ -94,7 +94,8 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     ArithmeticError
         The eigenvalues of the plant did not converge.
     """
-    plant, m = ModalPlant.of(data), COMMANDS
+    m = _commands(data.B, tones)
+    plant = ModalPlant.of(data, m)
     form, observed = plant.form, plant.observed
     s = np.asarray(1j * tones.frequency, dtype=complex)
     held, tone = plant.excited[:, :m], np.asarray(plant.excited[:, m:] @ tones.amplitude, dtype=complex)
@@ -124,22 +125,22 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
 
 
 def held_step(plant: ModalPlant, dt: float = DT) -> FloatArray:
-    """Next coordinates (n), measurement (22) and truth (2) from coordinates and command (8): shape (n + 24, n + 8)."""
+    """Next coordinates, measurement and truth from coordinates and command: shape (n + m + 2, n + commands)."""
     form, m = plant.form, len(plant.form.pairs)
-    held = plant.excited[:, :COMMANDS]
+    held = plant.excited[:, : plant.commands]
     powers, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
-    out = np.zeros((form.order + len(plant.observed), form.order + COMMANDS))
+    out = np.zeros((form.order + len(plant.observed), form.order + plant.commands))
     diagonal, first = np.arange(form.plain), np.arange(m)
     out[diagonal, diagonal] = powers
     out[first, m + first], out[m + first, first] = cross[:m], cross[m : 2 * m]
     out[: form.plain, form.order :] = driven[: form.plain]
     out[form.plain : form.order, form.plain :] = _block(form.block, held[form.plain :], np.zeros(0), dt)
-    out[form.order :] = np.hstack([plant.observed, plant.D[:, :COMMANDS]])
+    out[form.order :] = np.hstack([plant.observed, plant.D[:, : plant.commands]])
     return out
 
 
 def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexArray, ComplexArray]:
-    """Contribution of unit phasors to the next coordinates (n, K), and to measurement and truth (24, K).
+    """Contribution of unit phasors to the next coordinates (n, K), and to measurement and truth (m + 2, K).
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexA
     tones, dt
         As in :func:`plant_step`.
     """
-    form, m = plant.form, COMMANDS
+    form, m = plant.form, plant.commands
     s = np.asarray(1j * tones.frequency, dtype=complex)
     tone = np.asarray(plant.excited[:, m:] @ tones.amplitude, dtype=complex)
     moved = _tone_integral(form, s, tone, dt)
@@ -158,9 +159,9 @@ def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexA
     return moved, np.asarray(plant.D[:, m:] @ tones.amplitude, dtype=complex)
 
 
-def whole_step(matrix: FloatArray, turn: ComplexArray) -> PlantStep:
-    """The tick of :func:`step_matrix`, with the states themselves as coordinates."""
-    n = matrix.shape[1] - COMMANDS - 2 * turn.size
+def whole_step(matrix: FloatArray, turn: ComplexArray, order: int) -> PlantStep:
+    """The tick of :func:`step_matrix` of a plant of some order n, with the states themselves as coordinates."""
+    n = order
     return PlantStep(
         0,
         np.zeros(0),
@@ -174,8 +175,8 @@ def whole_step(matrix: FloatArray, turn: ComplexArray) -> PlantStep:
     )
 
 
-def step_matrix(data: System, tones: Tones, dt: float = DT, commands: int = COMMANDS) -> FloatArray:
-    """Next state (n), measurement (22) and truth (2) from state, command (8) and phasors: shape (n + 24, n + 8 + 2 K).
+def step_matrix(data: System, tones: Tones, dt: float = DT) -> FloatArray:
+    """Next state, measurement and truth from state, command and phasors: shape (n + m + 2, n + c + 2 K).
 
     The phasors stand as real and imaginary part in turn. Commands are held, tones integrated, all in one matrix
     exponential (Van Loan 1978).
@@ -184,15 +185,18 @@ def step_matrix(data: System, tones: Tones, dt: float = DT, commands: int = COMM
     ----------
     data, tones, dt
         As in :func:`plant_step`.
-    commands : int
-        Inputs that are held, before the disturbances.
     """
-    m = commands
+    m = _commands(data.B, tones)
     shapes = data.B[:, m:] @ tones.amplitude
     inputs = np.hstack([data.B[:, :m], in_turn(np.asarray(shapes, dtype=complex))])
     through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
     step = _block(data.A, inputs, tones.frequency, dt)
     return np.ascontiguousarray(np.vstack([step, np.hstack([data.C, data.D[:, :m], in_turn(through)])]))
+
+
+def _commands(inputs: FloatArray, tones: Tones) -> int:
+    """Number of commands: the inputs before the disturbances that the tones are on."""
+    return inputs.shape[1] - len(tones.amplitude)
 
 
 def in_turn(factors: ComplexArray) -> FloatArray:
@@ -206,7 +210,7 @@ def in_turn(factors: ComplexArray) -> FloatArray:
 def _modal(
     form: ModalForm, held: FloatArray, tone: ComplexArray, dt: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Factors own and cross (k,), and what commands and phasors add to the next coordinates (n, 8 + 2 K)."""
+    """Factors own and cross (k,), and what commands and phasors add to the next coordinates (n, c + 2 K)."""
     m, plain = len(form.pairs), form.plain
     over = np.exp(form.pairs * dt)
     diagonal = np.concatenate([over.real, over.real, np.exp(form.real * dt)])
@@ -243,7 +247,7 @@ def _mean_exponential(z: ComplexArray) -> ComplexArray:
 
 
 def _block(A: FloatArray, inputs: FloatArray, frequency: FloatArray, dt: float) -> FloatArray:
-    """Next coordinates (d) from coordinates, commands (8) held, and phasors in turn, integrated: (d, d + inputs)."""
+    """Next coordinates (d) from coordinates, commands held, and phasors in turn, integrated: (d, d + inputs)."""
     n, m = len(A), inputs.shape[1] - 2 * frequency.size
     size = n + inputs.shape[1]
     if not n:

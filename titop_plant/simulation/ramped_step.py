@@ -104,7 +104,7 @@ class RampedStep:
 
     Parameters
     ----------
-    nodes : sequence of ndarray, shape (n + 24, n + 8 + 2 K)
+    nodes : sequence of ndarray, shape (n + m + 2, n + c + 2 K)
         Step matrices every `interval` ticks.
     interval : int
     moving : MovingTones
@@ -120,7 +120,7 @@ class RampedStep:
     ) -> None:
         self.interval, self.moving, self.start, self.dt = interval, moving, start, dt
         self.tones = np.unique(moving.unit.frequency[moving.unit.wheel < 0])
-        self.numbers = numbers = whole_step(nodes[0], np.ones(moving.unit.frequency.size, complex))
+        self.numbers = numbers = whole_step(nodes[0], np.ones(moving.unit.frequency.size, complex), len(start))
         self.nodes = np.ascontiguousarray(np.stack(nodes).transpose(0, 2, 1))
         self.arrays = StepArrays(
             numbers.pairs,
@@ -169,7 +169,7 @@ class RampedStep:
         phasors[:] = _in_turn(self.moving.phasors(0.0))
 
     def advance(self, tick: int, values: FloatArray, sums: FloatArray) -> None:
-        """Write outputs (24 + further sensors,) and next states, see `ConstantStep.advance`."""
+        """Write outputs (m + 2,) and next states, see `ConstantStep.advance`."""
         place = (tick + 0.5) / self.interval
         if self.compiled and (compiled := kernel()) is not None:
             compiled.between(self.nodes, place, values, self._next, self._other, sums)

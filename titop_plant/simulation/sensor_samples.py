@@ -1,4 +1,4 @@
-"""Samples of the 22 measurements: noise, bias, frames of the camera and those that are lost."""
+"""Samples of the sensors without a mount: noise, bias, frames of the camera and those that are lost."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
-from titop_plant.interface import CAMERA, MEASUREMENTS
+from titop_plant.interface import CAMERA
 from titop_plant.simulation.kernel_arrays import SensorArrays
 
 _NOISE_BLOCK = 64
@@ -19,9 +19,9 @@ class SensorModel:
 
     Parameters
     ----------
-    sigma : ndarray, shape (22,)
+    sigma : ndarray, shape (m,)
         Standard deviation of the samples (of a frame for the camera).
-    bias : ndarray, shape (22,)
+    bias : ndarray, shape (m,)
         Added to every sample.
     frame_ticks : int
         Ticks between camera frames.
@@ -47,7 +47,7 @@ class SensorSamples:
 
     def __init__(self, model: SensorModel) -> None:
         self.model = model
-        self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
+        self._block = np.zeros((_NOISE_BLOCK, model.sigma.size))
         self._frame = np.zeros(3)
         self.reset()
 
@@ -66,7 +66,7 @@ class SensorSamples:
             self._dropout = float(value)
 
     def write(self, tick: int, true: FloatArray, out: FloatArray) -> None:
-        """Write the measurement `out` (22,) of a tick, with the values `true` (22,) and NaN where there is no sample.
+        """Write the measurement `out` (m,) of a tick, with the values `true` (m,) and NaN where there is no sample.
 
         Ticks follow each other.
         """
@@ -81,7 +81,8 @@ class SensorSamples:
     def ahead(self, ticks: IntArray) -> SensorArrays:
         """Noise added to the true values at the next consecutive ticks."""
         rows, done = len(ticks), 0
-        noise, absent = np.empty((rows, MEASUREMENTS)), np.zeros((rows, MEASUREMENTS), bool)
+        noise = np.empty((rows, self.model.sigma.size))
+        absent = np.zeros(noise.shape, bool)
         while done < rows:
             row = int(ticks[done]) % _NOISE_BLOCK
             if row == 0:

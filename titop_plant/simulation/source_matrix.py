@@ -24,7 +24,7 @@ from titop_plant.telescope.control_plant import with_sensors
 def source_matrix(
     family: PlantFamily, config: PlantConfig, sources: Sequence[PlacedSource], dt: float = DT
 ) -> FloatArray:
-    """Contribution of the values of the sources within a tick to next state (n), measurement and truth (24).
+    """Contribution of the values of the sources within a tick to next state (n), measurement and truth.
 
     Parameters
     ----------
@@ -37,8 +37,7 @@ def source_matrix(
 
     Returns
     -------
-    ndarray, shape (n + 24, 6 s (`NODES` + 1))
-        More rows where the family is that with the further sensors.
+    ndarray, shape (n + m + 2, 6 s (`NODES` + 1))
         Columns: place of a source, s in all, then instant, then axis.
     """
     whole = with_sensors(loaded_telescope(family.telescope, family.isolated).system, family.telescope)

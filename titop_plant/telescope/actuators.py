@@ -1,7 +1,7 @@
-"""The actuators of the loop: ports, authority, where further ones are.
+"""The actuators of the loop: ports, authority, places.
 
-Those of the reference are the mirror and the proof-mass actuators of the isolator; further ones are the tables
-``[[actuator]]`` of a user's file (:mod:`titop_plant.telescope.devices`). This module needs numpy only.
+The mirror and the proof-mass actuators of the isolator come first, then those of the tables ``[[actuator]]``
+(:mod:`titop_plant.telescope.devices`). This module needs numpy only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from titop_plant.telescope.sections import OscillatorTable
 
 @dataclass(frozen=True)
 class ActuatorMount:
-    """Place and mechanics of a further actuator.
+    """Place and mechanics of an actuator.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ActuatorMount:
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator of the loop: of the reference, or of a telescope's file.
+    """An actuator: a row of the loop.
 
     Parameters
     ----------
@@ -60,10 +60,10 @@ class Actuator:
     authority : float
         Largest value, in the unit of the port.
     scale : float
-        Value in the unit of the port for a value of 1 in the loop's response: of an actuator of a file its authority
+        Value in the unit of the port for a value of 1 in the loop's response: of an actuator at a place its authority
         over that of the proof-mass actuators, so that one limit holds for all forces.
     mount : ActuatorMount, optional
-        Of a further actuator.
+        Of an actuator at a place.
     """
 
     port: Port

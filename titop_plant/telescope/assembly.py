@@ -37,8 +37,8 @@ Rotation and rate are passed through the ports, the line of sight is a function 
 integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
 reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port, nor
 has a wheel that stays at rest; the forces of proof-mass actuators stay an input without effect, since every command
-holds six forces. Further sensors and actuators of a user's file (:mod:`titop_plant.telescope.devices`) are the output
-``placed_sensors``, and bodies with the input ``actuator_force``.
+holds six forces. Sensors and actuators at places (:mod:`titop_plant.telescope.devices`) are outputs and, with `motors`,
+inputs of their names.
 """
 
 from __future__ import annotations
@@ -66,7 +66,6 @@ from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope import components as component
 from titop_plant.telescope.bodies import build_body, build_payload
-from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_TORQUE, MountedBody
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.mounting import (
@@ -74,6 +73,7 @@ from titop_plant.telescope.placed.mounting import (
     actuator_wires,
     actuator_wrenches,
     sensor_blocks,
+    sensor_outputs,
     sensor_wires,
 )
 from titop_plant.telescope.places import PAYLOAD_NODES, body_of
@@ -141,8 +141,8 @@ def build_telescope(
         ``A1``, ``A2`` and further points of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same
         without them.
     motors : bool
-        With the inputs `MOTOR_TORQUE` where drives have stepper motors, and `ACTUATOR_FORCE` where there are further
-        actuators; the states are the same without them.
+        With the input `MOTOR_TORQUE` where drives have stepper motors, and one for each actuator at a place; the states
+        are the same without them.
 
     Returns
     -------
@@ -213,7 +213,7 @@ def _driven_at_G(
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     arrays, others, fsm = telescope.solar_arrays, telescope.appendages, telescope.fsm
-    driven = any(port.name == ACTUATOR_FORCE for port in outside)
+    driven = any(actuator.port in outside for actuator in telescope.placed_actuators)
     acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(telescope, driven=driven)
     used = {"I_w", "I_p", *telescope.mounted_points, *(node for _, node in acting)}
     systems = {
@@ -241,7 +241,6 @@ def _driven_at_G(
     there = {
         SADM_ANGLE: telescope.driven_arrays,
         PMA_STROKE: telescope.pma.azimuths_deg,
-        PLACED_SENSORS: sensor_blocks(telescope),
     }
     absent = [name for name, bodies in there.items() if not bodies]
     outputs: dict[str, str | tuple[str, ...]] = {
@@ -255,10 +254,10 @@ def _driven_at_G(
         PMA_STROKE: "platform.pma_stroke",
         SADM_ANGLE: "sadm_join.sadm_angle",
         "wheel_accel": "wheels.wheel_accel",
-        PLACED_SENSORS: f"sensors.{PLACED_SENSORS}",
+        **sensor_outputs(telescope),
     }
     wires = [*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(telescope, outside)]
-    wires += [*actuator_wires(telescope, systems), *sensor_wires(telescope)]
+    wires += [*actuator_wires(telescope, driven=driven), *sensor_wires(telescope)]
     wires = _through(wires, _gains(telescope))
     return connect(
         systems,
@@ -333,10 +332,10 @@ def _drives(telescope: Telescope) -> dict[str, System]:
 
 
 def motor_ports(telescope: Telescope) -> tuple[Port, ...]:
-    """Torques of the stepper motors and forces of the further actuators; none where nothing has them."""
+    """Torques of the stepper motors and commands of the actuators at places; none where nothing has them."""
     count = len(telescope.motors)
     torques = (Port(MOTOR_TORQUE, count, "Nm"),) if count else ()
-    return (*torques, *telescope.actuator_ports)
+    return (*torques, *(actuator.port for actuator in telescope.placed_actuators))
 
 
 def _array(telescope: Telescope, array: MountedBody, outside: tuple[Port, ...]) -> System:

@@ -29,6 +29,7 @@ from lftkit import Connection, Port, System, connect, state_space, static_gain, 
 from lftkit.errors import InputError
 from lftkit.systems.connection.filters import high_pass
 from lftkit.systems.delay import delayed_port
+from lftkit.systems.ports import total_size
 from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.interface import (
     ACCELERATIONS,
@@ -36,22 +37,18 @@ from titop_plant.interface import (
     COMMANDED,
     DT,
     MEASURED,
-    MEASUREMENTS,
-    TRUTH_PORTS,
+    MEASURED_PORTS,
 )
-from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
-from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
-from titop_plant.telescope.loop_ports import LoopPorts
-from titop_plant.telescope.placed.mounting import with_placed_sensors
+from titop_plant.telescope.loop_ports import LINE_OF_SIGHT, LoopPorts
 from titop_plant.telescope.tables.uncertain import GAIN
 from titop_plant.telescope.telescope import Telescope
 
 DISTURBANCES = (WHEEL_IMBALANCE, SADM_TORQUE)
 """Micro-vibrations; a telescope without array drives has the first port alone, see :func:`disturbances_of`."""
 ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
-OPTICAL_NOISE = Port("optical_noise", MEASUREMENTS - ACCELERATIONS.stop)
+OPTICAL_NOISE = Port("optical_noise", total_size(MEASURED_PORTS) - ACCELERATIONS.stop)
 """Noise of the measurements: of the accelerometers; of the other sensors."""
 
 NOISE_PORTS = {name: (ACCELEROMETER_NOISE if name in ACCELEROMETERS else OPTICAL_NOISE).name for name in MEASURED}
@@ -70,14 +67,21 @@ def with_sensors(system: System, telescope: Telescope) -> System:
     """Add the measured ports that the structure does not have, behind their low-pass (two states for each value).
 
     Gains of sensors that are uncertain are behind it.
+
+    Raises
+    ------
+    ValueError
+        A plant of a file without an output that a sensor measures.
     """
     systems, wires = {"telescope": system}, list[Connection]((p.name, f"telescope.{p.name}") for p in system.inputs)
     outputs: dict[str, str | tuple[str, ...]] = {p.name: f"telescope.{p.name}" for p in system.outputs}
     known = telescope.factors
-    for entry, sensor in zip(MEASURED_SENSORS, telescope.sensors):
-        port, source = entry.port, system.output_port(entry.source)
+    for sensor in telescope.loop_ports.sensors:
+        port, source = sensor.port, system.output_port(sensor.source)
         outputs[port.name] = f"telescope.{source.name}"
-        if sensor.low_pass:
+        if sensor.mount is not None and not sensor.mount.accelerates:
+            systems[port.name] = static_gain(sensor.mount.rows, [source], [port])
+        elif sensor.low_pass:
             # c0 / (s^2 + c1 s + c2) from each value of source to that of port
             c0, c1, c2 = sensor.low_pass
             each = np.eye(port.size)
@@ -85,6 +89,7 @@ def with_sensors(system: System, telescope: Telescope) -> System:
             B = np.kron(each, [[0.0], [1.0]])
             C = np.kron(each, [[c0, 0.0]])
             systems[port.name] = state_space(A, B, C, np.zeros((port.size, port.size)), [source], [port])
+        if port.name in systems:
             wires.append((f"telescope.{source.name}", f"{port.name}.{source.name}"))
             outputs[port.name] = f"{port.name}.{port.name}"
         factor = known.get(f"{port.name}.{GAIN}")
@@ -93,7 +98,7 @@ def with_sensors(system: System, telescope: Telescope) -> System:
             systems[block] = uncertain_gain(port, factor)
             wires.append((outputs[port.name], f"{block}.{port.name}"))
             outputs[port.name] = f"{block}.{port.name}"
-    seen = with_placed_sensors(connect(systems, wires, inputs=system.inputs, outputs=outputs), telescope)
+    seen = connect(systems, wires, inputs=system.inputs, outputs=outputs)
     return seen.sorted_channels(list(telescope.uncertain)) if known else seen
 
 
@@ -158,7 +163,7 @@ def control_plant(telescope: Telescope, *, sampled: bool = False, command_hold: 
         inputs=(*disturbances_of(assembled), *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
-    sigma, root = telescope.loop_ports.reference.noise, np.sqrt(DT)
+    sigma, root = telescope.loop_ports.used_by().noise, np.sqrt(DT)
     noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
     ports = {name: seen.output_port(name) for name in MEASURED}
     others = [port for name, port in ports.items() if name not in ACCELEROMETERS]
@@ -190,47 +195,34 @@ def control_plant(telescope: Telescope, *, sampled: bool = False, command_hold: 
     return connect(systems, wires, inputs=external, outputs=outputs)
 
 
-def control_loop_plant(telescope: Telescope, further: tuple[str, ...] = (), *, isolated: bool = True) -> System:
-    """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
-
-    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not. `further` names outputs
-    behind those.
-    """
-    whole = assembled_telescope(telescope, isolated).system
-    return with_sensors(whole, telescope).select(
-        inputs=(*COMMANDED, *disturbances_of(whole)), outputs=(*MEASURED, "los_controlled", *further)
-    )
+def control_loop_plant(telescope: Telescope, *, isolated: bool = True) -> System:
+    """The plant of a loop with the stored controllers, see :func:`loop_plant`."""
+    return loop_plant(telescope, telescope.loop_ports.used_by(), isolated=isolated)
 
 
 def loop_plant(telescope: Telescope, ports: LoopPorts, *, isolated: bool = True) -> System:
-    """The plant of a loop with some of the telescope's sensors and actuators.
+    """The plant of a loop: its commands, then the disturbances, to its measurements, then the line of sight (2).
+
+    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
 
     Parameters
     ----------
     telescope : Telescope
     ports : LoopPorts
-        Rows that the loop has, with all further sensors of the telescope or none. Forces of further actuators stand
-        behind the other commands, in units of their scale; readings behind the line of sight.
+        Rows of the telescope that the loop has. Commands are in units of their scale.
     isolated : bool
         Whether the payload is on its isolator.
-
-    Returns
-    -------
-    System
-        Of :func:`control_loop_plant` where the loop has no further rows.
     """
-    if not ports.further:
-        return control_loop_plant(telescope, isolated=isolated)
-    whole = with_sensors(build_telescope(telescope, isolated=isolated, motors=True).system, telescope)
-    driven = ports.further_actuators
-    forces = (ACTUATOR_FORCE,) if driven else ()
-    outputs = (*MEASURED, *(port.name for port in (*TRUTH_PORTS, *telescope.sensor_ports)))
-    selected = whole.select(inputs=(*COMMANDED, *forces, *disturbances_of(whole)), outputs=outputs)
-    if not driven:
-        return selected
-    every = [one.name for one in telescope.placed_actuators]
-    force = np.zeros((len(every), len(driven)))
-    for column, row in enumerate(driven):
-        force[every.index(row.name), column] = row.scale
-    units = ",".join(row.port.unit for row in driven)
-    return transform(selected, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), units))})
+    placed = any(row.mount is not None for row in ports.actuators)
+    assembled = (
+        build_telescope(telescope, isolated=isolated, motors=True)
+        if placed
+        else assembled_telescope(telescope, isolated)
+    )
+    whole = with_sensors(assembled.system, telescope)
+    selected = whole.select(
+        inputs=(*(port.name for port in ports.commanded), *disturbances_of(whole)),
+        outputs=(*(port.name for port in ports.measured), LINE_OF_SIGHT),
+    )
+    scaled = {row.name: (row.scale * np.eye(row.port.size), row.port) for row in ports.actuators if row.scale != 1.0}
+    return transform(selected, inputs=scaled) if scaled else selected

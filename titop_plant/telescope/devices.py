@@ -1,8 +1,8 @@
-"""Further sensors and actuators of a parameter file: tables ``[[sensor]]`` and ``[[actuator]]``.
+"""Sensors and actuators at places of the structure: tables ``[[sensor]]`` and ``[[actuator]]``.
 
 The stored controllers measure with the sensors of :mod:`titop_plant.sensors` and act with mirror and proof-mass
-actuators. This module has those besides them: a further sensor is recorded, and read by a controller of the user that
-names it; a further actuator is driven by a source of disturbance or by such a controller. A proof-mass actuator loads
+actuators. A sensor at a place is recorded, and read by a controller of the user that names it; an actuator at a place
+is driven by a source of disturbance or by such a controller. A proof-mass actuator loads
 the structure with its mass, its spring and its damper; a force and a torque act from outside, as those of a thruster or
 of the motor of a wheel, whose speed follows its profile. The reference telescope has none of them.
 
@@ -56,9 +56,6 @@ SENSOR_KINDS: Mapping[str, SensorKind] = {
 }
 """Kinds of sensors."""
 
-PLACED_SENSORS, ACTUATOR_FORCE = "placed_sensors", "actuator_force"
-"""Output of the telescope with the values of all further sensors; input with the forces of all further actuators."""
-
 PROOF_MASS, FORCE, TORQUE = "proof_mass", "force", "torque"
 ACTUATOR_UNITS: Mapping[str, str] = {PROOF_MASS: "N", FORCE: "N", TORQUE: "Nm"}
 """Kinds of actuators, each with its unit: a proof mass that moves along an axis, a force or a torque from outside."""
@@ -69,12 +66,12 @@ MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "a
 
 
 def read_sensors(tables: Mapping[str, Any]) -> tuple[Sensor, ...]:
-    """Further sensors of the tables of a parameter file, in its order; accelerometers have the reference's washout."""
+    """Sensors of the tables ``[[sensor]]``, in their order; accelerometers have the washout of ``[sensors]``."""
     return tuple(_sensor(table, tables) for table in tables.get(SENSOR, ()))
 
 
 def read_actuators(tables: Mapping[str, Any]) -> tuple[Actuator, ...]:
-    """Further actuators of the tables of a parameter file, in its order."""
+    """Actuators of the tables ``[[actuator]]``, in their order."""
     return tuple(_actuator(table, tables[PROOF_MASSES]) for table in tables.get(ACTUATOR, ()))
 
 
@@ -105,7 +102,7 @@ def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:
         axes,
         _position(table),
         angular,
-        kind.source,
+        not kind.source,
         float(table.get("scale", 0.0)),
     )
     return Sensor(
@@ -119,6 +116,7 @@ def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:
         range=float(table.get("range", math.inf)),
         random_walk=float(table.get("random_walk", 0.0)),
         mount=mount,
+        measures=kind.source,
     )
 
 

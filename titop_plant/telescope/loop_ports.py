@@ -1,16 +1,14 @@
-"""Sensors and actuators of the loop as rows of one table: those of the reference, then those of a telescope's file.
+"""Sensors and actuators of a loop as the rows of two tables.
 
 =============  ==================================================================================================
 vector         content
 =============  ==================================================================================================
-measurement    values of all sensors: 22 of the reference, then the readings of a file's sensors
-command        values of all actuators: ``fsm_command`` (2) [rad], ``pma_force`` (6) [N], then one force for each
-               actuator of a file
+measurement    values of the sensors, in the order of their rows
+command        values of the actuators: ``fsm_command`` (2) [rad], then all others
 =============  ==================================================================================================
 
 The response of the loop is from the normalised disturbances, and what is added to the command, to the controlled line
-of sight and the command that is applied. In it the port ``pma_force`` holds all forces: those of a file's actuators are
-behind the six. Outputs of an assembled plant have the readings behind the line of sight, which ends at row 24.
+of sight and the command that is applied. In it the port ``pma_force`` holds all commands but those of the mirror.
 
 :attr:`titop_plant.telescope.telescope.Telescope.loop_ports` has all rows of a telescope. This module needs numpy only.
 """
@@ -21,23 +19,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.errors import InputError
 from lftkit.systems.ports import Port, port_indices, port_slices, total_size
-from titop_plant.interface import (
-    COLUMNS,
-    COMMAND_PORTS,
-    COMMANDED,
-    MEASURED_PORTS,
-    TRUTH,
-    TRUTH_PORTS,
-)
-from titop_plant.sensors import CAMERA_PORT, MEASURED_SENSORS, Sensor, port_alone
-from titop_plant.telescope.actuators import Actuator, reference_actuators
+from titop_plant.interface import COLUMNS, COMMANDED, LAW_PORTS, MEASURED, TRUTH, TRUTH_PORTS
+from titop_plant.sensors import CAMERA_PORT, Sensor
+from titop_plant.telescope.actuators import Actuator
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""
@@ -59,26 +50,25 @@ class ControllerWithPorts(Protocol):
 
 @dataclass(frozen=True)
 class LoopPorts:
-    """The rows that a loop has.
+    """The rows that a loop, or one of its controllers, has.
 
     Parameters
     ----------
     sensors : tuple of Sensor
-        In the order of the measurement. Default: those of the reference, of unknown noise, bias and rate.
+        In the order of the measurement.
     actuators : tuple of Actuator
-        In the order of the command. Default: those of the reference, without limits.
+        In the order of the command.
 
     Examples
     --------
-    >>> LoopPorts().measurements, LoopPorts().commands
-    (22, 8)
     >>> from titop_plant.telescope.load import load_telescope
-    >>> load_telescope().loop_ports.further
-    ()
+    >>> ports = load_telescope().loop_ports
+    >>> ports.measurements, ports.commands
+    (22, 8)
     """
 
-    sensors: tuple[Sensor, ...] = tuple(port_alone(entry) for entry in MEASURED_SENSORS)
-    actuators: tuple[Actuator, ...] = reference_actuators()
+    sensors: tuple[Sensor, ...]
+    actuators: tuple[Actuator, ...]
 
     @property
     def measured(self) -> tuple[Port, ...]:
@@ -119,6 +109,11 @@ class LoopPorts:
     def scale(self) -> FloatArray:
         """Commanded values in their units for a value of 1 in the loop's response, shape (commands,)."""
         return np.concatenate([np.full(row.port.size, row.scale) for row in self.actuators])
+
+    @property
+    def limits(self) -> FloatArray:
+        """Largest commanded values, shape (commands,) [rad, N, Nm]."""
+        return np.concatenate([np.full(row.port.size, row.authority) for row in self.actuators])
 
     # ---- samples ----------------------------------------------------------------------------------------------------
 
@@ -164,92 +159,92 @@ class LoopPorts:
         rows = (replace(row, ticks=ticks) if row.name == CAMERA_PORT else row for row in self.sensors)
         return replace(self, sensors=tuple(rows))
 
-    # ---- rows of a file ---------------------------------------------------------------------------------------------
-
-    @property
-    def further_sensors(self) -> tuple[Sensor, ...]:
-        """Rows of sensors behind those of the reference."""
-        return self.sensors[len(MEASURED_PORTS) :]
-
-    @property
-    def further_actuators(self) -> tuple[Actuator, ...]:
-        """Rows of actuators behind those of the reference."""
-        return self.actuators[len(COMMAND_PORTS) :]
-
-    @property
-    def further_measured(self) -> tuple[Port, ...]:
-        """Ports of the further sensors."""
-        return tuple(row.port for row in self.further_sensors)
-
-    @property
-    def further_commanded(self) -> tuple[Port, ...]:
-        """Ports of the further actuators."""
-        return tuple(row.port for row in self.further_actuators)
-
-    @property
-    def further(self) -> tuple[Port, ...]:
-        """Ports behind those of the reference, sensors first; empty where a loop has none."""
-        return (*self.further_measured, *self.further_commanded)
-
-    @property
-    def reference(self) -> LoopPorts:
-        """The rows of the reference alone."""
-        return LoopPorts(self.sensors[: len(MEASURED_PORTS)], self.actuators[: len(COMMAND_PORTS)])
+    # ---- rows of controllers ----------------------------------------------------------------------------------------
 
     def used_by(self, *controllers: ControllerWithPorts) -> LoopPorts:
-        """Rows of a loop with these controllers: those of the reference, all further sensors, the actuators they name.
-
-        Without the further rows where no controller has a port of them.
+        """Rows of a loop with these controllers: those of the stored ones, and those that they name.
 
         Examples
         --------
-        >>> LoopPorts().used_by().further
-        ()
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> [port.name for port in load_telescope().loop_ports.used_by().commanded]
+        ['fsm_command', 'pma_force']
         """
-        names = {port.name for system in controllers for port in (*system.inputs, *system.outputs)}
-        if not names & {port.name for port in self.further}:
-            return self.reference
-        commanded = tuple(row for row in self.further_actuators if row.name in names)
-        return replace(self, actuators=(*self.reference.actuators, *commanded))
+        used = {port.name for system in controllers for port in (*system.inputs, *system.outputs)}
+        used |= {*MEASURED, *COMMANDED}
+        return LoopPorts(
+            tuple(row for row in self.sensors if row.name in used),
+            tuple(row for row in self.actuators if row.name in used),
+        )
 
-    def named(self, sensors: Sequence[str] = (), actuators: Sequence[str] = ()) -> LoopPorts:
-        """The rows of the reference, then further rows of these names, in their order.
+    def of_law(self, name: str, sensors: Iterable[str] = (), actuators: Iterable[str] = ()) -> LoopPorts:
+        """Rows of a controller: those of the stored one of its name, then further ones in the order of their names.
+
+        Parameters
+        ----------
+        name : {"k_fsm", "k_pma"}
+        sensors, actuators : iterable of str
+            Further rows that it reads and commands; those of the stored one may be among them.
 
         Raises
         ------
         ValueError
-            A name that no further row has, or one twice.
+            A name that no row has, or one twice.
         """
-        known = {row.name: row for row in self.further_sensors}
-        driven = {row.name: row for row in self.further_actuators}
-        for what, names, rows in (("sensors", sensors, [*known]), ("actuators", actuators, [*driven])):
-            if isinstance(names, str) or len(set(names)) < len(names) or set(names) - set(rows):
-                listed = ", ".join(rows) or "it has none"
-                raise InputError(f"{what} must be distinct names of the telescope's file ({listed}), got {names!r}")
-        chosen, commanded = (known[name] for name in sensors), (driven[name] for name in actuators)
-        first = self.reference
-        return LoopPorts((*first.sensors, *chosen), (*first.actuators, *commanded))
-
-    def among(self, inputs: Iterable[Port], outputs: Iterable[Port]) -> LoopPorts:
-        """The rows of the reference, then those that ports of a controller name.
-
-        Sensors are in the order of the rows, actuators in that of the ports.
-        """
-        commanded = _named(outputs, self.further_commanded)
-        return self.named(
-            [port.name for port in _named(self.further_measured, inputs)], [port.name for port in commanded]
+        inputs, outputs = LAW_PORTS[name]
+        commanded = [port.name for port in outputs if port.name in COMMANDED]
+        beside_mirror = [row for row in self.actuators if row.name != COMMANDED[0]]
+        return LoopPorts(
+            _rows(self.sensors, [port.name for port in inputs], sensors, "sensors"),
+            _rows(beside_mirror, commanded, actuators, "actuators"),
         )
 
-    def idle(self, used: Sequence[str] = ()) -> str:
-        """One line on further sensors and actuators that are not `used`, by their names; empty where all are.
+    def of_design(self, name: str) -> LoopPorts:
+        """Rows of a design of a controller: those of the stored one, and all sensors and actuators at places.
+
+        Parameters
+        ----------
+        name : {"k_fsm", "k_pma"}
+        """
+        placed = [row.name for row in self.actuators if row.mount is not None] if name == "k_pma" else []
+        return self.of_law(name, [row.name for row in self.sensors if row.mount is not None], placed)
+
+    def of_system(self, name: str, system: ControllerWithPorts) -> LoopPorts:
+        """Rows of a linear controller, by the names of its ports: sensors in the order of the rows.
+
+        Ports that are no rows are left out: the controller's own check refuses them.
+
+        Parameters
+        ----------
+        name : {"k_fsm", "k_pma"}
+        system : ControllerWithPorts
+        """
+        inputs, outputs = {port.name for port in system.inputs}, [port.name for port in system.outputs]
+        known = {row.name for row in self.actuators} - {COMMANDED[0]}
+        return self.of_law(
+            name,
+            [row.name for row in self.sensors if row.name in inputs],
+            [port for port in outputs if port in known],
+        )
+
+    def law_ports(self, name: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """Inputs and outputs of the controller ``k_fsm`` or ``k_pma`` with these rows."""
+        return self.measured, self.commanded if name == "k_pma" else LAW_PORTS[name][1]
+
+    def idle(self, used: Iterable[str]) -> str:
+        """One line on sensors and actuators beside those of the stored controllers that are not `used`, by their names.
 
         Examples
         --------
-        >>> LoopPorts().idle()
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> load_telescope().loop_ports.idle([])
         ''
         """
-        groups = (("sensor", self.further_measured), ("actuator", self.further_commanded))
-        left = [(what, [port.name for port in group if port.name not in used]) for what, group in groups]
+        known = {*MEASURED, *COMMANDED, *used}
+        left = [
+            (what, [row.name for row in rows if row.name not in known])
+            for what, rows in (("sensor", self.sensors), ("actuator", self.actuators))
+        ]
         named = " and ".join(f"{what}{'s' * (len(names) > 1)} {', '.join(names)}" for what, names in left if names)
         return f"controllers and predictions do not use {named} of the telescope's file" if named else ""
 
@@ -259,14 +254,6 @@ class LoopPorts:
 
     # ---- columns ----------------------------------------------------------------------------------------------------
 
-    def seen_by(self, controller: ControllerWithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
-        """Ports `first`, then those of the further sensors that a controller has among its inputs, in their order."""
-        return (*first, *_named(self.further_measured, controller.inputs))
-
-    def driven_by(self, controller: ControllerWithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
-        """Ports `first`, then those of the further actuators that a controller has among its outputs."""
-        return (*first, *_named(self.further_commanded, controller.outputs))
-
     def measured_columns(self, ports: Iterable[Port]) -> slice | IntArray:
         """Columns of some of the ports in the measurement; neighbours as a slice."""
         return _columns(self.measured, ports, "measured")
@@ -275,16 +262,9 @@ class LoopPorts:
         """Columns of some of the ports in the command; neighbours as a slice."""
         return _columns(self.commanded, ports, "commanded")
 
-    def readings_of(self, used: LoopPorts) -> IntArray:
-        """Columns of the further sensors of other rows among the readings, in the order of those rows.
-
-        The readings of a plant are the values of all further sensors of its telescope.
-        """
-        return port_indices(self.further_measured, [port.name for port in used.further_measured], "sensor")
-
     @property
     def forces(self) -> slice:
-        """Columns of all forces in the command."""
+        """Columns of all commands but those of the mirror."""
         return self._part(COMMANDED[-1])
 
     # ---- response of the loop ---------------------------------------------------------------------------------------
@@ -314,19 +294,21 @@ class LoopPorts:
         return slice(part.start - self.commands, part.stop - self.commands or None)
 
     def _part(self, port: str) -> slice:
-        """Columns of a port of the reference's command; the forces with those of further actuators."""
+        """Columns of the mirror, or of all other commands."""
         part = COLUMNS[port]
         return slice(part.start, self.commands) if port == COMMANDED[-1] else part
 
 
-REFERENCE_PORTS = LoopPorts()
-"""Rows of the reference of which no values of a telescope are known."""
+Row = TypeVar("Row", Sensor, Actuator)
 
 
-def _named(ports: Iterable[Port], wanted: Iterable[Port]) -> list[Port]:
-    """Those of the ports whose names are among those of the given ones."""
-    names = {port.name for port in wanted}
-    return [port for port in ports if port.name in names]
+def _rows(known: Sequence[Row], first: Sequence[str], names: Iterable[str], what: str) -> tuple[Row, ...]:
+    """The rows `first`, then those of other names, in the order of these."""
+    rows = {row.name: row for row in known}
+    listed: tuple[str, ...] = (names,) if isinstance(names, str) else tuple(names)
+    if isinstance(names, str) or len(set(listed)) < len(listed) or set(listed) - set(rows):
+        raise InputError(f"{what} must be distinct names of the telescope's file ({', '.join(rows)}), got {listed!r}")
+    return tuple(rows[name] for name in dict.fromkeys((*first, *listed)))
 
 
 def _columns(known: Sequence[Port], ports: Iterable[Port], kind: str) -> slice | IntArray:
@@ -339,7 +321,6 @@ def _columns(known: Sequence[Port], ports: Iterable[Port], kind: str) -> slice |
 __all__ = [
     "DISTURBANCE",
     "LINE_OF_SIGHT",
-    "REFERENCE_PORTS",
     "ControllerWithPorts",
     "LoopPorts",
 ]

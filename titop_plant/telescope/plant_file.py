@@ -35,7 +35,7 @@ from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.elements import RealParameter
 from titop_plant.interface import COMMAND_PORTS, TRUTH_PORTS
-from titop_plant.sensors import GAUGE_PORT, MEASURED_SENSORS
+from titop_plant.sensors import GAUGE_PORT, MEASURED_SENSORS, port_alone
 from titop_plant.telescope.uncertain_parameters import SPEED
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def _completed(
     known = {port.name: port for port in system.outputs}
     (truth,) = TRUTH_PORTS
     line = truth if truth.name in known else LOS
-    measured = (Port(one.source, one.port.size, one.port.unit) for one in MEASURED_SENSORS)
+    measured = (Port(row.source, row.port.size, row.port.unit) for row in map(port_alone, MEASURED_SENSORS))
     outputs = dict.fromkeys([*(port for port in measured if port.name != truth.name), line])
     needed = {"input": (*disturbances, mirror, *((force,) if forces else ())), "output": tuple(outputs)}
     named = {

@@ -30,7 +30,7 @@ from titop_plant.physical_settings import ANGLE
 from titop_plant.sensors import CAMERA_PORT, Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
-from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
+from titop_plant.telescope.devices import read_actuators, read_sensors
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.optics import TwoMirrorTelescope
@@ -354,32 +354,20 @@ class Telescope:
 
     @cached_property
     def placed_sensors(self) -> tuple[Sensor, ...]:
-        """Further sensors, in the order of the file."""
+        """Sensors of the tables ``[[sensor]]``, in the order of the file."""
         return read_sensors(self._tables)
 
     @cached_property
     def placed_actuators(self) -> tuple[Actuator, ...]:
-        """Further actuators, in the order of the file."""
+        """Actuators of the tables ``[[actuator]]``, in the order of the file."""
         return read_actuators(self._tables)
 
     @cached_property
     def loop_ports(self) -> LoopPorts:
-        """All sensors and actuators as rows of the loop: those of the reference, then those of the file."""
+        """All sensors and actuators as rows of the loop; those at places are the last."""
         mirror, forces = float(self.fsm.authority), float(self.pma.authority)
         actuators = (*reference_actuators(mirror, forces), *self.placed_actuators)
         return LoopPorts((*self.sensors, *self.placed_sensors), actuators)
-
-    @property
-    def sensor_ports(self) -> tuple[Port, ...]:
-        """Output with the values of all further sensors; none where there are none."""
-        units = [sensor.port.unit for sensor in self.placed_sensors for _ in range(sensor.port.size)]
-        return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
-
-    @property
-    def actuator_ports(self) -> tuple[Port, ...]:
-        """Input with the values of all further actuators; none where there are none."""
-        units = [actuator.port.unit for actuator in self.placed_actuators]
-        return (Port(ACTUATOR_FORCE, len(units), ",".join(units)),) if units else ()
 
     @property
     def disturbance_ports(self) -> tuple[Port, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.loop_rows import loop_rows
+from support.loop_rows import COMMANDS, loop_rows
 
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import BOTH, gains, grid
@@ -88,7 +88,7 @@ def test_search_worst_tone_and_members_look_in_its_bands(
     pair = load_designs("implemented")
     search = Search(ImplementedLoop(OpenLoop(system, own), *pair, STAGE))
     assert EDGE in search.bands and search.metrics["fast"].band[0] == EDGE
-    plant = ModalPlant.of(system.at({}))
+    plant = ModalPlant.of(system.at({}), COMMANDS)
     loop = sampled_loop(plant, ControlLaws(*pair, STAGE, loop_rows()))
     found = {index: worst_tone(loop, plant, own, index=index, stage=STAGE).omega for index in error_names()}
     assert found["slow"] <= EDGE <= found["fast"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from small_loop import small_controllers, small_plant
-from support.loop_rows import loop_rows
+from support.loop_rows import COMMANDS, loop_rows
 
 from lftkit.arrays import FloatArray
 from los_loop.closing import sampled_loop
@@ -23,7 +23,6 @@ from los_loop.margins import (
     unstable_changes,
 )
 from los_loop.sampled_loop import SampledLoop
-from titop_plant.interface import COMMANDS
 
 TICKS = 400
 
@@ -75,13 +74,13 @@ def test_every_channel_is_changed_alone_and_all_together() -> None:
     assert len(names) == len(set(names)) == 1 + 2 * (1 + COMMANDS)
     assert {"one more tick", "gain x0.5", "gain x2", "gain x2 at force 6", "gain x0.5 at mirror 1"} <= set(names)
     assert len([name for name, _ in changed_loops(small_loop(), "fsm")]) == 1 + 2 * 3
-    assert names == change_names("fsm+pma")
+    assert names == change_names("fsm+pma", COMMANDS)
 
 
 def test_a_change_that_meets_the_critical_point_on_its_way_is_in_doubt() -> None:
     """Random return differences, moved so that they are singular for a part of a change."""
     rng, omega, stage = np.random.default_rng(3), 700.0, "fsm+pma"
-    for change, name in enumerate(change_names(stage)):
+    for change, name in enumerate(change_names(stage, COMMANDS)):
         for _ in range(20):
             L = rng.standard_normal((COMMANDS, COMMANDS)) + 1j * rng.standard_normal((COMMANDS, COMMANDS))
             way, D = rng.uniform(0.05, 1.0), np.ones(COMMANDS, complex)

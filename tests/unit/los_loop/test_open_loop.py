@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import linalg
+from support.loop_rows import COMMANDS
 
 from lftkit import RealParameter, connect, transform
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
@@ -22,17 +23,7 @@ from los_loop.implemented_loop import LoopMetric
 from los_loop.open_loop import OpenLoop
 from titop_plant.blocks.rotation import rotation
 from titop_plant.disturbances.wheel_and_drive_tones import REFERENCE_CHANNELS
-from titop_plant.interface import (
-    COMMAND_PORTS,
-    COMMANDED,
-    COMMANDS,
-    DT,
-    FORCES,
-    MEASURED,
-    MIRROR,
-    MIRROR_STAGES,
-    PLATFORM,
-)
+from titop_plant.interface import COMMAND_PORTS, COMMANDED, DT, FORCES, MEASURED, MIRROR, MIRROR_STAGES, PLATFORM
 from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
 from titop_plant.telescope.load import load_telescope

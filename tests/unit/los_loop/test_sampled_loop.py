@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 from scipy import linalg
 from small_loop import DT, small_controllers, small_plant
-from support.loop_rows import FRAME_TICKS, loop_rows
+from support.loop_rows import COMMANDS, FRAME_TICKS, MEASUREMENTS, controller_of, estimator_of, loop_rows
 
-from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from los_design.synthesis.store import load_designs
-from los_estimator.runtime import LosEstimator
 from los_loop.closing import closed_loop, sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import Delays, SampledLoop
 from los_loop.spec import held_response
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import CAMERA, COMMANDS, FSM_ANGLE, MEASUREMENTS, TRUTH
+from titop_plant.interface import CAMERA, FSM_ANGLE, TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
@@ -52,9 +50,9 @@ def test_the_matrices_step_like_plant_estimator_and_controller(
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
     plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
-    estimator = LosEstimator(k_fsm)
+    estimator = estimator_of(k_fsm)
     of_law = basis.get("los_sensitivity", of_telescope)
-    controller = FsmPmaController(k_pma, stage, los_sensitivity=of_law, fsm_authority=1e9, pma_authority=1e9)
+    controller = controller_of(k_pma, stage, los_sensitivity=of_law, fsm_authority=1e9, pma_authority=1e9)
     loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, loop_rows(frame_ticks), of_telescope), delays=delays)
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state

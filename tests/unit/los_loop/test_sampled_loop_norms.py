@@ -11,7 +11,7 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from scipy import signal
 from small_loop import DT, small_controllers, small_plant
-from support.loop_rows import loop_rows
+from support.loop_rows import COMMANDS, loop_rows
 
 from los_loop import sampled_loop_norms
 from los_loop.closing import sampled_loop
@@ -26,7 +26,7 @@ from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import weight_amplitudes
 
 OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
-PLANT = ModalPlant.of(small_plant())
+PLANT = ModalPlant.of(small_plant(), COMMANDS)
 COMPLETE = 9  # 2 * SIDEBANDS + 1: no sideband is omitted and the response is exact
 
 
@@ -256,7 +256,7 @@ def test_the_correlation_is_the_transform_of_the_power_density() -> None:
 def test_without_a_lag_it_is_the_covariance(frame_ticks: int) -> None:
     telescope, own = load_telescope(), closed(frame_ticks)
     plain, _ = covariances(own, telescope, None)
-    found = correlation(own, telescope.loop_ports.reference.noise)(0)
+    found = correlation(own, telescope.loop_ports.noise)(0)
     np.testing.assert_allclose(found, plain, rtol=1e-9)
     np.testing.assert_allclose(found, found.T, rtol=1e-9)
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal as spectra
+from support.loop_rows import COMMANDS, MEASUREMENTS
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
@@ -22,7 +23,7 @@ from titop_plant.disturbances.signals import (
     repeated,
 )
 from titop_plant.disturbances.sources import INSTANTS, PlacedSource, Sources
-from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.driven_plant import DisturbanceInput
 from titop_plant.simulation.plant import Plant

@@ -59,6 +59,7 @@ name = "at_two"
 place = "detector"
 axes = [{SLANTED}]
 """
+SENSOR_NAMES, ACTUATOR_NAMES = ("at_one", "at_two"), ("one", "two")
 OMEGA = np.array([0.3, 2.0, 5.3, 40.0, 170.0, 430.0, 900.0, 3000.0])
 
 
@@ -92,7 +93,7 @@ def test_an_accelerometer_measures_the_motion_of_its_point(values: list[float]) 
 
 
 def test_sensors_measure_the_twists_of_the_telescope(sensed: AssembledTelescope) -> None:
-    chosen = sensed.system.select(outputs=["placed_sensors", "accel_G", "accel_M1"]).at({})
+    chosen = sensed.system.select(outputs=["centre", "beside", "spin", "mirror", "accel_G", "accel_M1"]).at({})
     for omega in OMEGA:
         found = chosen(1j * omega)
         read_off, twist, mirror = found[:10], found[10:16], found[16:]
@@ -103,7 +104,7 @@ def test_sensors_measure_the_twists_of_the_telescope(sensed: AssembledTelescope)
 
 def test_two_equal_actuators_are_reciprocal(actuated: tuple[Telescope, AssembledTelescope]) -> None:
     """A force at one moves the other as much as one at the other moves the first."""
-    pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
+    pair = actuated[1].system[SENSOR_NAMES, ACTUATOR_NAMES].at({})
     for omega in OMEGA:
         found = pair(1j * omega)
         assert abs(found[0, 1] - found[1, 0]) <= 1e-8 * np.abs(found).max()
@@ -113,7 +114,7 @@ def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Telescope
     """The relative velocity of structure and mass by the force between them has a non-negative real part."""
     table = actuated[0].pma
     m, k, d = table.moving_mass, table.stiffness, table.damping
-    pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
+    pair = actuated[1].system[SENSOR_NAMES, ACTUATOR_NAMES].at({})
     for omega in np.geomspace(0.1, 3000.0, 200):
         s = 1j * omega
         relative = s / (m * s**2 + d * s + k) * (m * pair(s) + np.eye(2))  # from the equation of the mass
@@ -127,12 +128,12 @@ def test_readings_have_noise_bias_range_and_step() -> None:
     readings, true = SensorReadings([noisy, coarse], seed=1, noise=True), np.array([0.5, -0.5, 9.0])
     rows = []
     for _ in range(4000):
-        readings.read(true)
-        rows.append(readings.values.copy())
+        rows.append(true.copy())
+        readings.read(rows[-1])
     values = np.array(rows)
     assert values[:, 0].mean() == pytest.approx(0.7, abs=5 * 0.1 / np.sqrt(4000))
     assert values[:, 0].std() == pytest.approx(0.1, rel=0.06)
     assert values[:, 1:] == pytest.approx(np.tile([-0.6, 2.1], (4000, 1)))  # 9 is limited to 2, then rounded
     readings.reset()
     readings.read(true)
-    assert readings.values.tolist() == rows[0].tolist()
+    assert true.tolist() == rows[0].tolist()

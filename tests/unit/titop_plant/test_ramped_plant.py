@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 from scipy.integrate import solve_ivp
+from support.loop_rows import COMMANDS
 from support.slow_cases import slow
 
 from lftkit import Port, System
 from titop_plant.disturbances.wheel_and_drive_tones import imbalance_tones, no_tones
-from titop_plant.interface import COMMANDS, DT
+from titop_plant.interface import DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
@@ -140,7 +141,7 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     assert isinstance(plant.dynamics, RampedStep)
     tones = MovingTones(motion(ramp, family.telescope), plant.dynamics.moving.unit).start()
     data = family.control_loop.at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
-    constant = Plant(ConstantStep(plant_step(data, tones), plant.state, np.zeros(0)), SILENT, plant.limits)
+    constant = Plant(ConstantStep(plant_step(data, tones), plant.state, np.zeros(0)), SILENT, plant.authority)
     first, second = line_of_sight(plant, 300), line_of_sight(constant, 300)
     assert np.abs(first - second).max() < 1e-7 * np.abs(second).max()
 

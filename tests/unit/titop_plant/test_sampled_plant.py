@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg, signal
+from support.loop_rows import COMMANDS, MEASUREMENTS
 
 from lftkit import Port
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from titop_plant.disturbances.wheel_and_drive_tones import imbalance_tones, sadm_tones
-from titop_plant.interface import COMMANDED, COMMANDS, DT, HOLD_DELAY, MEASURED, MEASUREMENTS, TRUTH
+from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.build import _tones, build_plant
 from titop_plant.simulation.driven_plant import (

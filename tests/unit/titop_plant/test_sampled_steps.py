@@ -148,7 +148,7 @@ def test_the_state_is_a_copy_and_the_settings_are_kept() -> None:
     model.state[:] = 9.0
     assert model.state.tolist() == pytest.approx([1.0])
     assert (model.dt, model.frame_ticks, model.parameters_hash) == (DT, 4, "name")
-    assert model.tones is FREQUENCIES and model.limits is LIMITS
+    assert model.tones is FREQUENCIES and model.authority is LIMITS
 
 
 def tones() -> Tones:
@@ -163,7 +163,7 @@ def tones() -> Tones:
 def test_a_step_in_modal_coordinates_is_the_matrix_exponential(name: str) -> None:
     """Commands held and tones integrated, both from one large matrix exponential; also the response in steady state."""
     data = system(PLANTS[name])
-    modal, n, tones = ModalPlant.of(data), len(data.A), tones_at(FREQUENCIES)
+    modal, n, tones = ModalPlant.of(data, 8), len(data.A), tones_at(FREQUENCIES)
     whole, basis = step_matrix(data, tones), modal.form.basis
     held = held_step(modal)
     moved, seen = tone_step(modal, tones)

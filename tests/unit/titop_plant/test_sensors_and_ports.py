@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lftkit.systems.ports import Port
-from titop_plant.interface import ACCELEROMETERS, COLUMNS, COMMAND_PORTS, COMMANDED, MEASURED, MEASURED_PORTS
+from titop_plant.interface import ACCELEROMETERS, COLUMNS, COMMAND_PORTS, COMMANDED, LAW_PORTS, MEASURED, MEASURED_PORTS
 from titop_plant.telescope.guide_camera import exposure_low_pass
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT, LoopPorts
@@ -48,11 +48,12 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
     return load_telescope(file).loop_ports
 
 
-def test_a_telescope_without_further_sensors_is_told() -> None:
-    with pytest.raises(
-        ValueError, match=r"sensors must be distinct names of the telescope's file \(it has none\), got"
-    ):
-        LoopPorts().named(("on_m1",))
+def test_a_name_that_no_row_has_is_refused() -> None:
+    ports = load_telescope().loop_ports
+    with pytest.raises(ValueError, match=r"sensors must be distinct names of the telescope's file \(accel_Ip, .*, got"):
+        ports.of_law("k_pma", ["on_m1"])
+    with pytest.raises(ValueError, match=r"actuators must be distinct names .* \(pma_force\), got \('fsm_command',\)"):
+        ports.of_law("k_pma", (), ["fsm_command"])
 
 
 def law(*names: str) -> SimpleNamespace:
@@ -85,29 +86,31 @@ def test_each_value_has_its_noise_and_scale(own: LoopPorts) -> None:
 
 
 def test_a_loop_has_the_rows_that_its_controllers_use(own: LoopPorts) -> None:
-    assert not own.used_by(law("accel_Ip"), law("pma_force")).further
+    stored = own.used_by(law("accel_Ip"), law("pma_force"))
+    assert (stored.measured, stored.commanded) == (MEASURED_PORTS, COMMAND_PORTS)
     for names in (("on_m1",), ("at_root", "shaker"), ("damper",)):
         used = own.used_by(law(), law(*names))
-        assert used.sensors == own.sensors
-        assert [row.name for row in used.further_actuators] == [n for n in ("shaker", "damper") if n in names]
+        assert [row.name for row in used.sensors] == [*MEASURED, *(n for n in ("on_m1", "at_root") if n in names)]
+        assert [row.name for row in used.actuators] == [*COMMANDED, *(n for n in ("shaker", "damper") if n in names)]
         assert used.used_by(law(*names)) == used
-    assert own.used_by(law("on_m1", "shaker", "damper")) == own
+    assert own.used_by(law("on_m1", "at_root", "shaker", "damper")) == own
 
 
 def test_a_controller_sees_what_it_names_in_the_order_of_the_rows(own: LoopPorts) -> None:
-    first, given = MEASURED_PORTS[:1], law("at_root", "on_m1", "damper")
-    assert [port.name for port in own.seen_by(given, first)] == ["accel_Ip", "on_m1", "at_root"]
-    assert [port.name for port in own.driven_by(given, COMMAND_PORTS[1:])] == ["pma_force", "damper"]
+    used = own.of_system("k_pma", law("at_root", "accel_M2", "on_m1", "damper"))
+    assert [row.name for row in used.sensors] == ["accel_Ip", "accel_M2", "on_m1", "at_root"]
+    assert [row.name for row in used.actuators] == ["pma_force", "damper"]
     with pytest.raises(ValueError, match=r"measured port must be one of accel_Ip, .*, at_root, got 'shaker'"):
         own.measured_columns([Port("shaker", 1)])
 
 
 def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPorts) -> None:
-    """Actuators are in the order of its own outputs: they are behind the eight values of its command."""
-    given = law("damper", "at_root", "shaker", "pma_force", "on_m1")
-    found = own.among(given.inputs, given.outputs)
-    assert [port.name for port in found.further] == ["on_m1", "at_root", "damper", "shaker"]
-    assert found.commands == own.commands and not own.among((), ()).further
+    """Actuators are in the order of its own outputs, behind those of the stored controller."""
+    used = own.of_system("k_pma", law("damper", "at_root", "shaker", "pma_force", "on_m1"))
+    assert [port.name for port in used.commanded] == ["pma_force", "damper", "shaker"]
+    assert used.commands == own.commands - 2  # without the mirror
+    assert own.of_system("k_pma", law()).law_ports("k_pma") == LAW_PORTS["k_pma"]
+    assert own.of_system("k_fsm", law()).law_ports("k_fsm") == LAW_PORTS["k_fsm"]
 
 
 REFERENCE = load_telescope()
@@ -170,7 +173,7 @@ def sensed():
 def test_each_port_has_its_own_values_in_the_order_of_the_measurement(sensed) -> None:
     found = sensed.sensors
     assert tuple(sensor.port.name for sensor in found) == MEASURED
-    noise, bias = sensed.loop_ports.reference.noise, sensed.loop_ports.reference.bias
+    noise, bias = sensed.loop_ports.noise, sensed.loop_ports.bias
     for sensor in found:
         part, name = COLUMNS[sensor.port.name], sensor.port.name
         accelerometer = name in ACCELEROMETERS
@@ -182,6 +185,6 @@ def test_each_port_has_its_own_values_in_the_order_of_the_measurement(sensed) ->
 
 def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(sensed) -> None:
     """The mean of the samples of a frame's ticks has the frame's noise."""
-    ratio = sensed.loop_ports.reference.with_frames(25).noise_of_ticks / sensed.loop_ports.reference.noise
+    ratio = sensed.loop_ports.with_frames(25).noise_of_ticks / sensed.loop_ports.noise
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2

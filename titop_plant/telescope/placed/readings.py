@@ -1,4 +1,4 @@
-"""Readings of the further sensors of a run: true values with noise, bias, range and quantisation."""
+"""Samples of the sensors at places: true values with noise, bias, random walk, range and quantisation."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ SEED_KEY = 19
 
 
 class SensorReadings:
-    """Samples of further sensors, a part of :class:`titop_plant.simulation.plant.Plant`.
+    """Samples of sensors with a mount, a part of :class:`titop_plant.simulation.plant.Plant`.
 
     A reading is ``clip(value + bias + noise, -range, range)``, rounded to the step, and NaN where there is no sample.
 
     Parameters
     ----------
     sensors : sequence of Sensor
-        Further sensors of a telescope.
+        Of a telescope.
     seed : int
         Of the run.
     noise : bool
@@ -30,8 +30,8 @@ class SensorReadings:
 
     Attributes
     ----------
-    values : ndarray
-        Readings of all sensors at the last tick, in the order of the file; the same array at every tick.
+    size : int
+        Number of their values.
     """
 
     def __init__(self, sensors: Sequence[Sensor], seed: int, noise: bool) -> None:
@@ -44,30 +44,28 @@ class SensorReadings:
         self._walk = np.repeat([one.random_walk * np.sqrt(DT) for one in sensors], sizes)
         self._ticks = np.repeat([one.ticks for one in sensors], sizes)
         self._slow, self._walking = bool(np.any(self._ticks > 1)), bool(self._walk.any())
-        self._drawn = np.zeros(sum(sizes))
+        self.size = sum(sizes)
+        self._drawn = np.zeros(self.size)
         self._coarse = self._step > 0.0
-        self.values = np.zeros(sum(sizes))
         self.reset()
 
     def reset(self) -> None:
         """Return to tick 0: same seed, bit-identical noise."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._walks = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY, 1)))
-        self._drift, self._step_of_walk, self._tick = *np.zeros((2, self.values.size)), 0
+        self._drift, self._step_of_walk, self._tick = *np.zeros((2, self.size)), 0
         self._noisy = self._with_noise
-        self.values[:] = 0.0
 
     def change(self, name: str, value: float) -> None:
         """Change ``noise``, see `Plant.change`: the bias stays; other names have no effect."""
         if name == "noise":
             self._noisy = bool(value)
 
-    def read(self, sensed: FloatArray) -> None:
-        """Write the readings of this tick into `values`; `sensed` are the true values, of the same shape."""
-        drawn, out = self._drawn, self.values
+    def read(self, out: FloatArray) -> None:
+        """Turn the true values of this tick (size,) into samples, in place; NaN where there is none."""
+        drawn = self._drawn
         self._rng.standard_normal(out=drawn)
         drawn *= self._noise
-        out[:] = sensed
         if self._with_noise:
             out += self._bias
             if self._walking:

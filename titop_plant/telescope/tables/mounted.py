@@ -277,7 +277,7 @@ def _check_drives(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 
 def _check_proof_masses(whole: Mapping[str, Any], file: ParameterFile) -> None:
-    """Values of proof-mass actuators act on those of the platform, or on further actuators that do not state them."""
+    """Values of proof-mass actuators act on those of the platform, or on those ``[[actuator]]`` that state none."""
     if whole[PROOF_MASSES]["azimuths_deg"]:
         return
     used = {"azimuths_deg", *(key for one in whole.get(ACTUATOR, ()) for key in usual_values(one))}

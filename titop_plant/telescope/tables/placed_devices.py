@@ -37,6 +37,12 @@ DEVICE_KEYS: Mapping[str, Mapping[str, Any]] = {
 }
 """Keys of each kind of table, each with a value of the kind that it must have."""
 
+ASSEMBLED = (
+    *("external_wrench", "motor_torque", "sadm_angle", "sadm_torque", "wheel_accel", "wheel_imbalance", "wheel_torque"),
+    *("accel_G", "angle_G", "rate_G", "wrench_G", "attitude", "attitude_rate", "los", "pma_stroke"),
+)
+"""Other ports of the assembled telescope (:mod:`titop_plant.telescope.assembly`)."""
+
 UNIT_WITHIN = 1e-3
 """Of the length of an axis from 1; it is brought to 1."""
 
@@ -68,7 +74,7 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
     for kind in DEVICES:
         for i, table in enumerate(whole.get(kind, ())):
             name = f"{kind}[{i}]"
-            if table.get("name") in COLUMNS:  # controllers know devices by the names of their ports
+            if table.get("name") in (*COLUMNS, *ASSEMBLED):  # devices are known by the names of their ports
                 raise file.error(f"{name}.name", f"must not be one of {', '.join(COLUMNS)}, got {table['name']!r}")
             measured = SENSOR_KINDS[_kind(name, table, file)].source if kind == SENSOR else ""
             if not (table.get("place") or measured):

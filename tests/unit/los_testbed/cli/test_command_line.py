@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 def run(tmp_path, monkeypatch, capsys):
     """The command line with the small telescope."""
 
-    def plant(parts, readings):
+    def plant(parts, recorded):
         config = parts.config
         return SimpleTelescope(config.frame_ticks, config.seed, config.noise, config.camera_dropout)
 

@@ -13,6 +13,7 @@ from los_testbed.parts.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, 
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
+from support.loop_rows import MEASUREMENTS
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.image.centroid import NO_STAR, noise_equivalent_angle
@@ -21,7 +22,7 @@ from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.read.run import Run
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.interface import CAMERA, DT, MEASUREMENTS
+from titop_plant.interface import CAMERA, DT
 
 OPTICS = Optics(wavelength=550e-9, pixel_mas=38.0, aperture_diameter=1.5, obscuration=0.3)
 STAR = GuideCamera(magnitude=9.0, cosmic_rate=0.0)

@@ -11,8 +11,9 @@ import control
 import numpy as np
 import pytest
 from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.user_blocks import LAWS, make_law, read_law
+from los_testbed.parts.user_blocks import make_law, read_law
 from scipy import io
+from support.loop_rows import ROWS
 
 import los_estimator
 from lftkit import System
@@ -20,6 +21,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.exchange import read_sampled
 from lftkit.systems.mat_files import write_mat
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from titop_plant.interface import LAW_PORTS
 
 STORED = SampledSystem.from_file(Path(los_estimator.__file__).parent / "designs/k_fsm.json")
 NAMES = [[signal for port in side for signal in port.signals] for side in (STORED.inputs, STORED.outputs)]
@@ -36,7 +38,7 @@ def texts(names: list[str]) -> Any:
 
 def answers(law: SampledSystem) -> FloatArray:
     """Outputs of 30 ticks with a random input, in the order of the loop."""
-    assert law.inputs == LAWS["k_fsm"][0]
+    assert law.inputs == LAW_PORTS["k_fsm"][0]
     out, found, rng = np.zeros(2), [], np.random.default_rng(1)
     law.reset()
     for _ in range(30):
@@ -63,7 +65,7 @@ def test_the_law_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ki
         sys.modules[module].law = made  # type: ignore[attr-defined]
         text = f"{module}:law"
         config = RunConfig.from_mapping({"k_fsm": text, "ports_in_order": style == "none"})
-        law = make_law(config, "k_fsm").linear
+        law = make_law(config, "k_fsm", ROWS).linear
         assert law is not None
     else:
         content = {**matrices, "Ts": 1e-3, **names}

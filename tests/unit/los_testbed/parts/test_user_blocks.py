@@ -25,11 +25,14 @@ MODULE = '''
 import numpy as np
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
+from titop_plant.telescope.load import load_telescope
+
+PORTS = load_telescope().loop_ports.of_law("k_fsm")
 
 class Observer(LosEstimator):
     """The test observer of its file, which holds the camera between frames."""
     def __init__(self):
-        super().__init__(SampledSystem.from_file("k_fsm.json"))
+        super().__init__(SampledSystem.from_file("k_fsm.json"), PORTS)
 
 class Law:
     def __init__(self):

@@ -10,8 +10,9 @@ from los_testbed.parts.device_contract import ASKED, CONFIRMED, NOT_ZERO, Device
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.rig.supervisor import EVERY_TICK, Supervisor, SupervisorSettings
 from plain_rig import PlainRig
+from support.loop_rows import COMMANDS
 
-from titop_plant.interface import CAMERA_PORT, COMMANDS, GAUGE_PORT, TICK_NS
+from titop_plant.interface import CAMERA_PORT, GAUGE_PORT, TICK_NS
 
 pytestmark = pytest.mark.usefixtures("still_clock")
 SETTINGS = SupervisorSettings()

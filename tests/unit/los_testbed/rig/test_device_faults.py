@@ -18,9 +18,9 @@ from los_testbed.rig.serial import SerialRig
 from los_testbed.rig.supervisor import Supervisor
 from los_testbed.rig.udp import UdpRig
 from los_testbed.rig.wire import Kind, encode
+from support.loop_rows import COMMANDS
 
 from pointing_analysis.command.exit_codes import ExitCode
-from titop_plant.interface import COMMANDS
 
 SUPPORT = Path(__file__).parents[3] / "support"
 PLANT = "simple_telescope:SimpleTelescope"

@@ -19,9 +19,10 @@ from los_testbed.parts.device_contract import (
 from los_testbed.rig.supervisor import EVERY_TICK, Supervisor, SupervisorSettings, refused_in_words
 from los_testbed.rig.wire import Kind, Reader, encode
 from plain_rig import PlainRig
+from support.loop_rows import COMMANDS
 
 from pointing_analysis.command.exit_codes import ExitCode
-from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
+from titop_plant.interface import CAMERA_PORT, COLUMNS, TICK_NS
 
 CONFIG = RunConfig(device="my:Rig", start="rest")
 SETTINGS = SupervisorSettings()

@@ -68,6 +68,6 @@ def test_its_frames_are_on_the_grid_of_the_camera(rig):
 
 
 def test_the_noise_of_the_page_is_that_of_the_model():
-    accelerometer, angle = RunParts(RunConfig()).telescope.loop_ports.reference.noise[[0, 3]], 1e-8
+    accelerometer, angle = RunParts(RunConfig()).telescope.loop_ports.noise[[0, 3]], 1e-8
     assert accelerometer.tolist() == [1.2e-3, 2.3e-3] and "1.2e-3 m/s² and 2.3e-3 rad/s²" in PAGE
-    assert RunParts(RunConfig()).telescope.loop_ports.reference.noise[18:].tolist() == [angle] * 4
+    assert RunParts(RunConfig()).telescope.loop_ports.noise[18:].tolist() == [angle] * 4

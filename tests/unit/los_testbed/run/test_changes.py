@@ -9,9 +9,10 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import build_controller
 from los_testbed.run.change_requests import SHOWN, requested
 from los_testbed.run.loop.changes import NAMES, Changes, parse_change
+from support.loop_rows import COMMANDS, MEASUREMENTS
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
-from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH
+from titop_plant.interface import FORCES, MIRROR, STAGES, TICK_NS, TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
@@ -79,7 +80,7 @@ def small_plant(dropout=0.0):
     matrix = np.zeros((MEASUREMENTS + TRUTH, COMMANDS + 2))
     matrix[20, COMMANDS + 1] = 1.0
     sensors = SensorModel(np.full(MEASUREMENTS, 0.1), np.zeros(MEASUREMENTS), 2, dropout, 3)
-    step = whole_step(matrix, np.exp(1j * np.array([0.3])))
+    step = whole_step(matrix, np.exp(1j * np.array([0.3])), 0)
     return Plant(ConstantStep(step, np.zeros(0), np.array([300.0])), sensors, np.ones(COMMANDS))
 
 

@@ -40,7 +40,9 @@ def record(parts: RunParts, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> 
         blocks.append(b"".join(getattr(block, name)[:rows].tobytes() for name in SIGNALS))
 
     monkeypatch.setattr(compiled_loop, "kernel_for", lambda ticks: compilation.kernel() if compiled else None)
-    SimulatedLoop(plant, estimator, controller, parts.start.command).run(parts.config.ticks, sink)
+    used = parts.used["k_fsm"], parts.used["k_pma"]
+    loop = SimulatedLoop(plant, estimator, controller, parts.ports, used, parts.start.command)
+    loop.run(parts.config.ticks, sink)
     return b"".join(blocks), plant.state.tobytes()  # type: ignore[attr-defined]
 
 

@@ -15,12 +15,13 @@ from los_testbed.parts.run_parts import RunParts, build_controller, build_estima
 from los_testbed.run.metadata import run_metadata
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
+from support.loop_rows import COMMANDS
 
 from lftkit import SampledSystem
 from lftkit.errors import InputError
 from los_design.synthesis.store import load_designs
 from pointing_analysis.read.run import Run
-from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, design_warnings
+from titop_plant.interface import FORCES, MIRROR, STAGES, design_warnings
 from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.loop_rows import COMMANDS
 
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import scaled
 from los_loop.nyquist import BrokenLoop, broken_loops
 from los_loop.open_loop import OpenLoop
-from titop_plant.interface import COMMANDS, MIRROR
+from titop_plant.interface import MIRROR
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope

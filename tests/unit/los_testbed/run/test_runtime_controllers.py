@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import dlsim
 from simple_telescope import write_controllers
+from support.loop_rows import MEASUREMENTS, controller_of, estimator_of
 
-from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_estimator.runtime import LosEstimator
-from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASUREMENTS
+from titop_plant.interface import CAMERA, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 RNG = np.random.default_rng(5)
 LIMITS = {"los_sensitivity": 0.1, "fsm_authority": 4e-3, "pma_authority": 25.0}
@@ -36,7 +35,7 @@ def test_the_observer_is_its_system_with_the_camera_held():
     frames = np.arange(200) % 20 == 3  # nothing before tick 3: zero is held
     y[~frames, CAMERA] = np.nan
     y[63, 19] = np.nan  # half a frame is no frame
-    estimator, out = LosEstimator(k), np.zeros((200, 2))
+    estimator, out = estimator_of(k), np.zeros((200, 2))
     for row, los in zip(y, out):
         estimator.step(row, los)
     held, last = y.copy(), np.zeros(2)
@@ -50,7 +49,7 @@ def test_the_observer_is_its_system_with_the_camera_held():
 
 def test_reset_forgets_state_and_camera():
     k = random_system(K_FSM_INPUTS, K_FSM_OUTPUTS, 4)
-    estimator, first, second = LosEstimator(k), np.zeros(2), np.zeros(2)
+    estimator, first, second = estimator_of(k), np.zeros(2), np.zeros(2)
     y = RNG.standard_normal(MEASUREMENTS)
     blind = y.copy()
     blind[CAMERA] = np.nan
@@ -64,9 +63,9 @@ def test_reset_forgets_state_and_camera():
 def test_a_system_with_other_ports_is_refused():
     wrong = SampledSystem([], [], [], np.zeros((2, 3)), (Port("u", 3),), K_FSM_OUTPUTS, DT, "thing")
     with pytest.raises(ValueError, match=r"thing: inputs must be accel_Ip\[6\], .* got u\[3\]"):
-        LosEstimator(wrong)
+        estimator_of(wrong)
     with pytest.raises(ValueError, match=r"thing: inputs must be accel_Ip\[6\], got u\[3\]"):
-        FsmPmaController(wrong, **LIMITS)
+        controller_of(wrong, **LIMITS)
 
 
 @pytest.mark.parametrize("name", LIMITS)
@@ -74,14 +73,14 @@ def test_a_system_with_other_ports_is_refused():
 def test_sensitivity_and_limits_are_positive(name, value, tmp_path):
     k = SampledSystem.from_file(write_controllers(tmp_path)["k_pma"])
     with pytest.raises(ValueError, match=f"{name} must be positive and finite, got"):
-        FsmPmaController(k, "fsm", **{**LIMITS, name: value})
+        controller_of(k, "fsm", **{**LIMITS, name: value})
 
 
 @pytest.mark.parametrize("stage", ["none", "isolator", "fsm", "fsm+pma"])
 def test_commands_are_mirror_law_and_forces_within_the_limits(stage: str) -> None:
     """Estimates and forces on both sides of the limits."""
     law = SampledSystem([], [], [], np.eye(6), K_PMA_INPUTS, K_PMA_OUTPUTS, 1e-3)
-    controller = FsmPmaController(law, stage, los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
+    controller = controller_of(law, stage, los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
     rng = np.random.default_rng(0)
     los, force = 4e-4 * rng.standard_normal((50, 2)), 40.0 * rng.standard_normal((50, 6))
     found = np.full((50, 8), np.nan)
@@ -95,6 +94,6 @@ def test_commands_are_mirror_law_and_forces_within_the_limits(stage: str) -> Non
 def test_an_observer_of_some_sensors_needs_no_units() -> None:
     """A .mat file or a system of python-control states none; inputs that are left out have no effect."""
     observer = SampledSystem([], [], [], np.eye(2), (Port("camera_los", 2),), (Port("los_estimate", 2),), 1e-3)
-    estimator, out = LosEstimator(observer), np.full(2, np.nan)
+    estimator, out = estimator_of(observer), np.full(2, np.nan)
     estimator.step(np.arange(22.0), out)
     assert out.tolist() == np.arange(22.0)[CAMERA].tolist()

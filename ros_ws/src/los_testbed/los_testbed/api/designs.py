@@ -29,6 +29,7 @@ from los_design.synthesis.provenance import source_digest
 from los_design.synthesis.store import load_designs
 from los_design.verification.certify import FigureBounds, ProofLevel
 from los_design.verification.figure_proofs import figures_to_prove, load_bounds, loops_of, prove_figures
+from los_design.verification.loop_models import refuse_other_rates
 from los_design.verification.stage_check import RESULTS
 from los_design.verification.verification import (
     ImplementedCheck,
@@ -200,11 +201,8 @@ def design(
     if effort not in EFFORTS:
         raise InputError(f"--effort must be one of {', '.join(EFFORTS)}, got {effort}")
     telescope = load_telescope(file).with_uncertain(uncertain)
-    if certify and (further := telescope.loop_ports.further):
-        names = ", ".join(port.name for port in further)
-        raise InputError(
-            f"--certify must be used with a telescope without sensors and actuators of its own, got {names}"
-        )
+    if certify:
+        refuse_other_rates(telescope.loop_ports.sensors, telescope.frame_ticks)
     new = not folder.exists()
     store_telescope(folder, file, uncertain)
     if unseen := sources_of_mission(None if file is None else str(file)):

@@ -66,7 +66,7 @@ CRASHED = "crashed"
 computes its chunk again."""
 
 ALL_FORCES = slice(FORCES.start, None)
-"""Columns of the command with those of further actuators."""
+"""Columns of all commands but those of the mirror."""
 
 DEPTHS = ("time", "model")
 """Evaluation of a member: from a simulated run, or from its matrices."""
@@ -245,7 +245,7 @@ class MemberEvaluator:
             raise InputError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
         record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
-        SimulatedLoop.of(parts, readings=False).run(config.ticks, record.keep)
+        SimulatedLoop.of(parts, recorded=False).run(config.ticks, record.keep)
         metrics = record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
         return metrics, parts.start.unstable
 

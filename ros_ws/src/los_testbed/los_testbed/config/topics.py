@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from lftkit.systems.ports import port_slices
 from los_testbed.config.run_config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS
-from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensors import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ BOTH_LAWS = "estimator_controller"
 
 IMAGE_VECTOR = "image"
 """Vector of the pixels of a frame, row by row."""
-
-READINGS = "readings"
-"""Vector of the further sensors of a telescope."""
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -49,7 +46,7 @@ class TopicDefinition:
     publisher : str
         Node that sends it: plant, estimator or controller.
     vector : str
-        Vector of the loop it carries: measurement, truth, los_estimate or command; image or readings.
+        Vector of the loop it carries: measurement, truth, los_estimate or command; image.
     columns : slice
         Columns of its values in that vector.
     port : str
@@ -115,7 +112,7 @@ LOS_ESTIMATE = _topic("los_estimate", VECTOR3, "line_of_sight", "estimator", "lo
 FSM_COMMAND = _topic("fsm/command", VECTOR3, "fsm", "controller", "command", "fsm_command")
 PMA_COMMAND = replace(_topic("pma/command", JOINT_STATE, "pma", "controller", "command", "pma_force"), unit="N")
 
-COMMANDS = (FSM_COMMAND, PMA_COMMAND)
+COMMAND_TOPICS = (FSM_COMMAND, PMA_COMMAND)
 """Sent by the controller in this order: the faster loop first; the forces come last and close the tick."""
 
 TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
@@ -141,57 +138,42 @@ BUNDLES = {"plant": "loop/measurements", "controller": "loop/commands"}
 """Topic, by its node, of one message with all samples or all commands of a tick; a bag has it not: the topics of the
 table hold the same."""
 
-PLACED = "sensor"
-"""Further sensors have their topics below this name."""
-
-
-def sensor_topic(name: str, columns: slice, unit: str = "", framed: bool = False) -> TopicDefinition:
-    """Topic of a further sensor, with its columns among the values of all of them."""
-    return TopicDefinition(f"{PLACED}/{name}", VECTOR3, name, "plant", READINGS, columns, name, unit, framed)
+PLACED, DRIVEN = "sensor", "actuator"
+"""Sensors and actuators at places have their topics below these names."""
 
 
 def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
-    """Topics of the further sensors, in their order; a bag with them has them behind those of the loop.
+    """Topics of sensors, in their order, with their columns in the vector of all their values.
 
     Parameters
     ----------
     sensors : sequence of Sensor
     """
-    topics, first = [], 0
-    for one in sensors:
-        columns = slice(first, first + one.port.size)
-        topics.append(sensor_topic(one.name, columns, one.port.unit, one.framed))
-        first = columns.stop
+    topics = []
+    for one, columns in zip(sensors, port_slices(row.port for row in sensors).values(), strict=True):
+        known = _BY_PORT.get(one.name)
+        if known is None:
+            known = _placed_sensor(one.name, columns, one.port.unit)
+        topics.append(replace(known, columns=columns, framed=one.framed))
     return tuple(topics)
 
 
-def shifted(topic: TopicDefinition, columns: int) -> TopicDefinition:
-    """The topic in a vector where its own vector begins at a column."""
-    return replace(topic, columns=slice(topic.columns.start + columns, topic.columns.stop + columns))
-
-
-COMMANDED = "actuator"
-"""Forces of further actuators that a controller commands have their topics below this name."""
-
-
-def actuator_topic(name: str, columns: slice, unit: str = "") -> TopicDefinition:
-    """Topic of the command of a further actuator, with its column in the command."""
-    return TopicDefinition(f"{COMMANDED}/{name}/command", VECTOR3, name, "controller", "command", columns, name, unit)
-
-
-def actuator_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...]:
-    """Topics of the commands of further actuators, in their order; they are behind the sensors in a bag.
+def command_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...]:
+    """Topics of the commands of actuators, in their order, with their columns in the vector of all their values.
 
     Parameters
     ----------
     actuators : sequence of Actuator
     """
-    columns = (slice(i, i + 1) for i in range(COMMAND_SIZE, COMMAND_SIZE + len(actuators)))
-    return tuple(actuator_topic(one.name, part, one.port.unit) for one, part in zip(actuators, columns))
+    topics = []
+    for one, columns in zip(actuators, port_slices(row.port for row in actuators).values(), strict=True):
+        known = next((topic for topic in COMMAND_TOPICS if topic.port == one.name), None)
+        topics.append(_placed_actuator(one.name, columns, one.port.unit) if known is None else known)
+    return tuple(topics)
 
 
-def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
-    """Topics of further sensors and actuators among those of a bag.
+def placed_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
+    """Topics of sensors and actuators at places among those of a bag.
 
     Parameters
     ----------
@@ -202,10 +184,18 @@ def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
     for name, size in sizes.items():
         match name.split("/"):
             case [group, sensor] if group == PLACED:
-                topics.append(sensor_topic(sensor, slice(0, size)))
-            case [group, actuator, "command"] if group == COMMANDED:
-                topics.append(actuator_topic(actuator, slice(0, size)))
+                topics.append(_placed_sensor(sensor, slice(0, size)))
+            case [group, actuator, "command"] if group == DRIVEN:
+                topics.append(_placed_actuator(actuator, slice(0, size)))
     return tuple(topics)
+
+
+def _placed_sensor(name: str, columns: slice, unit: str = "") -> TopicDefinition:
+    return TopicDefinition(f"{PLACED}/{name}", VECTOR3, name, "plant", "measurement", columns, name, unit)
+
+
+def _placed_actuator(name: str, columns: slice, unit: str = "") -> TopicDefinition:
+    return TopicDefinition(f"{DRIVEN}/{name}/command", VECTOR3, name, "controller", "command", columns, name, unit)
 
 
 DEPTH = 100

@@ -19,26 +19,13 @@ import jinja2
 
 from lftkit.errors import InputError
 from lftkit.support.atomic_output import atomic_folder
-from lftkit.systems.ports import Port
+from lftkit.systems.ports import Port, port_slices
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed import __version__
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash, hex_float
 from los_testbed.flight.vectors import gate_ticks, law_ticks
-from titop_plant.interface import (
-    COLUMNS,
-    COMMAND_PORTS,
-    COMMANDS,
-    FORCES,
-    FRAMED,
-    HELD,
-    HELD_PARTS,
-    MEASURED_PORTS,
-    MEASUREMENTS,
-    MIRROR,
-    PLATFORM,
-    TICK_NS,
-)
+from titop_plant.interface import MIRROR, TICK_NS
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -111,11 +98,11 @@ def c_string(entries: Mapping[str, str]) -> str:
 
 
 def _rows(ports: tuple[Port, ...]) -> list[str]:
-    """Columns, name and unit of each port."""
-    columns = {port: COLUMNS[port.name] for port in ports}
+    """Columns, name and unit of each port of a vector."""
+    columns = port_slices(ports)
     return [
         f"[{part.start}..{part.stop - 1}]".ljust(9) + f"{port.name} [{port.unit.replace(',', ', ')}]"
-        for port, part in columns.items()
+        for port, part in zip(ports, columns.values(), strict=True)
     ]
 
 
@@ -140,8 +127,8 @@ def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
     common = {
         "version": __version__,
         "tick_ns": TICK_NS,
-        "measurements": MEASUREMENTS,
-        "commands": COMMANDS,
+        "measurements": laws.ports.measurements,
+        "commands": laws.ports.commands,
         "units": UNITS,
         "tables_sha256": common_hash(hashes),
         "fade_ticks": laws.fade_ticks,
@@ -157,18 +144,19 @@ def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
 def _header(laws: FlightLaws) -> dict[str, Any]:
     return {
         **{name: provenance(getattr(laws, name))["name"] for name in ("k_fsm", "k_pma")},
-        "measured": _rows(MEASURED_PORTS),
-        "commanded": _rows(COMMAND_PORTS),
+        "measured": _rows(laws.ports.measured),
+        "commanded": _rows(laws.ports.commanded),
         "los_sensitivity": repr(laws.los_sensitivity),
-        "held_ports": ", ".join(FRAMED),
-        "platform": PLATFORM.start,
-        "forces": FORCES.stop - FORCES.start,
+        "held_ports": ", ".join(row.name for row in laws.ports.framed),
+        "platform": laws.measured.start,
+        "accelerations": laws.measured.stop - laws.measured.start,
+        "forces": laws.ports.commands - MIRROR.stop,
         "mirror_axes": MIRROR.stop - MIRROR.start,
-        "held": len(HELD),
+        "held": len(laws.ports.held),
         "order_k_fsm": laws.k_fsm.order,
         "order_k_pma": laws.k_pma.order,
-        "columns_k_fsm": laws.k_fsm.order + MEASUREMENTS,
-        "columns_k_pma": laws.k_pma.order + FORCES.stop - FORCES.start,
+        "columns_k_fsm": laws.k_fsm.order + laws.ports.measurements,
+        "columns_k_pma": laws.k_pma.order + laws.measured.stop - laws.measured.start,
     }
 
 
@@ -182,8 +170,8 @@ def _unit(laws: FlightLaws, unit: str, tables: Tables) -> dict[str, Any]:
         values["provenance"] = [f"{name}: {text}" for name, text in entries.items()]
         values["provenance_text"] = c_string(entries)
     if unit == "k_fsm":
-        values["held_columns"] = HELD.tolist()
-        values["parts"] = [0, *(part.stop for part in HELD_PARTS.values())]
+        values["held_columns"] = laws.ports.held.tolist()
+        values["parts"] = [0, *(part.stop for part in laws.ports.held_parts.values())]
     return values
 
 

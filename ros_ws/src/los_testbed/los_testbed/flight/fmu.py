@@ -29,17 +29,14 @@ from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash
 from titop_plant.interface import (
     CAMERA,
-    COMMAND_PORTS,
-    COMMANDS,
     DT,
     K_FSM_OUTPUTS,
-    MEASURED_PORTS,
-    MEASUREMENTS,
     TRUTH,
     TRUTH_PORTS,
 )
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
+from titop_plant.telescope.loop_ports import LoopPorts
 
 LAW, PLANT = "los_law", "los_plant"
 LINUX, WINDOWS = "linux64", "win64"
@@ -109,7 +106,7 @@ def variables(ports: Sequence[Port]) -> tuple[tuple[str, str], ...]:
 
 def law_model(laws: FlightLaws) -> Model:
     """The laws: measurement to command and estimate."""
-    inputs, outputs = variables(MEASURED_PORTS), variables((*COMMAND_PORTS, *K_FSM_OUTPUTS))
+    inputs, outputs = variables(laws.ports.measured), variables((*laws.ports.commanded, *K_FSM_OUTPUTS))
     names = (HEADER, *(f"{unit}.c" for unit in UNITS))
     files = render(laws, names)
     files[f"{LAW}.c"] = template(f"{LAW}.c").render(inputs=inputs, outputs=outputs)
@@ -118,7 +115,7 @@ def law_model(laws: FlightLaws) -> Model:
     return Model(LAW, text, inputs, outputs, files, digest)
 
 
-def plant_model(plant: object) -> Model:
+def plant_model(plant: object, ports: LoopPorts) -> Model:
     """The telescope with its disturbance, without sensor noise: command to measurement and true line of sight.
 
     Between its frames the value of the camera is the last one.
@@ -127,6 +124,8 @@ def plant_model(plant: object) -> Model:
     ----------
     plant : Plant
         It is reset.
+    ports : LoopPorts
+        Its sensors and actuators.
 
     Raises
     ------
@@ -149,18 +148,18 @@ def plant_model(plant: object) -> Model:
         "BIAS": plant.sensors.bias,
     }
     rounded = Tables.of(**tables)
-    every = np.ones(MEASUREMENTS, int)
+    every = np.ones(ports.measurements, int)
     every[CAMERA] = plant.frame_ticks
-    inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
+    inputs, outputs = variables(ports.commanded), variables((*ports.measured, *TRUTH_PORTS))
     text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
         order=order,
         plain=len(step.own),
         pairs=step.pairs,
-        commands=COMMANDS,
+        commands=ports.commands,
         tones=step.turn.shape[1],
         driven=len(step.driven),
-        measurements=MEASUREMENTS,
+        measurements=ports.measurements,
         truth=TRUTH,
         every=every.tolist(),
         tables="\n".join(map(rounded.declaration, rounded.values)),
@@ -173,7 +172,11 @@ def _kind_of(plant: object) -> str:
     """Description of a plant for an error: its class, or its difference from a telescope with constant parameters."""
     if not isinstance(plant, Plant):
         return type(plant).__name__
-    return "one with further inputs, sensors or limits" if not plant.is_plain else "one whose parameters change"
+    return (
+        "one with held inputs, sensors at places or device limits"
+        if not plant.is_plain
+        else "one whose parameters change"
+    )
 
 
 def write_fmu(model: Model, output: Path, *, windows: bool = False) -> dict[str, str]:

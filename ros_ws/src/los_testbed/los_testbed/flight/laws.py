@@ -22,7 +22,9 @@ from los_testbed.flight.tables import Tables
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.command_gate import CommandGate
-from titop_plant.interface import FORCES, MIRROR, STAGES
+from titop_plant.interface import FORCES, K_PMA_OUTPUTS, MIRROR, STAGES
+from titop_plant.telescope.actuators import reference_actuators
+from titop_plant.telescope.loop_ports import LoopPorts
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,10 @@ class FlightLaws:
     ----------
     k_fsm, k_pma : SampledSystem
         With the ports of the loop: a file that leaves sensors out has columns of zeros for them.
+    ports : LoopPorts
+        Sensors of K_FSM, whose values are the measurement; mirror and proof-mass actuators.
+    measured : slice
+        Columns of the inputs of K_PMA in the measurement.
     los_sensitivity : float
         Line of sight by an angle of the mirror, rad/rad.
     limits : ndarray, shape (8,)
@@ -45,6 +51,8 @@ class FlightLaws:
 
     k_fsm: SampledSystem
     k_pma: SampledSystem
+    ports: LoopPorts
+    measured: slice
     los_sensitivity: float
     limits: FloatArray
     hold_ticks: int
@@ -58,14 +66,32 @@ class FlightLaws:
         Raises
         ------
         ValueError
-            A proof-mass law that is no `SampledSystem`.
+            A proof-mass law that is no `SampledSystem`, that commands actuators beside the proof masses, or reads other
+            sensors than neighbouring ones of K_FSM with a sample at every tick.
         """
         if not isinstance(controller.k_pma, SampledSystem):
             raise InputError(f"k_pma must be a SampledSystem, got {type(controller.k_pma).__name__}")
+        mirror, *forces = reference_actuators(*controller.limits[[0, -1]].tolist())
+        ports = LoopPorts(estimator.ports.sensors, (mirror, *forces))
+        others = [row.port.name for row in controller.ports.actuators if row.port not in K_PMA_OUTPUTS]
+        if others:
+            raise InputError(
+                f"k_pma must command {K_PMA_OUTPUTS[0].name} alone in flight code, got {', '.join(others)}"
+            )
+        known = {row.name for row in ports.sensors}
+        apart = [row.name for row in controller.ports.sensors if row.name not in known or row.framed]
+        columns = None if apart else ports.measured_columns(row.port for row in controller.ports.sensors)
+        if not isinstance(columns, slice):
+            names = ", ".join(row.name for row in controller.ports.sensors)
+            raise InputError(
+                f"k_pma must read neighbouring sensors of k_fsm with a sample at every tick in flight code, got {names}"
+            )
         run = RunConfig()
         return cls(
             estimator.k_fsm,
             controller.k_pma,
+            ports,
+            columns,
             controller.los_sensitivity,
             controller.limits,
             run.hold_ticks,
@@ -75,13 +101,15 @@ class FlightLaws:
 
     def estimator(self) -> LosEstimator:
         """The observer of the testbed, at rest."""
-        return LosEstimator(replace(self.k_fsm))
+        return LosEstimator(replace(self.k_fsm), self.ports)
 
     def controller(self, stage: str = STAGES[-1]) -> FsmPmaController:
         """The controller of the testbed, at rest."""
         mirror, force = self.authority
+        read = tuple(row for row in self.ports.sensors if row.port in self.k_pma.inputs)
         return FsmPmaController(
             replace(self.k_pma),
+            LoopPorts(read, self.ports.actuators[1:]),
             stage,
             los_sensitivity=self.los_sensitivity,
             fsm_authority=mirror,
@@ -121,8 +149,8 @@ def laws_of(designs: str | None = None) -> FlightLaws:
     parts = RunParts(RunConfig.from_mapping({**of_designs(designs or ""), "loop": STAGES[-1]}))
     warnings = parts.check()
     models: Mapping[str, Any] = parts.models
-    controller = assemble_controller(models, parts.basis, STAGES[-1])
-    return FlightLaws.of(LosEstimator(models["k_fsm"]), controller, warnings)
+    controller = assemble_controller(models, parts.basis, STAGES[-1], parts.used["k_pma"])
+    return FlightLaws.of(LosEstimator(models["k_fsm"], parts.used["k_fsm"]), controller, warnings)
 
 
 def laws_of_bundle(path: Path) -> FlightLaws:
@@ -136,9 +164,11 @@ def laws_of_bundle(path: Path) -> FlightLaws:
     from los_design.verification.bundle import open_bundle
 
     with open_bundle(path) as bundle:
-        basis = bundle.telescope.design_basis
+        basis, rows = bundle.telescope.design_basis, bundle.telescope.loop_ports
         models = {"k_fsm": bundle.k_fsm, "k_pma": bundle.k_pma}
-        return FlightLaws.of(LosEstimator(bundle.k_fsm), assemble_controller(models, basis, STAGES[-1]))
+        observed, used = (rows.of_system(name, law) for name, law in models.items())
+        controller = assemble_controller(models, basis, STAGES[-1], used)
+        return FlightLaws.of(LosEstimator(bundle.k_fsm, observed), controller)
 
 
 def _step_matrix(law: SampledSystem) -> FloatArray:

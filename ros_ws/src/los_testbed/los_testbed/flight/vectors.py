@@ -11,10 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, IntArray
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.run.loop.command_gate import CommandGate
-from titop_plant.interface import COMMANDS, ESTIMATES, HELD, MEASUREMENTS, PLATFORM, STAGES, TICK_NS
+from titop_plant.interface import ESTIMATES, STAGES, TICK_NS
 
 SEED = 35
 CASE_TICKS = 12
@@ -69,31 +69,31 @@ class GateTick:
     applied: FloatArray
 
 
-def _ordinary(rng: np.random.Generator) -> FloatArray:
-    return 1e-3 * rng.uniform(-1.0, 1.0, (CASE_TICKS, MEASUREMENTS))
+def _ordinary(rng: np.random.Generator, width: int) -> FloatArray:
+    return 1e-3 * rng.uniform(-1.0, 1.0, (CASE_TICKS, width))
 
 
-def _to_the_limits(rng: np.random.Generator) -> FloatArray:
+def _to_the_limits(rng: np.random.Generator, width: int) -> FloatArray:
     """Twice the inputs in each tick: commands from well inside their limits to beyond them."""
     scale: FloatArray = np.ldexp(1e-5, np.arange(2 * CASE_TICKS))
-    return rng.uniform(-1.0, 1.0, (len(scale), MEASUREMENTS)) * scale[:, None]
+    return rng.uniform(-1.0, 1.0, (len(scale), width)) * scale[:, None]
 
 
-def _zeros(rng: np.random.Generator) -> FloatArray:
-    return np.where(rng.random((CASE_TICKS, MEASUREMENTS)) < 0.5, 0.0, -0.0)
+def _zeros(rng: np.random.Generator, width: int) -> FloatArray:
+    return np.where(rng.random((CASE_TICKS, width)) < 0.5, 0.0, -0.0)
 
 
-def _huge(rng: np.random.Generator) -> FloatArray:
-    return 1e300 * rng.uniform(-1.0, 1.0, (CASE_TICKS, MEASUREMENTS))
+def _huge(rng: np.random.Generator, width: int) -> FloatArray:
+    return 1e300 * rng.uniform(-1.0, 1.0, (CASE_TICKS, width))
 
 
-def _subnormal(rng: np.random.Generator) -> FloatArray:
-    return 5e-324 * rng.integers(-(1 << 40), 1 << 40, (CASE_TICKS, MEASUREMENTS)).astype(float)
+def _subnormal(rng: np.random.Generator, width: int) -> FloatArray:
+    return 5e-324 * rng.integers(-(1 << 40), 1 << 40, (CASE_TICKS, width)).astype(float)
 
 
-def magnitudes(rng: np.random.Generator, rows: int = CASE_TICKS) -> FloatArray:
-    """Inputs of all magnitudes, (rows, 22): subnormal numbers to 1e300, of both signs."""
-    size = rows, MEASUREMENTS
+def magnitudes(rng: np.random.Generator, width: int, rows: int = CASE_TICKS) -> FloatArray:
+    """Inputs of all magnitudes, (rows, width): subnormal numbers to 1e300, of both signs."""
+    size = rows, width
     values: FloatArray = np.ldexp(rng.uniform(1.0, 2.0, size), rng.integers(-1073, 997, size))
     values *= rng.choice([-1.0, 1.0], size)
     return values
@@ -112,24 +112,28 @@ CASES = MappingProxyType(
 """Inputs by name; the camera is absent in three ticks of four."""
 
 
-def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The measurements with a camera that begins late, is slower than the loop and loses parts of its frames."""
+def without_frames(measurement: FloatArray, held: IntArray, rng: np.random.Generator) -> FloatArray:
+    """The measurements with a camera that begins late, is slower than the loop and loses parts of its frames.
+
+    The columns `held` are those of sensors that may lack a sample.
+    """
     measured = measurement.copy()
     rows = np.arange(len(measured)) % FRAME != 1
-    measured[np.ix_(rows, HELD)] = np.nan
+    measured[np.ix_(rows, held)] = np.nan
     odd = np.flatnonzero(rows)[::2]
     partly = np.array([[1e-6, np.nan], [np.inf, 1e-6], [-np.inf, -1e-6]])
-    measured[np.ix_(odd, HELD[:2])] = rng.choice(partly, len(odd))
+    measured[np.ix_(odd, held[:2])] = rng.choice(partly, len(odd))
     return measured
 
 
 def law_ticks(laws: FlightLaws) -> Iterator[LawTick]:
     """Ticks of the laws of all :data:`CASES`, then of all stages one after the other."""
-    rng = np.random.default_rng(SEED)
-    inputs = [without_frames(make(rng), rng) for make in CASES.values()]
+    rng, width, held = np.random.default_rng(SEED), laws.ports.measurements, laws.ports.held
+    inputs = [without_frames(make(rng, width), held, rng) for make in CASES.values()]
     cases = [([len(STAGES) - 1] * len(measurement), measurement) for measurement in inputs]
     stages = [stage for stage in (3, 0, 1, 2, 3) for _ in range(3)]
-    cases.append((stages, without_frames(np.vstack([_ordinary(rng), _ordinary(rng)])[: len(stages)], rng)))
+    both = np.vstack([_ordinary(rng, width), _ordinary(rng, width)])
+    cases.append((stages, without_frames(both[: len(stages)], held, rng)))
     for stage, measurement in cases:
         estimate, command = run_laws(laws, measurement, stage)
         for row in range(len(stage)):
@@ -142,18 +146,18 @@ def run_laws(laws: FlightLaws, measurement: FloatArray, stages: list[int]) -> tu
     Parameters
     ----------
     laws : FlightLaws
-    measurement : ndarray, shape (n, 22)
+    measurement : ndarray, shape (n, m)
     stages : list of int
         Stage of each tick.
     """
     estimator, controller = laws.estimator(), laws.controller()
-    estimate, command = np.zeros((len(measurement), ESTIMATES)), np.zeros((len(measurement), COMMANDS))
+    estimate, command = np.zeros((len(measurement), ESTIMATES)), np.zeros((len(measurement), laws.ports.commands))
     with np.errstate(all="ignore"):
         for row, y in enumerate(measurement):
             if STAGES[stages[row]] != controller.loop:
                 controller.switch(STAGES[stages[row]])
             estimator.step(y, estimate[row])
-            controller.step(estimate[row], y[PLATFORM], command[row])
+            controller.step(estimate[row], y[laws.measured], command[row])
     return estimate, command
 
 

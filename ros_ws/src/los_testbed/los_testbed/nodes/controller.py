@@ -1,7 +1,4 @@
-"""Controller node: ``los_estimate`` and ``isolator/accel`` in, both command topics out.
-
-A law of the user takes in further sensors of the telescope's file, too, and commands further actuators.
-"""
+"""Controller node: ``los_estimate`` and the sensors of K_PMA in, such as ``isolator/accel``; command topics out."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config.plugins import made_by
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
+from los_testbed.config.topics import COMMAND_TOPICS, LOS_ESTIMATE, command_topics, sensor_topics
 from los_testbed.nodes.estimator import synchronizer_of
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -29,14 +26,12 @@ from los_testbed.run.identity import announced
 from los_testbed.run.loop.changes import appliers_of
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import DesignBasis
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore
 
 ESTIMATE = slice(0, LOS_ESTIMATE.size)
-ACCEL = slice(ESTIMATE.stop, ESTIMATE.stop + ISOLATOR_ACCEL.size)
-"""Columns of what this node takes in at a tick."""
+"""Columns of the estimate in what this node takes in at a tick; the sensors are behind it."""
 
 
 def main(
@@ -46,8 +41,7 @@ def main(
 
     def body(context: NodeContext) -> int:
         law = ControllerLaw(context, build)
-        platform, estimate = replace(ISOLATOR_ACCEL, columns=ACCEL), replace(LOS_ESTIMATE, columns=ESTIMATE)
-        topics = (platform, *(shifted(topic, ACCEL.stop) for topic in law.further), estimate)
+        topics = (*law.topics, replace(LOS_ESTIMATE, columns=ESTIMATE))
         return Follower(topics, synchronizer_of(context, topics, law.size), [law]).run()
 
     return run_node("controller", arguments, body)
@@ -64,11 +58,11 @@ class ControllerLaw:
 
     Attributes
     ----------
-    further : tuple of TopicDefinition
-        Further sensors that it reads after estimate and platform acceleration.
+    topics : tuple of TopicDefinition
+        Sensors that it reads, with the columns of its inputs.
     size : int
         Number of its inputs.
-    command : ndarray, shape (8 or more,)
+    command : ndarray, shape (u,)
         Its output [rad, N], the same array at every tick.
     digest : str
         By which the node announces it (:func:`los_testbed.run.identity.announced`).
@@ -82,23 +76,28 @@ class ControllerLaw:
         if not by_user:
             context.warn_alone(run.check())
         self.digest = "" if by_user else announced(run)["controller"]
-        ports = REFERENCE_PORTS if by_user else run.used["k_pma"]
+        ports = run.telescope_ports.used_by() if by_user else run.ports
+        used = run.telescope_ports.of_law("k_pma") if by_user else run.used["k_pma"]
         self._reset, control = watched(controller.reset, "reset"), watched(controller.step, "step")
-        self.further = sensor_topics(ports.further_sensors)
-        self.size = ACCEL.stop + sum(topic.size for topic in self.further)
+        first = ESTIMATE.stop
+        self.topics = tuple(
+            replace(topic, columns=slice(first + topic.columns.start, first + topic.columns.stop))
+            for topic in sensor_topics(used.sensors)
+        )
+        self.size = first + used.measurements
         self.command = np.zeros(ports.commands)
-        topics = (*actuator_topics(ports.further_actuators), *COMMANDS)  # the last ones close the tick
+        placed = [topic for topic in command_topics(ports.actuators) if topic not in COMMAND_TOPICS]
+        topics = (*placed, *COMMAND_TOPICS)  # the last ones close the tick
         self._outputs = [
             (RawPublisher(context.node, t.name, t.type_name), codec_for(t), self.command[t.columns]) for t in topics
         ]
         self._sample = np.zeros(self.size)
         self._estimate: FloatArray = np.zeros(0)
         self._columns: IntArray | None = None
-        slow = ACCEL.stop + np.flatnonzero([t.framed for t in self.further for _ in range(t.size)])
         self._step = GapStepper(
             lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out),
             self.size,
-            slow,
+            first + used.held,
             context.config.lost_samples,
         )
         self._fade = Fade(context.config.fade_ticks)

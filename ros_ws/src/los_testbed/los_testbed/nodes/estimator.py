@@ -20,7 +20,6 @@ from los_testbed.config.topics import (
     SENSORS,
     TopicDefinition,
     sensor_topics,
-    shifted,
 )
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -32,7 +31,7 @@ from los_testbed.run.loop.changes import appliers_of
 from los_testbed.run.loop.slow_sensor import SlowSensor
 from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from pointing_analysis.replay.gap_stepping import GapStepper
-from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS, TICK_NS
+from titop_plant.interface import ESTIMATES, TICK_NS
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import EstimatorCore
@@ -43,9 +42,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
 
     def body(context: NodeContext) -> int:
         law = EstimatorLaw(context, build)
-        # those of every tick before the one that wakes this node
-        further = (shifted(topic, MEASUREMENTS) for topic in law.further)
-        topics: tuple[TopicDefinition, ...] = (*SENSORS[:-1], *further, SENSORS[-1])
+        topics = sorted(law.topics, key=lambda topic: topic.name == SENSORS[-1].name)  # the last one wakes this node
         return Follower(topics, synchronizer_of(context, topics, law.size), [law]).run()
 
     return run_node("estimator", arguments, body)
@@ -64,8 +61,8 @@ class EstimatorLaw:
 
     Attributes
     ----------
-    further : tuple of TopicDefinition
-        Further sensors that it reads after the measurement.
+    topics : tuple of TopicDefinition
+        Sensors that it reads, with the columns of its inputs.
     size : int
         Number of its inputs.
     los : ndarray, shape (2,)
@@ -81,8 +78,8 @@ class EstimatorLaw:
         estimator = made_by(build, parts.config, "estimator") if by_user else build(context.config)
         self._reset = watched(estimator.reset, "reset")
         self.digest = "" if by_user else announced(parts)["estimator"]
-        self.further = () if by_user else sensor_topics(parts.used["k_fsm"].further_sensors)
-        self.size = MEASUREMENTS + sum(topic.size for topic in self.further)
+        ports = parts.telescope_ports.of_law("k_fsm") if by_user else parts.used["k_fsm"]
+        self.topics, self.size = sensor_topics(ports.sensors), ports.measurements
         self.columns: IntArray | None = None
         self.los = np.zeros(ESTIMATES)
         self._sample = np.zeros(self.size)
@@ -90,8 +87,8 @@ class EstimatorLaw:
         self._publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         self._fade = Fade(context.config.fade_ticks)
         self.changes = context.allow_changes(appliers_of(estimator, self._fade))
-        slow = HELD if by_user else parts.used["k_fsm"].held
-        self._step = GapStepper(watched(estimator.step, "step"), self.size, slow, context.config.lost_samples)
+        step = watched(estimator.step, "step")
+        self._step = GapStepper(step, self.size, ports.held, context.config.lost_samples)
 
     def reset(self) -> None:
         """Back to the start of the run."""

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lftkit.arrays import IntArray
-from los_testbed.config.topics import ISOLATOR_ACCEL, TopicDefinition
+from los_testbed.config.topics import TopicDefinition
 from los_testbed.nodes.controller import ControllerLaw
 from los_testbed.nodes.estimator import EstimatorLaw, slow_sensor
 from los_testbed.nodes.support.follower import Follower
@@ -21,7 +21,6 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.bundle import TickBundle, command_bundle, measurement_bundle
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
-from titop_plant.interface import MEASUREMENTS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,9 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bundle = measurement_bundle(parts)
             estimator, controller = EstimatorLaw(context), ControllerLaw(beside)
             columns = {topic.name: np.arange(topic.columns.start, topic.columns.stop) for topic in bundle.topics}
-            estimator.columns = np.concatenate([np.arange(MEASUREMENTS), _of(estimator.further, columns)])
-            used = _of((ISOLATOR_ACCEL, *controller.further), columns)
-            controller.compose(estimator.los, used, command_bundle(parts))
+            estimator.columns = _of(estimator.topics, columns)
+            controller.compose(estimator.los, _of(controller.topics, columns), command_bundle(parts))
             return Follower([bundle], _synchronizer(context, bundle), [estimator, controller]).run()
         finally:
             beside.close()

@@ -23,7 +23,7 @@ from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
 from los_testbed.config.plugins import RAISED, in_one_line, made_by
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
+from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.nodes.support.exercise import exercise
 from los_testbed.nodes.support.follower import SERVICE_NS
 from los_testbed.nodes.support.handshake import OtherPlants, wait_for_followers
@@ -37,7 +37,7 @@ from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
 from los_testbed.parts.user_blocks import BlockFailedError, beyond, watched
 from los_testbed.run.identity import DIGEST, announced
 from los_testbed.run.loop.changes import NAMES, RESET, STOP, Apply
-from los_testbed.run.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
+from los_testbed.run.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start
 from los_testbed.run.loop.compiled_loop import compile_telescope
 from los_testbed.run.loop.contract import RunFailedError, check_plant
 from los_testbed.run.loop.health import ERROR, OK, WARN, LoopHealth
@@ -47,7 +47,7 @@ from los_testbed.run.results import Exercised, RunError, check_missed, in_statis
 from pointing_analysis.command.exit_codes import ExitCode
 from pointing_analysis.read.run_end import AFTER, OUTSIDE, PLANNED, missed_share
 from pointing_analysis.read.unsent import UNSENT
-from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
+from titop_plant.interface import RATE, TICK_NS, TRUTH
 
 RING = 64
 
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], St
         parts = RunParts(context.config)
         plant = made_by(build, parts.config, "plant") if by_user else parts.plant()
         if by_user or context.config.plant:
-            check_plant(plant)
+            check_plant(plant, parts.ports)
         if not by_user:
             command = parts.start.command
         elif context.config.start != "rest":
@@ -106,7 +106,7 @@ class PlantLoop:
         The node.
     plant : SteppedPlant
         The simulated telescope.
-    first_command : ndarray, shape (8,), optional
+    first_command : ndarray, optional
         Command that the first tick applies [rad, N]; default: zero.
     digest : str
         By which the node announces the plant (:func:`los_testbed.run.identity.announced`); of another one empty.
@@ -123,13 +123,11 @@ class PlantLoop:
         self._pacer = LockstepPacer(context, self.io) if context.config.mode == "lockstep" else None
         self._begin_counts()
         self._woke = [0] * RING
-        self._command = np.zeros(self.io.command_size)
-        self._measurement = np.zeros(MEASUREMENTS)
+        self._command = np.zeros(self.io.ports.commands)
+        self._measurement = np.zeros(self.io.ports.measurements)
         self._truth = np.zeros(TRUTH)
         self._camera = image_camera_of(plant)
-        self._further = {READINGS: readings_of(plant)}
-        if self._camera is not None:
-            self._further[IMAGE_VECTOR] = self._camera.image.ravel()
+        self._image = None if self._camera is None else self._camera.image.ravel()
         change = getattr(plant, "change", None)
         appliers: dict[str, Apply] = {STOP: context.end, RESET: self._ask_again}
         if change is not None:
@@ -334,7 +332,7 @@ class PlantLoop:
                 changes.advance(changes.now)
             io.apply(now, command)
             self.plant.step(command, self._measurement, self._truth)
-            io.pack(now, self._measurement, self._further)
+            io.pack(now, self._measurement)
         except BlockFailedError:  # its message has the cause
             raise
         except RAISED as error:
@@ -342,7 +340,7 @@ class PlantLoop:
 
     def _publish(self, now: int) -> None:
         """Sensors and truth of a tick."""
-        self.io.publish(now, self._measurement, self._truth, self._further)
+        self.io.publish(now, self._measurement, self._truth, self._image)
         self.ticks += 1
         self._count_sent()
 

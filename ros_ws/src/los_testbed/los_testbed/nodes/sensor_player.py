@@ -22,11 +22,10 @@ from los_testbed.config.topics import (
     IMAGE_NAME,
     LOS_ESTIMATE,
     PMA_COMMAND,
-    READINGS,
     SENSORS,
     TRUTH_LOS,
     TopicDefinition,
-    further_topics,
+    placed_topics,
 )
 from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
@@ -121,8 +120,11 @@ class _Player:
     """Publishers of the sensors, subscriptions of the answers."""
 
     def __init__(self, context: NodeContext, run: Run, others: OtherPlants) -> None:
-        further = further_topics({name: run[name].values.shape[1] for name in run.topics})
-        placed = [topic for topic in further if topic.vector == READINGS]
+        placed = [
+            topic
+            for topic in placed_topics({name: run[name].values.shape[1] for name in run.topics})
+            if topic.publisher == "plant"
+        ]
         topics = [topic for topic in (*placed, *SENSORS, TRUTH_LOS) if topic.name in run]
         self.context = context
         self._others = others

@@ -10,7 +10,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.user_blocks import UserBlock
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.loop_ports import LoopPorts
 
 
 def compare_with_telescope(
@@ -35,8 +35,9 @@ def assemble_controller(
     controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw],
     telescope: DesignBasis,
     loop: str,
+    ports: LoopPorts,
+    *,
     fade_ticks: int = FADE_TICKS,
-    ports: LoopPorts = REFERENCE_PORTS,
 ) -> FsmPmaController:
     """Mirror and proof-mass laws.
 
@@ -48,10 +49,10 @@ def assemble_controller(
         With the limits of the run; its sensitivity counts where the file of K_FSM says none.
     loop : str
         Stage.
-    fade_ticks : int
-        Length of the fade after a change of the stage.
     ports : LoopPorts
         Rows that ``k_pma`` uses.
+    fade_ticks : int
+        Length of the fade after a change of the stage.
 
     Raises
     ------
@@ -62,11 +63,10 @@ def assemble_controller(
     mirror, force = telescope.authority
     return FsmPmaController(
         controllers["k_pma"],
+        ports,
         loop,
         los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
         fsm_authority=mirror,
         pma_authority=force,
-        sensors=ports.further_sensors,
-        actuators=ports.further_actuators,
         fade_ticks=fade_ticks,
     )

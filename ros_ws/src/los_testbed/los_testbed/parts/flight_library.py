@@ -16,23 +16,12 @@ from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import SYSTEM
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from titop_plant.interface import (
-    DT,
-    ESTIMATES,
-    FORCES,
-    HELD,
-    K_FSM_INPUTS,
-    K_FSM_OUTPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MEASUREMENTS,
-    PLATFORM,
-)
+from titop_plant.interface import DT, HELD, LAW_PORTS
 
 SIZES: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
-        "k_fsm": (MEASUREMENTS, HELD.size, ESTIMATES),
-        "k_pma": (PLATFORM.stop - PLATFORM.start, FORCES.stop - FORCES.start),
+        name: (total_size(inputs), *([HELD.size] if name == "k_fsm" else []), total_size(outputs))
+        for name, (inputs, outputs) in LAW_PORTS.items()
     }
 )
 """Entries after the order in ``los_k_fsm_sizes`` and ``los_k_pma_sizes``: inputs, held values, outputs."""
@@ -78,7 +67,7 @@ class LibraryLaw:
         self._self = np.zeros(self.order + sum(sizes[:-1]))
         self._held = tuple(np.zeros(size) for size in sizes[1:-1])
         self._start = np.zeros(self.order)
-        self._inputs, self._outputs = sizes[0], tuple(K_FSM_OUTPUTS if self._held else K_PMA_OUTPUTS)
+        (self._inputs, self._outputs), self._size = LAW_PORTS[setting], sizes[0]
         getattr(self._library, f"{prefix}_init")(_pointer(self._self))
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
@@ -103,16 +92,16 @@ class LibraryLaw:
         """Its sampled system, identified by one tick from each unit state and with each unit input."""
         n = self.order
         columns = []
-        for j in range(n + self._inputs):
-            unit = np.zeros(n + self._inputs)
+        for j in range(n + self._size):
+            unit = np.zeros(n + self._size)
             unit[j], out = 1.0, np.zeros(total_size(self._outputs))
             self.reset(unit[:n], *(np.zeros(h.size) for h in self._held))
             self.step(unit[n:], out)
             columns.append(np.concatenate([self._self[:n], out]))
         self.reset()
-        whole = np.array(columns).T.reshape(n + total_size(self._outputs), n + self._inputs)
-        ports = tuple(K_FSM_INPUTS if self._held else K_PMA_INPUTS), self._outputs
-        return SampledSystem(whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], *ports, DT)
+        whole = np.array(columns).T.reshape(n + total_size(self._outputs), n + self._size)
+        matrices = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+        return SampledSystem(*matrices, self._inputs, self._outputs, DT)
 
     def step(self, values: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick; `values` are the measurement, or the accelerations of the platform."""

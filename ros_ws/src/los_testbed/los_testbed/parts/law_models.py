@@ -12,8 +12,9 @@ from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from titop_plant.interface import DT, HELD, K_FSM_INPUTS
-from titop_plant.sensors import Sensor
+from titop_plant.interface import DT, K_FSM_OUTPUTS
+from titop_plant.sensors import CAMERA_PORT
+from titop_plant.telescope.loop_ports import LoopPorts
 
 TICKS, FRAME = 45, 20
 """Ticks for which a class is compared with its model, and those of a frame of the camera within them."""
@@ -26,6 +27,7 @@ def element(ports: Iterable[Port], where: BoolArray) -> str:
 
     Examples
     --------
+    >>> from titop_plant.interface import K_FSM_INPUTS
     >>> element(K_FSM_INPUTS, np.arange(22) == 8)
     'accel_M1[2]'
     """
@@ -54,12 +56,9 @@ def told_model(block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> S
     return model
 
 
-def observes(inputs: Sequence[Port]) -> bool:
-    """Whether these are the inputs of an observer, whose camera is held between its frames."""
-    return tuple(inputs[: len(K_FSM_INPUTS)]) == K_FSM_INPUTS
-
-
-def difference(reset: Callable[..., None], step: Callable[..., None], model: SampledSystem) -> str:
+def difference(
+    reset: Callable[..., None], step: Callable[..., None], model: SampledSystem, ports: LoopPorts | None
+) -> str:
     """First difference of a block and its model from a random state under small random inputs; empty without one.
 
     Parameters
@@ -70,18 +69,20 @@ def difference(reset: Callable[..., None], step: Callable[..., None], model: Sam
         Of the block: input and output.
     model : SampledSystem
         With the ports of the block.
+    ports : LoopPorts, optional
+        Rows of an observer.
     """
     rng = np.random.default_rng(1)
-    state, held = (SIZE * rng.standard_normal(n) for n in (model.order, HELD.size))
+    camera = [port.size for port in model.inputs if port.name == CAMERA_PORT]
+    state, held = (SIZE * rng.standard_normal(n) for n in (model.order, sum(camera)))
     values = SIZE * rng.standard_normal((TICKS, total_size(model.inputs)))
-    if observes(model.inputs):
-        further = model.inputs[len(K_FSM_INPUTS) :]
-        observer = LosEstimator(model, [Sensor(port, *np.zeros((2, port.size))) for port in further])
+    if ports is not None and model.outputs == K_FSM_OUTPUTS:
+        observer = LosEstimator(model, ports)
         observer.start_at(state, held)
         observer.reset()
         reset(state, held)
         model_step: Callable[[FloatArray, FloatArray], None] = observer.step
-        values[np.ix_(np.arange(TICKS) % FRAME != FRAME // 2, HELD)] = np.nan
+        values[np.ix_(np.arange(TICKS) % FRAME != FRAME // 2, np.r_[port_slices(model.inputs)[CAMERA_PORT]])] = np.nan
     else:
         law = replace(model)
         law.reset(state)

@@ -18,23 +18,23 @@ import los_estimator
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.errors import InputError
 from lftkit.support.threads import one_thread
+from lftkit.systems.ports import total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config.members import check_ranges
 from los_testbed.config.plugins import RAISED, in_one_line, make
 from los_testbed.config.run_config import RunConfig, is_code
 from los_testbed.config.run_settings import with_scenario
-from los_testbed.config.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
+from los_testbed.config.topics import TOPICS, TopicDefinition, command_topics, image_topic, sensor_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.image_camera import ImageCamera
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
-from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, make_law, read_law, with_further_ports
+from los_testbed.parts.user_blocks import UserBlock, make_disturbance, make_law, read_law, with_loop_ports
 from titop_plant.interface import (
-    COMMANDS,
-    ESTIMATES,
+    COMMANDED,
     FORCE_STAGES,
-    FORCES,
+    LAW_PORTS,
     MIRROR_STAGES,
     DesignBasis,
     design_warnings,
@@ -44,7 +44,6 @@ from titop_plant.simulation.plant_config import PlantConfig, motion
 from titop_plant.telescope.guide_camera import star_camera
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import LoopPorts
-from titop_plant.telescope.placed.readings import SensorReadings
 
 if TYPE_CHECKING:
     from los_loop.implemented_loop import ImplementedLoop
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
     from titop_plant.disturbances.sources import PlacedSource
     from titop_plant.simulation.build import PlantFamily
     from titop_plant.simulation.plant import Plant
+    from titop_plant.telescope.actuators import Actuator
     from titop_plant.telescope.telescope import Telescope
 
 
@@ -136,7 +136,7 @@ class RunParts:
         """Names of the controllers in user code."""
         if self.recorded is not None:
             return {}
-        named = {name: text for name in LAWS if (text := getattr(self.config, name))}
+        named = {name: text for name in LAW_PORTS if (text := getattr(self.config, name))}
         return {name: text for name, text in named.items() if is_code(text)}
 
     @cached_property
@@ -166,10 +166,10 @@ class RunParts:
 
     def _law(self, name: str) -> SampledSystem | UserBlock:
         if name in self.code:
-            return make_law(self.config, name, self.ports)
+            return make_law(self.config, name, self.telescope_ports)
         known = self.recorded
         law = read_law(name, self.files[name], self.config.ports_in_order) if known is None else known[name]
-        return with_further_ports(name, str(self.files[name]), law, self.ports)
+        return with_loop_ports(name, str(self.files[name]), law, self.telescope_ports)
 
     @property
     def controllers(self) -> dict[str, SampledSystem | UserBlock]:
@@ -229,8 +229,8 @@ class RunParts:
 
     def find_start(self, laws: Mapping[str, SampledSystem], tone: WorstTone | None = None) -> RunStart:
         """Tone and states of the loop with these controllers, see :func:`los_testbed.parts.start.find_run_start`."""
-        family, ports = self._loop_with(laws)
-        return find_run_start(self.config, family, self.settings, laws, self.basis.authority, ports, tone)
+        family = self._loop_with(laws)
+        return find_run_start(self.config, family, self.settings, laws, self.basis.authority, tone)
 
     def _start_without_model(self) -> RunStart:
         """The tone that is worst without the controllers, and the telescope's steady state without them."""
@@ -240,8 +240,7 @@ class RunParts:
         if config.start == "rest" or alone.states is None:
             return alone
         sizes = (law.order for law in (self.k_fsm, self.k_pma))
-        actuators = len(self._used("k_pma").further_actuators)
-        still = [np.zeros(n) for n in (alone.states.command.size + actuators, *sizes, alone.states.camera.size)]
+        still = [np.zeros(n) for n in (self.ports.commands, *sizes, alone.states.camera.size)]
         states = replace(alone.states, **dict(zip(("command", "k_fsm", "k_pma", "camera"), still)))
         unknown = [text for name, text in self.code.items() if self.model_of(name) is None]
         note = SWITCHED_ON.format(" and ".join(unknown)) + (TONE_WITHOUT.format(opened) if alone.tone else "")
@@ -256,15 +255,16 @@ class RunParts:
     @property
     def linear(self) -> dict[str, SampledSystem] | None:
         """Both controllers as linear systems; None where one of them is code without a model."""
-        laws = {name: self.model_of(name) for name in LAWS}
+        laws = {name: self.model_of(name) for name in LAW_PORTS}
         models = {name: law for name, law in laws.items() if law is not None}
         return models if len(models) == len(laws) else None
 
-    def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, LoopPorts]:
-        """Telescopes for the loop with these controllers, and the rows that it has."""
-        used, k_pma = self.ports.used_by(*laws.values()), laws["k_pma"]
-        driven = self.ports.among(k_pma.inputs, k_pma.outputs)
-        return self.sensed_family if used.further_sensors else self.family, replace(driven, sensors=used.sensors)
+    def _loop_with(self, laws: Mapping[str, SampledSystem]) -> PlantFamily:
+        """Telescopes in the loop with these controllers."""
+        rows = self.telescope_ports
+        return self.family.with_ports(
+            LoopPorts(rows.used_by(*laws.values()).sensors, self._commanded(rows.of_system("k_pma", laws["k_pma"])))
+        )
 
     @cached_property
     def physical(self) -> PlantConfig:
@@ -281,14 +281,14 @@ class RunParts:
             made for another sensitivity of the mirror; user code that violates its contract.
         """
         if isinstance(self.k_fsm, SampledSystem):
-            LosEstimator(self.k_fsm, self._used("k_fsm").further_sensors)
+            LosEstimator(self.k_fsm, self.used["k_fsm"])
         self.control_law()
         self._check_commanded()
         return (*self.compare(), *([self.idle_devices] if self.idle_devices else []))
 
     def _check_commanded(self) -> None:
         """Reject an actuator that a source drives and a controller commands."""
-        commanded = [row.name for row in self._used("k_pma").further_actuators]
+        commanded = [row.name for row in self.ports.actuators if row.mount is not None]
         for source in self.sources if commanded else ():
             if source.place in commanded:
                 raise InputError(
@@ -302,13 +302,15 @@ class RunParts:
 
     @property
     def idle_devices(self) -> str:
-        """A line on further sensors that no controller reads and actuators that nothing drives, if any.
+        """A line on sensors that no controller reads and actuators that nothing drives, if any.
 
         Actuators of the loop are those of the stage; of a controller without a model it is not known what it drives.
         """
-        used = [port.name for name, ports in self.used.items() if self.acts(name) for port in ports.further]
-        sources = [source.place for source in self.sources] if self.ports.further_actuators else []
-        idle, loop = self.ports.idle([*used, *sources]), self.config.loop
+        acting = [ports for name, ports in self.used.items() if self.acts(name)]
+        used = [port.name for ports in acting for port in (*ports.measured, *ports.commanded)]
+        rows = self.telescope_ports
+        sources = [source.place for source in self.sources] if any(row.mount for row in rows.actuators) else []
+        idle, loop = rows.idle([*used, *sources]), self.config.loop
         driven = {"mirror": ("k_fsm", MIRROR_STAGES), "proof-mass actuators": ("k_pma", FORCE_STAGES)}
         still = [what for what, (name, stages) in driven.items() if loop in stages and self._drives_nothing(name)]
         lines = [f"in the stage {loop} nothing drives the {' and the '.join(still)}"] if still else []
@@ -316,8 +318,7 @@ class RunParts:
 
     def _drives_nothing(self, name: str) -> bool:
         """Whether the outputs of a controller to the loop are zero whatever it measures."""
-        law = self.model_of(name)
-        size = {"k_fsm": ESTIMATES, "k_pma": COMMANDS - FORCES.start}[name]
+        law, size = self.model_of(name), total_size(LAW_PORTS[name][1])
         return law is not None and not (law.C[:size].any() or law.D[:size].any())
 
     @property
@@ -328,8 +329,8 @@ class RunParts:
     def estimator(self) -> LosEstimator | UserBlock:
         """Observer; its reset leads to the start of the run. ValueError as :meth:`check`, for K_FSM."""
         design_warnings([self.k_fsm], self.basis, closed=self.config.loop in MIRROR_STAGES)
-        law, sensors = self.k_fsm, self._used("k_fsm").further_sensors
-        estimator = law if isinstance(law, UserBlock) else LosEstimator(law, sensors)
+        law = self.k_fsm
+        estimator = law if isinstance(law, UserBlock) else LosEstimator(law, self.used["k_fsm"])
         if self.states is not None:
             estimator.start_at(self.states.k_fsm, self.states.camera)
         return estimator
@@ -349,16 +350,16 @@ class RunParts:
         """Mirror and proof-mass laws at rest; ValueError as :meth:`check`."""
         config = self.config
         return assemble_controller(
-            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
+            self.controllers, self.basis, config.loop, self.used["k_pma"], fade_ticks=config.fade_ticks
         )
 
-    def plant(self, *, readings: bool = True) -> SteppedPlant:
+    def plant(self, *, recorded: bool = True) -> SteppedPlant:
         """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.
 
         Parameters
         ----------
-        readings : bool
-            Whether further sensors that no controller uses are simulated, too, for a record.
+        recorded : bool
+            Whether sensors that no controller uses are simulated, too, for a record.
 
         Raises
         ------
@@ -371,71 +372,59 @@ class RunParts:
             return _user_plant(config)
         with one_thread():  # of all parts: their bits depend on the number of threads
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
-            telescope = (self.sensed_family if readings else self.loop_family).build(self.physical, state)
+            family = self.family.with_ports(self.ports if recorded else self.loop_ports)
+            telescope = family.build(self.physical, state)
             source = config.disturbance_source if config.disturbance else None
-            driven = telescope if source is None else self._driven(telescope, source)
-            return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
+            driven = telescope if source is None else self._driven(telescope, source, family)
+            return self._with_images(self._with_limits(self.with_sources(driven, family), family.ports))
 
     @cached_property
-    def sensed_family(self) -> PlantFamily:
-        """The family with the values of the further sensors of this run."""
-        return self.family.sensed if self.ports.further_sensors else self.family
+    def telescope_ports(self) -> LoopPorts:
+        """Rows of the telescope, at the run's frame rate; of another plant those of the stored laws."""
+        rows = self.sampled_telescope.loop_ports
+        return rows.used_by() if self.config.other_plant else rows
+
+    @cached_property
+    def used(self) -> dict[str, LoopPorts]:
+        """Rows that ``k_fsm`` and ``k_pma`` use."""
+        rows = self.telescope_ports
+        return {
+            name: law.ports if isinstance(law, UserBlock) and law.ports else rows.of_system(name, law)
+            for name, law in self.controllers.items()
+        }
 
     @cached_property
     def ports(self) -> LoopPorts:
-        """Sensors and actuators as rows of the loop, at the run's frame rate; of another plant the reference's."""
-        rows = self.sampled_telescope.loop_ports
-        return rows.reference if self.config.other_plant else rows
-
-    def _used(self, name: str) -> LoopPorts:
-        """Rows that a controller uses."""
-        law = getattr(self, name)
-        return law.ports if isinstance(law, UserBlock) else self.ports.among(law.inputs, law.outputs)
+        """Rows of the run: all sensors of the telescope, the mirror and what ``k_pma`` commands."""
+        return LoopPorts(self.telescope_ports.sensors, self._commanded(self.used["k_pma"]))
 
     @property
-    def used(self) -> dict[str, LoopPorts]:
-        """Rows that ``k_fsm`` and ``k_pma`` use: those of the reference, then those that each of them names."""
-        return {name: self._used(name) for name in LAWS}
+    def loop_family(self) -> PlantFamily:
+        """The telescopes with the rows of `loop_ports`."""
+        return self.family.with_ports(self.loop_ports)
+
+    @cached_property
+    def loop_ports(self) -> LoopPorts:
+        """Rows of the run without the sensors that no controller reads."""
+        read = {row.name for ports in self.used.values() for row in ports.sensors}
+        return replace(self.ports, sensors=tuple(row for row in self.ports.sensors if row.name in read))
+
+    def _commanded(self, k_pma: LoopPorts) -> tuple[Actuator, ...]:
+        """Actuators of a loop in the order of its command: the mirror, then those of ``k_pma``."""
+        mirror = [row for row in self.telescope_ports.actuators if row.name == COMMANDED[0]]
+        return (*mirror, *k_pma.actuators)
 
     def acts(self, name: str) -> bool:
         """Whether what a controller computes is used in the stage: estimates always, as they are recorded."""
         return name == "k_fsm" or self.config.loop in FORCE_STAGES
 
-    @property
-    def uses_devices(self) -> bool:
-        """Whether a controller uses further sensors or actuators."""
-        return any(ports.further for ports in self.used.values())
-
-    @property
-    def loop_family(self) -> PlantFamily:
-        """The family with what the controllers use: the values of further sensors only where one of them does."""
-        return self.sensed_family if self.uses_devices else self.family
-
-    def _family_of(self, plant: Plant) -> PlantFamily:
-        """The family that a plant was built from."""
-        return self.sensed_family if plant.sensed.size else self.family
-
-    def with_devices(self, plant: Plant) -> Plant:
-        """The telescope with the actuators that the controller commands, and the readings of its further sensors."""
-        actuators = self._used("k_pma").further_actuators
-        if actuators:
-            from titop_plant.simulation.driven_plant import ActuatorInput, held_forces
-
-            with one_thread():
-                held = held_forces(self._family_of(plant), self.settings, actuators, plant.dt)
-                plant = replace(plant, inputs=(*plant.inputs, ActuatorInput(held, actuators)))
-        if plant.sensed.size:
-            sensors = self.telescope.placed_sensors
-            plant = replace(plant, further_sensors=SensorReadings(sensors, self.config.seed, self.config.noise))
-        return plant
-
-    def _with_limits(self, plant: Plant) -> Plant:
+    def _with_limits(self, plant: Plant, ports: LoopPorts) -> Plant:
         """The telescope with limits of its devices, if configured."""
         if not self.config.nonlinear:
             return plant
         from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
 
-        devices = LimitedDevices(DeviceLimits(), self.telescope.pma, plant.limits, plant.dt)
+        devices = LimitedDevices(DeviceLimits(), self.telescope.pma, ports, plant.dt)
         return replace(plant, devices=devices)
 
     def _with_images(self, plant: Plant) -> Plant:
@@ -458,9 +447,9 @@ class RunParts:
         """Topics of the run, those of the loop first."""
         camera = self.star_camera
         images = () if camera is None else (image_topic(camera.camera.window),)
-        actuators = self._used("k_pma").further_actuators
-        further = *sensor_topics(self.ports.further_sensors), *actuator_topics(actuators)
-        return (*TOPICS, *further, *images)
+        known = {topic.name for topic in TOPICS}
+        every = (*sensor_topics(self.ports.sensors), *command_topics(self.ports.actuators))
+        return (*TOPICS, *(topic for topic in every if topic.name not in known), *images)
 
     def disturbance(self) -> UserBlock:
         """Disturbance of the user; ValueError: it cannot be made, or breaks the contract."""
@@ -468,18 +457,18 @@ class RunParts:
 
         return make_disturbance(self.config, driven_ports(self.telescope))
 
-    def _driven(self, plant: Plant, source: str) -> Plant:
+    def _driven(self, plant: Plant, source: str, family: PlantFamily) -> Plant:
         """The telescope under the disturbance of the user."""
         from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance
 
         disturbance = self.disturbance()
         disturbance.reset()
         with one_thread():
-            held = held_disturbance(self.sensed_family, self.physical, plant.dt)
+            held = held_disturbance(family, self.physical, plant.dt)
             return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, disturbance, source)))
 
-    def with_sources(self, plant: Plant) -> Plant:
-        """The telescope under the sources of files, where there are any."""
+    def with_sources(self, plant: Plant, family: PlantFamily) -> Plant:
+        """A telescope of a family under the sources of files, where there are any."""
         if not self.sources:
             return plant
         from titop_plant.disturbances.sources import Sources
@@ -488,7 +477,7 @@ class RunParts:
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
         with one_thread():
-            held = source_matrix(self._family_of(plant), self.physical, self.sources, plant.dt)
+            held = source_matrix(family, self.physical, self.sources, plant.dt)
             return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, drive, name)))
 
     @cached_property
@@ -546,13 +535,9 @@ class RunParts:
         from titop_plant.telescope.control_plant import loop_plant
 
         laws, telescope = self.models, self.telescope
-        ports = self.ports.used_by(*laws.values())
+        ports = self.telescope_ports.used_by(*laws.values())
         with one_thread():
-            plant = (
-                loop_plant(telescope, ports, isolated=self.family.isolated)
-                if ports.further
-                else self.family.control_loop
-            )
+            plant = loop_plant(telescope, ports, isolated=self.family.isolated)
             # parameters with values have no channels of Delta, which would be closed at each frequency
             open_loop = OpenLoop(plant.substituted(self.family.known(values or {})), telescope, ports=ports)
             return ImplementedLoop(open_loop, laws["k_fsm"], laws["k_pma"], self.config.loop)
@@ -570,16 +555,14 @@ class RunParts:
 
         loop, steady = self.config.loop, self.start.states is not None
         with one_thread():
-            family, ports = self._loop_with(self.models)
             return ToneModel.of(
-                family,
+                self._loop_with(self.models),
                 self.physical,
                 self.models,
                 loop=loop,
                 authority=self.basis.authority,
                 steady=steady,
                 delays=delays or NONE,
-                ports=ports,
             )
 
 

@@ -15,8 +15,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lftkit.arrays import FloatArray
 from lftkit.errors import InputError
 from lftkit.support.structured_text import load_json
@@ -24,7 +22,6 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config.run_config import RunConfig
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
@@ -115,7 +112,7 @@ class RunStart:
 
     @property
     def command(self) -> FloatArray | None:
-        """Command (8 + further actuators,) that the first tick applies [rad, N]; None: zero."""
+        """Command that the first tick applies [rad, N]; None: zero."""
         return None if self.states is None else self.states.command
 
     def tones(self) -> tuple[tuple[float, ...], ...]:
@@ -163,7 +160,6 @@ def find_run_start(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
-    ports: LoopPorts = REFERENCE_PORTS,
     tone: WorstTone | None = None,
 ) -> RunStart:
     """Tone and states of a run; the last result is cached.
@@ -176,21 +172,19 @@ def find_run_start(
     config : RunConfig
         Its stage, start, duration and what the tone is worst for count.
     family : PlantFamily
-        Of the telescope.
+        Of the telescope, with the sensors and actuators of the loop.
     settings : PlantConfig
         Member of the family and its disturbance; in the scenario worst_case without disturbance.
     controllers : mapping
         ``k_fsm`` and ``k_pma``.
     authority : (float, float)
         Largest commands of the run: mirror [rad], actuators [N].
-    ports : LoopPorts
-        Rows that the loop has, see :meth:`los_loop.tone_model.ToneModel.of`.
     tone : WorstTone, optional
         Instead of the worst one, of a run whose disturbance is such a tone.
     """
     if tone is not None and needs_tone(config):
         with one_thread():
-            return _computed(config, family, settings, controllers, authority, ports, tone)
+            return _computed(config, family, settings, controllers, authority, tone)
     chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
     digest = hashlib.sha256()
     for name in ("k_fsm", "k_pma"):
@@ -198,13 +192,14 @@ def find_run_start(
         for matrix in (system.A, system.B, system.C, system.D):
             digest.update(matrix.tobytes())
         digest.update(json.dumps(dict(system.design_basis), sort_keys=True).encode())
-    rows = [(row.name, row.ticks, row.bias.tolist(), row.mount and row.mount.key) for row in ports.further_sensors]
-    key = f"{chosen} {family.name(settings)} {digest.hexdigest()} {ports.further_actuators} {rows}"
+    ports = family.ports
+    rows = [(r.name, r.source, r.ticks, r.bias.tolist(), r.mount and r.mount.key) for r in ports.sensors]
+    key = f"{chosen} {family.name(settings)} {digest.hexdigest()} {ports.actuators} {rows}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]
         with one_thread():
-            _found[key] = _computed(config, family, settings, controllers, authority, ports)
+            _found[key] = _computed(config, family, settings, controllers, authority)
     return _found[key]
 
 
@@ -219,14 +214,13 @@ def _computed(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
-    ports: LoopPorts,
     tone: WorstTone | None = None,
 ) -> RunStart:
     from los_loop.steady_state import steady_start
     from los_loop.tone_model import ToneModel
 
     notes: list[str] = []
-    model = partial(ToneModel.of, family, controllers=controllers, authority=authority, ports=ports)
+    model = partial(ToneModel.of, family, controllers=controllers, authority=authority)
     loop = cache(partial(model, settings))
     if tone is None and needs_tone(config):
         tone = _tone(config, family, loop, notes)
@@ -237,11 +231,7 @@ def _computed(
             closed = closed.with_tones(family.tones(with_tones(settings, RunStart(tone))))
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
-            # Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)
-            known = family.bias(settings)
-            further = float(settings.noise) * family.telescope.loop_ports.bias[len(known) :]
-            size = closed.loop.noise_frame.shape[1]
-            states = steady_start(closed, np.concatenate([known, further])[:size], orders)
+            states = steady_start(closed, family.bias(settings), orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
     unstable = _unstable(config.loop, loop(loop=config.loop), partial(model, settings), controllers)

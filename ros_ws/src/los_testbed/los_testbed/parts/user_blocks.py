@@ -25,7 +25,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -40,8 +39,8 @@ from los_testbed.config.plugins import RAISED, in_one_line, load, make
 from los_testbed.config.run_config import RunConfig, is_library
 from los_testbed.parts.law_models import difference, element, told_model
 from los_testbed.parts.port_order import with_named_ports
-from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.interface import DT, K_FSM_OUTPUTS, LAW_PORTS
+from titop_plant.telescope.loop_ports import LoopPorts
 
 UNTOUCHED = -1.2345678901234567e-300
 """Fill value that no block writes: an element with it after a step was not written."""
@@ -49,10 +48,6 @@ UNTOUCHED = -1.2345678901234567e-300
 LARGEST = 1e30
 """No rad, N, Nm, m/s2 or rad/s2 of a telescope is larger; beyond it the next products are no longer finite."""
 TRIAL_TICKS = 3
-LAWS: Mapping[str, tuple[Sequence[Port], Sequence[Port]]] = MappingProxyType(
-    {"k_fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k_pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
-)
-"""Inputs and outputs of the controllers."""
 
 
 class BlockFailedError(RuntimeError):
@@ -83,8 +78,8 @@ class UserBlock:
         With ``reset`` and ``step``.
     inputs, outputs : sequences of Port
         A block without inputs has the signature ``step(out)``.
-    ports : LoopPorts
-        Rows of the loop that it uses; ports of the further ones are the last of `inputs` and `outputs`.
+    ports : LoopPorts, optional
+        Rows of the loop that it uses; None of a disturbance.
 
     Raises
     ------
@@ -99,7 +94,7 @@ class UserBlock:
         block: Any,
         inputs: Sequence[Port],
         outputs: Sequence[Port],
-        ports: LoopPorts = REFERENCE_PORTS,
+        ports: LoopPorts | None = None,
     ) -> None:
         try:
             methods = {name: getattr(block, name, "none") for name in ("step", "reset")}
@@ -212,7 +207,7 @@ class UserBlock:
     def _check_model(self, model: SampledSystem) -> None:
         """Compare user code with its model."""
         try:
-            text = difference(self.block.reset, self.block.step, model)
+            text = difference(self.block.reset, self.block.step, model, self.ports)
         except RAISED as error:
             what = in_one_line(error)
             raise InputError(f"{self.name}: reset and step must accept a state, got {what}") from error
@@ -229,7 +224,7 @@ class UserBlock:
             raise InputError(str(error)) from error
         for tick in range(TRIAL_TICKS):
             inputs = np.zeros(size)
-            if tick and self.inputs[: len(K_FSM_INPUTS)] == K_FSM_INPUTS:
+            if tick and self.outputs == K_FSM_OUTPUTS and self.ports is not None:
                 inputs[self.ports.held] = np.nan
             kept, out = inputs.copy(), np.full(width, UNTOUCHED)
             try:
@@ -261,7 +256,7 @@ def watched(method: Callable[..., None], name: str) -> Callable[..., None]:
     return call
 
 
-def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS) -> UserBlock:
+def make_law(config: RunConfig, setting: str, ports: LoopPorts) -> UserBlock:
     """Controller that the setting ``k_fsm`` or ``k_pma`` names, checked.
 
     Parameters
@@ -281,16 +276,15 @@ def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS
     if is_library(text):
         from los_testbed.parts.flight_library import LibraryLaw
 
-        block, used = LibraryLaw(Path(text), setting), REFERENCE_PORTS
+        block, used = LibraryLaw(Path(text), setting), ports.of_law(setting)
     elif law := linear_law(setting, text, config.ports_in_order):
-        used = ports.among(law.inputs, law.outputs)
-        block = _checked(setting, text, with_further_ports(setting, text, law, ports), used)
+        used = ports.of_system(setting, law)
+        block = _checked(setting, text, with_loop_ports(setting, text, law, ports), used)
     else:
         block = make(config, setting)
         used = _named(setting, text, block, ports)
         _refuse_commands(setting, text, used)
-    inputs, outputs = LAWS[setting]
-    made = UserBlock(setting, text, block, (*inputs, *used.further_measured), (*outputs, *used.further_commanded), used)
+    made = UserBlock(setting, text, block, *used.law_ports(setting), used)
     made.check()
     return made
 
@@ -304,29 +298,28 @@ def read_law(setting: str, path: Path, in_order: bool = False) -> SampledSystem:
 
     law = read_sampled(path)
     try:
-        return with_named_ports(law, *LAWS[setting], in_order)
+        return with_named_ports(law, *LAW_PORTS[setting], in_order)
     except ValueError as error:
         raise InputError(f"{setting} {path}: {error}") from None
 
 
-def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> SampledSystem:
-    """A linear controller with the inputs of its loop in their order, where it names further rows; else as it is.
+def with_loop_ports(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> SampledSystem:
+    """A linear controller with the inputs of its rows in their order; as it is where these are the stored one's.
 
     Raises
     ------
     InputError
         An observer that commands an actuator; other ports, another period.
     """
-    used = ports.among(law.inputs, law.outputs)
+    used = ports.of_system(setting, law)
     _refuse_commands(setting, text, used)
-    inputs, outputs = LAWS[setting]
-    measured = *inputs, *used.further_measured
+    inputs, outputs = used.law_ports(setting)
     try:
-        whole = law.with_inputs(measured)
-        whole.require(measured, (*outputs, *used.further_commanded), DT)
+        whole = law.with_inputs(inputs)
+        whole.require(inputs, outputs, DT)
     except ValueError as error:
         raise InputError(f"{setting} {text}: {error}") from None
-    return whole if used.further else law
+    return law if (inputs, outputs) == LAW_PORTS[setting] else whole
 
 
 def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem | None:
@@ -345,7 +338,7 @@ def linear_law(setting: str, text: str, in_order: bool = False) -> SampledSystem
     from lftkit.systems.exchange import as_sampled, as_system
 
     try:
-        return with_named_ports(as_sampled(as_system(law)), *LAWS[setting], in_order)
+        return with_named_ports(as_sampled(as_system(law)), *LAW_PORTS[setting], in_order)
     except ValueError as error:
         raise InputError(f"{setting} {text}: {error}") from None
 
@@ -359,31 +352,28 @@ def check_controller_file(path: Path | str) -> None:
 
 def _checked(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> LosEstimator | SampledSystem:
     """A linear law as a block."""
-    inputs, outputs = LAWS[setting]
     try:
         if setting == "k_fsm":
-            return LosEstimator(law, ports.further_sensors)
-        measured = *inputs, *ports.further_measured
-        law = law.with_inputs(measured)
-        law.require(measured, (*outputs, *ports.further_commanded), DT)
+            return LosEstimator(law, ports)
+        law = law.with_inputs(ports.measured)
+        law.require(ports.measured, ports.commanded, DT)
     except ValueError as error:
         raise InputError(f"{setting} {text}: {error}") from None
     return law
 
 
 def _named(setting: str, text: str, block: Any, ports: LoopPorts) -> LoopPorts:
-    """Rows with the further sensors and actuators that a class of the user names."""
+    """Rows of the stored controller, then those that a class of the user names."""
     try:
-        names = [getattr(block, what, ()) for what in ("sensors", "actuators")]
-        return ports.named(*(one if isinstance(one, str) else tuple(one) for one in names))
+        return ports.of_law(setting, *(getattr(block, what, ()) for what in ("sensors", "actuators")))
     except RAISED as error:
         what = error if isinstance(error, ValueError) else in_one_line(error)
         raise InputError(f"{setting} {text}: {what}") from error
 
 
 def _refuse_commands(setting: str, text: str, ports: LoopPorts) -> None:
-    if setting == "k_fsm" and ports.further_actuators:
-        names = ", ".join(port.name for port in ports.further_commanded)
+    if setting == "k_fsm" and ports.actuators:
+        names = ", ".join(port.name for port in ports.commanded)
         raise InputError(f"{setting} {text}: an observer must command no actuator (k_pma does), got {names}")
 
 

@@ -34,7 +34,7 @@ from los_testbed.rig.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader,
 from los_testbed.rig.wiring import Wiring
 from los_testbed.run.loop.compiled_loop import compile_telescope
 from los_testbed.run.loop.scheduling import become_real_time, sharpen_timers
-from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
+from titop_plant.interface import CAMERA, COLUMNS, DT, FORCES, MIRROR, TICK_NS, TRUTH
 
 PRIORITY = 90
 """A rig does not wait for the programs of its host."""
@@ -147,7 +147,7 @@ class Emulator:
         self.line, self._secret = self._listen(config)
         self._wiring = Wiring(settings.wrong)
         parts = RunParts(config)
-        self._plant = parts.plant()
+        self._plant, ports = parts.plant(), parts.ports
         self._plant.reset()
         compile_telescope(self._plant, COMPILED_TICKS)
         angle, self._force = parts.basis.authority
@@ -157,13 +157,13 @@ class Emulator:
         self._reader = Reader(b"")
         self._sequence = 0
         self._newest = -1
-        self._command = np.zeros(COMMANDS)
-        self._applied = np.zeros(COMMANDS)
+        self._command = np.zeros(ports.commands)
+        self._applied = np.zeros(ports.commands)
         self._commanded_ns = self._first_ns = self._heard_ns = 0
         self._safe, self._flags = True, 0
         self._waiting: deque[tuple[int, int, FloatArray]] = deque()
         self._held_back: bytes | None = None
-        self._measurement, self._truth = np.zeros(MEASUREMENTS), np.zeros(TRUTH)
+        self._measurement, self._truth = np.zeros(ports.measurements), np.zeros(TRUTH)
         self._frozen: FloatArray | None = None
         self._jump = 0
         self._dead_until = 0
@@ -215,7 +215,7 @@ class Emulator:
 
     def _step(self) -> None:
         """A tick of the physics."""
-        command = self._wiring.command(np.zeros(COMMANDS) if self._safe else self._command)
+        command = self._wiring.command(np.zeros_like(self._command) if self._safe else self._command)
         self._applied[MIRROR] = self._mirror.step(command[MIRROR] * (self._fault() != "stuck"))
         forces = command[FORCES].tolist()
         inside = [_clip(force, self._force) for force in forces]
@@ -307,7 +307,11 @@ class Emulator:
         if packet.kind == Kind.SYNC and len(packet.values) == 2:
             values = np.append(packet.values, now - arrived_ns)
             self._send(self._packet(Kind.SYNC_REPLY, self._clock(), values))
-        elif packet.kind == Kind.COMMAND and len(packet.values) == COMMANDS and np.isfinite(packet.values).all():
+        elif (
+            packet.kind == Kind.COMMAND
+            and len(packet.values) == len(self._command)
+            and np.isfinite(packet.values).all()
+        ):
             if packet.sequence > self._newest:
                 self._newest = packet.sequence
                 self._command[:] = packet.values

@@ -11,13 +11,16 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.systems.ports import total_size
 from los_testbed.parts.device_contract import Sample
 from los_testbed.rig.supervisor import BEYOND_RANGE, NOT_FINITE, Supervisor
 from los_testbed.run.loop.tick_clock import TickClock
-from titop_plant.interface import COLUMNS, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
+from titop_plant.interface import COLUMNS, COMMAND_PORTS, DT, FORCES, MEASURED, MEASURED_PORTS, MIRROR, TICK_NS, TRUTH
 
 LINES_EACH, FIRST_HZ, SPACING_HZ = 3, 5.0, 0.5
-FREQUENCIES: FloatArray = np.array([FIRST_HZ + SPACING_HZ * k for k in range(LINES_EACH * COMMANDS)])
+AXES = total_size(COMMAND_PORTS)
+"""Actuators of a rig, each value of a command."""
+FREQUENCIES: FloatArray = np.array([FIRST_HZ + SPACING_HZ * k for k in range(LINES_EACH * AXES)])
 """Lines [Hz]: actuator a moves at numbers a, a + 8 and a + 16. All are below half of the camera's usual rate."""
 
 QUIET_S, RAMP_S, MOTION_S = 4.0, 0.5, 4.0
@@ -26,21 +29,21 @@ MIRROR_SHARE, FORCE_SHARE = 0.01, 0.1
 """Largest motion over the limits of the actuators."""
 
 SILENT_TICKS = 1000
-FEWEST = 3 * (2 * LINES_EACH * COMMANDS + 2) // 2
+FEWEST = 3 * (2 * LINES_EACH * AXES + 2) // 2
 """Samples that a fit of all lines takes at least."""
 
-PHASES = 2 * np.pi * np.random.default_rng(7).random((COMMANDS, LINES_EACH))
+PHASES = 2 * np.pi * np.random.default_rng(7).random((AXES, LINES_EACH))
 
 
 def lines_of(actuator: int) -> IntArray:
     """Numbers of the lines of an actuator, (3,)."""
-    return np.array(range(actuator, LINES_EACH * COMMANDS, COMMANDS), int)
+    return np.array(range(actuator, LINES_EACH * AXES, AXES), int)
 
 
 def motion(seconds: float, peaks: FloatArray) -> FloatArray:
     """Command (8,) [rad, N] at a time after the quiet part; `peaks` (8,) are not exceeded."""
     level = np.clip(min(seconds, 2 * RAMP_S + MOTION_S - seconds) / RAMP_S, 0.0, 1.0)
-    angles = 2 * np.pi * FREQUENCIES.reshape(LINES_EACH, COMMANDS).T * seconds + PHASES
+    angles = 2 * np.pi * FREQUENCIES.reshape(LINES_EACH, AXES).T * seconds + PHASES
     return np.asarray(level / LINES_EACH * peaks * np.sin(angles).sum(axis=1))
 
 
@@ -111,7 +114,7 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
             what = f"{', '.join(odd)} not finite, no other sample" if odd else "no sample"
             raise supervisor.failed(f"{what} for {SILENT_TICKS} ms")
         ticks.wait()
-    supervisor.write(np.zeros(COMMANDS), steady())
+    supervisor.write(np.zeros(AXES), steady())
     return MotionRecord(
         (np.array([t for t, _ in written]), np.array([u for _, u in written])),
         {port: _of_port(samples, port, start) for port in MEASURED},
@@ -171,7 +174,7 @@ def scatter(values: FloatArray) -> FloatArray:
 
 def peaks_of(authority: tuple[float, float], scale: float = 1.0) -> FloatArray:
     """Peaks (8,) of the motion: shares of the limits of angle [rad] and force [N], times `scale`."""
-    peaks = np.zeros(COMMANDS)
+    peaks = np.zeros(AXES)
     peaks[MIRROR], peaks[FORCES] = scale * MIRROR_SHARE * authority[0], scale * FORCE_SHARE * authority[1]
     return peaks
 
@@ -194,19 +197,19 @@ class ModelResponse:
 
 def model_response(plant: Any, peaks: FloatArray) -> ModelResponse:
     """Response of a :class:`los_testbed.parts.stepped_plant.SteppedPlant` that knows `change`."""
-    gains = np.zeros((MEASUREMENTS, COMMANDS, len(FREQUENCIES)), complex)
+    gains = np.zeros((total_size(MEASURED_PORTS), AXES, len(FREQUENCIES)), complex)
     ticks = round((RAMP_S + MOTION_S) / DT)
     course = np.array([_all_lines(DT * k) for k in range(ticks)])
     times = np.array([DT * k for k in range(ticks)])
     moved = amplitudes(times, course[:, None], RAMP_S)[0]
-    for b in range(COMMANDS):
-        unit = np.zeros(COMMANDS)
+    for b in range(AXES):
+        unit = np.zeros(AXES)
         unit[b] = peaks[b]
         seen = simulated(plant, course[:, None] * unit, noise=0.0, disturbance=0.0)
         for port in MEASURED:
             there = np.isfinite(seen[:, COLUMNS[port]]).all(axis=1)
             gains[COLUMNS[port], b] = amplitudes(times[there], seen[there, COLUMNS[port]], RAMP_S) / (moved * peaks[b])
-    still = np.zeros((round(QUIET_S / DT / 2), COMMANDS))
+    still = np.zeros((round(QUIET_S / DT / 2), AXES))
     alone, disturbed = (simulated(plant, still, noise=1.0, disturbance=level) for level in (0.0, 1.0))
     return ModelResponse(gains, _scatters(alone), _scatters(disturbed))
 
@@ -226,7 +229,7 @@ def simulated(plant: Any, commands: FloatArray, noise: float, disturbance: float
     plant.reset()
     plant.change("noise", noise)
     plant.change("disturbance", disturbance)
-    seen, truth = np.empty((len(commands), MEASUREMENTS)), np.empty(TRUTH)
+    seen, truth = np.empty((len(commands), total_size(MEASURED_PORTS))), np.empty(TRUTH)
     for command, row in zip(commands, seen):
         plant.step(command, row, truth)
     plant.reset()

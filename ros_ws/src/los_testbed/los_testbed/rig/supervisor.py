@@ -45,12 +45,10 @@ from pointing_analysis.requirements.verdict import FAULT
 from titop_plant.interface import (
     ACCELEROMETERS,
     COLUMNS,
-    COMMANDS,
     DT,
     FRAMED,
     FSM_ANGLE,
     MEASURED,
-    MEASUREMENTS,
     MIRROR,
     TICK_NS,
 )
@@ -160,14 +158,14 @@ class Supervisor:
         self.zero = ""
         """Which of the three sentences on mirror and forces is true, at the end."""
         parts = RunParts(config)
-        self._config = parts.config
+        self._config, self._ports = parts.config, parts.ports
         self._weights = fade_weights(config.fade_ticks)
-        self.frame_ticks = parts.ports.ticks[CAMERA_PORT]
+        self.frame_ticks = self._ports.ticks[CAMERA_PORT]
         angle, force = parts.basis.authority
-        noise = float(parts.telescope.loop_ports.reference.noise[FSM_ANGLE].max())
+        noise = float(self._ports.noise[FSM_ANGLE].max())
         fade = config.hold_ticks + config.fade_ticks
         self._mirror = MirrorFollowing(*parts.telescope.fsm.dynamics, noise, settings.following, DT, fade)
-        self._authority = np.full(COMMANDS, force)
+        self._authority = np.full(self._ports.commands, force)
         self._authority[MIRROR] = angle
         self._range = {**dict.fromkeys(ACCELEROMETERS, settings.acceleration), CAMERA_PORT: settings.camera}
         self._range |= {GAUGE_PORT: settings.stroke * angle, TRUTH_PORT: math.inf}
@@ -181,7 +179,7 @@ class Supervisor:
         self._ended = False
         self._failures: dict[str, str] = {}
         self._notes: Mapping[str, Any] = {}
-        self._command = np.zeros(COMMANDS)
+        self._command = np.zeros(self._ports.commands)
         self._moved = False
         self._seen: set[str] = set()
         self._begin_counts()
@@ -191,7 +189,7 @@ class Supervisor:
         self.counts: Counter[str] = Counter()
         self.age = LatencyHistogram()
         self.delay = LatencyHistogram()
-        self.measurement = np.full(MEASUREMENTS, np.nan)
+        self.measurement = np.full(self._ports.measurements, np.nan)
         self.frames: list[Sample] = []
         self._lasting: dict[Condition, tuple[int, int]] = {}
         """Ticks and begin (steady clock [ns]) of each condition that lasts."""

@@ -54,7 +54,7 @@ def check(parts: RunParts, plant: SteppedPlant | None = None) -> tuple[str, ...]
     if plant is not None or config.plant:
         from los_testbed.run.loop.contract import check_plant
 
-        check_plant(parts.plant() if plant is None else plant)
+        check_plant(*((parts.plant(), parts.ports) if plant is None else (plant, parts.ports.used_by())))
     if config.device:
         from los_testbed.parts.device_contract import make_device
 

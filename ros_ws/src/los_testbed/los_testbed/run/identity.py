@@ -21,7 +21,7 @@ from los_testbed.config.plugins import source_hashes
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import needs_tone
-from los_testbed.parts.user_blocks import LAWS
+from titop_plant.interface import LAW_PORTS
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.telescope.telescope import Telescope
 
@@ -89,7 +89,7 @@ def announced(parts: RunParts) -> dict[str, str]:
     ValueError
         A file that cannot be read, a law that cannot be used.
     """
-    config, laws = parts.config, {name: parts.model_of(name) for name in LAWS}
+    config, laws = parts.config, {name: parts.model_of(name) for name in LAW_PORTS}
     digests = {name: "" if law is None else law_digest(law) for name, law in laws.items()}
     control = parts.control_law()
     values = [control.loop, control.mirror_gain, control.limits.tolist(), config.fade_ticks]

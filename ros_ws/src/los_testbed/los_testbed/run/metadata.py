@@ -15,7 +15,7 @@ import yaml
 from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
 from los_testbed.config.plugins import source_hashes
-from los_testbed.config.topics import SENSORS, sensor_topics
+from los_testbed.config.topics import sensor_topics
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
@@ -39,8 +39,8 @@ NOTHING: Mapping[str, Mapping[str, str]] = MappingProxyType({})
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
-FURTHER_AUTHORITY = "actuator_authority"
-"""Key of the largest forces [N] of further actuators."""
+AUTHORITY = "actuator_authority"
+"""Key of the largest values of actuators at places [N, Nm]."""
 
 
 def run_metadata(
@@ -74,7 +74,7 @@ def run_metadata(
         **optics_of(parts),
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts, bool(plant))]),
-        **_further_limits(parts),
+        **_limits(parts),
         "rate_hz": str(RATE),
         **_start_up(parts, start),
         **_sources(parts),
@@ -137,23 +137,21 @@ def _sources(parts: RunParts) -> dict[str, str]:
     return {"disturbances": json.dumps(rows), "disturbances_sha256": parts.sources_digest}
 
 
-def _further_limits(parts: RunParts) -> dict[str, str]:
-    """Largest forces [N] of the further actuators that the controller commands; nothing without any."""
-    limits = {row.name: row.authority for row in parts.used["k_pma"].further_actuators}
-    return {FURTHER_AUTHORITY: json.dumps(limits)} if limits else {}
+def _limits(parts: RunParts) -> dict[str, str]:
+    """Largest values of the actuators at places that the controller commands; nothing without any."""
+    limits = {row.name: row.authority for row in parts.ports.actuators if row.mount is not None}
+    return {AUTHORITY: json.dumps(limits)} if limits else {}
 
 
 def _sensors(parts: RunParts, known: bool) -> tuple[RecordedSensor, ...]:
-    """The sensors of a run, those of the loop first; without noise where it has none or it is not `known`."""
-    acts, further = float(parts.config.noise), parts.ports.further_sensors
-    noise = parts.telescope.loop_ports.reference.noise * acts
-    noises = [(topic, noise[topic.columns]) for topic in SENSORS]
-    noises += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
+    """The sensors of a run; without noise where it has none or it is not `known`."""
+    acts, ports = float(parts.config.noise), parts.ports
+    noise = ports.noise * acts
     return tuple(
         RecordedSensor(
-            t.name, t.unit, RATE / t.every(parts.ports.ticks), t.framed, tuple(sigma.tolist()) if known else ()
+            t.name, t.unit, RATE / t.every(ports.ticks), t.framed, tuple(noise[t.columns].tolist()) if known else ()
         )
-        for t, sigma in noises
+        for t in sensor_topics(ports.sensors)
     )
 
 

@@ -98,11 +98,11 @@ def reasons_against(parts: RunParts) -> list[str]:
     ]
     if config.other_plant:
         return reasons  # nothing more is known of it
-    reasons += [
-        f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
-        for name, ports in parts.used.items()
-        if ports.further and parts.acts(name)
-    ]
+    for name, ports in parts.used.items():  # devices at places are not part of the telescope's hash
+        placed = [row.name for row in ports.sensors if row.mount is not None]
+        placed += [row.name for row in ports.actuators if row.mount is not None]
+        if placed and parts.acts(name):
+            reasons.append(f"{name} uses {', '.join(placed)} of the telescope's file")
     telescope = parts.telescope
     of_run = {"camera_rate": (config.camera_rate, telescope.camera_rate)}
     of_run |= {

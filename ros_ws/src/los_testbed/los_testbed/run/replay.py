@@ -28,18 +28,18 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.config.plugins import source_hashes
 from los_testbed.config.run_config import RunConfig, is_code, is_library
-from los_testbed.config.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
+from los_testbed.config.topics import COMMAND_TOPICS, DRIVEN, FSM_COMMAND, TOPICS, TopicDefinition, placed_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.parts.user_blocks import LAWS, UserBlock, make_law, read_law, with_further_ports
+from los_testbed.parts.user_blocks import UserBlock, make_law, read_law, with_loop_ports
 from los_testbed.run.change_requests import changes_in
 from los_testbed.run.loop.changes import appliers_of
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.contract import first_not_finite
 from los_testbed.run.metadata import METADATA_NAME
 from los_testbed.run.processes.memory_file import memory_file
-from los_testbed.run.replay_ports import layout_of, rows_of
+from los_testbed.run.replay_ports import layout_of, recorded_ports
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,
@@ -57,12 +57,12 @@ from pointing_analysis.replay.replay import UNCHANGED, LawChanges, LoopLayout
 from pointing_analysis.requirements.exposure import probabilities_of, quantile_key
 from pointing_analysis.requirements.summary import exposure_of_run, requirements_of
 from pointing_analysis.requirements.verdict import NOT_JUDGED, not_judged_by
-from titop_plant.interface import DT, FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.interface import DT, FORCE_STAGES, LAW_PORTS, RATE, STAGES, TICK_NS, DesignBasis
+from titop_plant.telescope.loop_ports import LoopPorts
 
 CHUNK_NS = RATE * TICK_NS
 
-COMMAND_TOPICS = {topic.name for topic in COMMANDS}
+COMMAND_NAMES = {topic.name for topic in COMMAND_TOPICS}
 
 Law = SampledSystem | LibraryLaw | UserBlock
 """K_FSM or K_PMA: matrices, a flight library, or code of the user."""
@@ -139,10 +139,10 @@ def models_of_controllers(run: Run) -> dict[str, SampledSystem]:
     ValueError
         A controller was user code, whose model is not known; a file that is no controller.
     """
-    gone = [f"{name}.json" for name in LAWS if f"{name}.json" not in run.attachments]
+    gone = [f"{name}.json" for name in LAW_PORTS if f"{name}.json" not in run.attachments]
     if gone:
         raise BagError(f"the bag does not hold the controllers {' and '.join(gone)}, as of user code")
-    return {name: controller_of(run, name)[0] for name in LAWS}
+    return {name: controller_of(run, name)[0] for name in LAW_PORTS}
 
 
 def controllers(
@@ -179,19 +179,19 @@ def controllers(
     read = {name: _law_of(run, name, law, in_order) for name, law in asked.items()}
     chosen, telescope = {name: law for name, (law, _) in read.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
-    rows = {name: _rows_of(run, law) for name, law in chosen.items()}
+    rows = {name: _rows_of(run, name, law) for name, law in chosen.items()}
     fsm, pma = (_in_order(name, law, rows[name]) for name, law in chosen.items())
     laws, fade_ticks = (
         {"k_fsm": fsm, "k_pma": pma},
         RunConfig(fade_ticks=run.parameters.get("fade_ticks", FADE_TICKS)).fade_ticks,
     )
-    controller = assemble_controller(laws, _completed(telescope), stage, fade_ticks, rows["k_pma"])
+    controller = assemble_controller(laws, _completed(telescope), stage, rows["k_pma"], fade_ticks=fade_ticks)
     files = {_file_name(name, law): data for name, (law, data) in read.items() if data}
     same = (
         run.attachments.get(_file_name(name, law)) == data if data else _is_code_of(run, name, asked[name])
         for name, (law, data) in read.items()
     )
-    estimator = LosEstimator(fsm, rows["k_fsm"].further_sensors) if isinstance(fsm, SampledSystem) else fsm
+    estimator = LosEstimator(fsm, rows["k_fsm"]) if isinstance(fsm, SampledSystem) else fsm
     start, resting = _started(run, laws, closed=stage == recorded)
     if start is not None:
         estimator.start_at(start.k_fsm, start.camera)
@@ -229,12 +229,14 @@ def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tu
         return LibraryLaw(Path(text), name), read_bytes(text, SYSTEM)
     if is_code(text):
         known = {key: run.parameters[key] for key in ("camera_rate",) if key in run.parameters}
-        block = make_law(RunConfig.from_mapping({**known, name: text, "ports_in_order": in_order}), name)
+        block = make_law(
+            RunConfig.from_mapping({**known, name: text, "ports_in_order": in_order}), name, recorded_ports(run)
+        )
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
     law = read_law(name, Path(text), in_order)
-    if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
-        law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
+    if not {port.name for port in law.inputs} & {port.name for port in LAW_PORTS[name][0]}:
+        law.require(*LAW_PORTS[name], DT)  # none of its ports has a name of the loop: the message has them all
     return law, read_bytes(text) if text.endswith(".json") else law.to_json().encode()
 
 
@@ -244,15 +246,16 @@ def _is_code_of(run: Run, name: str, asked: str | Path | None) -> bool:
     return bool(recorded) and run.parameters.get(name) == asked and source_hashes({name: str(asked)})[name] == recorded
 
 
-def _rows_of(run: Run, law: Law) -> LoopPorts:
+def _rows_of(run: Run, name: str, law: Law) -> LoopPorts:
+    """Rows that a law uses."""
     if isinstance(law, SampledSystem):
-        return rows_of(run, law)
-    return law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
+        return recorded_ports(run, law).of_system(name, law)
+    return law.ports if isinstance(law, UserBlock) and law.ports else recorded_ports(run).of_law(name)
 
 
 def _in_order(name: str, law: Law, rows: LoopPorts) -> Law:
     """A controller with the inputs of its loop in their order."""
-    return with_further_ports(name, _file_name(name, law), law, rows) if isinstance(law, SampledSystem) else law
+    return with_loop_ports(name, _file_name(name, law), law, rows) if isinstance(law, SampledSystem) else law
 
 
 def _file_name(name: str, law: Law) -> str:
@@ -266,7 +269,7 @@ def _starts_as_recorded(run: Run, name: str, law: Law, state: FloatArray | tuple
     if isinstance(law, UserBlock) or f"{name}.json" not in run.attachments:
         return False
     recorded = controller_of(run, name)[0]
-    before = with_further_ports(name, _file_name(name, recorded), recorded, rows_of(run, recorded))
+    before = with_loop_ports(name, _file_name(name, recorded), recorded, recorded_ports(run, recorded))
     if law.inputs != before.inputs or law.outputs != before.outputs:
         return False
     return all(bool(np.array_equal(getattr(law, M), getattr(before, M))) for M in "ABCD")
@@ -351,7 +354,7 @@ def _knowledge(series: ErrorSeries, window: float, part: float) -> dict[str, flo
 def _commands(signals: Signals) -> dict[str, float]:
     largest: dict[str, float] = {}
     for name, (_, values) in signals.items():
-        if name in COMMAND_TOPICS or name.startswith(f"{COMMANDED}/"):
+        if name in COMMAND_NAMES or name.startswith(f"{DRIVEN}/"):
             key = "fsm_peak_rad" if name == FSM_COMMAND.name else "pma_peak_n"
             peaks = [float(np.abs(values[part]).max()) for part in parts(len(values))]
             largest[key] = max([largest.get(key, 0.0), *peaks])
@@ -429,8 +432,8 @@ def write_signal_bag(
 
 
 def _topics(signals: Signals) -> tuple[TopicDefinition, ...]:
-    """Topics of the loop, and those of further sensors and actuators among the signals."""
-    return (*TOPICS, *further_topics({name: values.shape[1] for name, (_, values) in signals.items()}))
+    """Topics of the loop, and those of sensors and actuators at places among the signals."""
+    return (*TOPICS, *placed_topics({name: values.shape[1] for name, (_, values) in signals.items()}))
 
 
 def write_signals(bag: BagWriter, signals: Signals) -> None:

@@ -1,45 +1,44 @@
-"""Rows of the loop of a replay: those of the reference, and further ones of the bag's telescope that its laws use."""
+"""Rows of the loop of a replay: those of the stored controllers, and what the laws of the bag name beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from lftkit.systems.ports import Port, total_size
+from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, PLACED, SENSORS, actuator_topics, sensor_topics, shifted
-from los_testbed.run.metadata import FURTHER_AUTHORITY
+from los_testbed.config.topics import PLACED, command_topics, sensor_topics
+from los_testbed.run.metadata import AUTHORITY
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout
-from titop_plant.interface import COMMANDED, DT, K_FSM_OUTPUTS, MEASURED_PORTS
-from titop_plant.sensors import Sensor
-from titop_plant.telescope.actuators import Actuator
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.interface import COMMANDED, DT, K_FSM_OUTPUTS, MEASURED
+from titop_plant.sensors import MEASURED_SENSORS, Sensor, port_alone
+from titop_plant.telescope.actuators import Actuator, reference_actuators
+from titop_plant.telescope.loop_ports import LoopPorts
 
 
-def rows_of(run: Run, law: SampledSystem) -> LoopPorts:
-    """Rows that a controller reads and commands, from its ports and the limits in the bag.
+def recorded_ports(run: Run, *laws: SampledSystem) -> LoopPorts:
+    """Rows of a recorded loop with some controllers, from their ports and the limits in the bag.
 
     Parameters
     ----------
     run : Run
-    law : SampledSystem
-        Its further inputs are sensors, its further outputs actuators of the telescope's file.
+    laws : SampledSystem
+        Inputs and outputs that no stored controller has are sensors and actuators at places.
 
     Raises
     ------
     BagError
         An actuator that was not commanded in the run: its limit is not in the bag.
     """
-    of_loop = {port.name for port in K_FSM_OUTPUTS} | set(COMMANDED)
-    unknown = [port for port in law.inputs if port.name not in {known.name for known in MEASURED_PORTS}]
-    sensors = [_sensor(run, port) for port in unknown]
-    actuators = [_actuator(run, port) for port in law.outputs if port.name not in of_loop]
-    first = REFERENCE_PORTS
-    return LoopPorts((*first.sensors, *sensors), (*first.actuators, *actuators))
+    measured = {port.name: port for law in laws for port in law.inputs if port.name not in MEASURED}
+    of_loop = {*COMMANDED, *(port.name for port in K_FSM_OUTPUTS)}
+    commanded = {port.name: port for law in laws for port in law.outputs if port.name not in of_loop}
+    return LoopPorts(
+        (*map(port_alone, MEASURED_SENSORS), *(_sensor(run, port) for port in measured.values())),
+        (*reference_actuators(), *(_actuator(run, port) for port in commanded.values())),
+    )
 
 
 def _sensor(run: Run, port: Port) -> Sensor:
@@ -53,7 +52,7 @@ def _sensor(run: Run, port: Port) -> Sensor:
 
 
 def _actuator(run: Run, port: Port) -> Actuator:
-    limits = run.parameters.get(FURTHER_AUTHORITY, {})
+    limits = run.parameters.get(AUTHORITY, {})
     if port.name not in limits:
         raise BagError(
             f"{run.path}: actuators of k_pma must be those that the run commanded, "
@@ -62,7 +61,7 @@ def _actuator(run: Run, port: Port) -> Actuator:
     return Actuator(port, float(limits[port.name]))
 
 
-def layout_of(k_fsm: LoopPorts = REFERENCE_PORTS, k_pma: LoopPorts = REFERENCE_PORTS) -> LoopLayout:
+def layout_of(k_fsm: LoopPorts, k_pma: LoopPorts) -> LoopLayout:
     """Topics that observer and controller read and write.
 
     Parameters
@@ -70,19 +69,13 @@ def layout_of(k_fsm: LoopPorts = REFERENCE_PORTS, k_pma: LoopPorts = REFERENCE_P
     k_fsm, k_pma : LoopPorts
         Rows of each.
     """
-    rows = {sensor.name: sensor for ports in (k_fsm, k_pma) for sensor in ports.further_sensors}
-    standard = sorted(SENSORS, key=lambda topic: topic.columns.start)
-    behind = total_size(REFERENCE_PORTS.measured)
-    further = [shifted(topic, behind) for topic in sensor_topics(tuple(rows.values()))]
-    commands = *COMMANDS, *actuator_topics(k_pma.further_actuators)
+    rows = {row.name: row for ports in (k_fsm, k_pma) for row in ports.sensors}
+    topics = {topic.port: topic for topic in sensor_topics(tuple(rows.values()))}
+    mirror = [row for row in reference_actuators() if row.name == COMMANDED[0]]
     return LoopLayout(
-        {topic.name: topic.columns for topic in (*standard, *further)},
-        tuple(topic.name for topic in (*standard, *further) if topic.framed),
-        (*(topic.name for topic in standard), *_names(k_fsm.further_sensors)),
-        (ISOLATOR_ACCEL.name, *_names(k_pma.further_sensors)),
-        {topic.name: topic.columns for topic in commands},
+        {topic.name: topic.columns for topic in topics.values()},
+        tuple(topic.name for topic in topics.values() if topic.framed),
+        tuple(topics[row.name].name for row in k_fsm.sensors),
+        tuple(topics[row.name].name for row in k_pma.sensors),
+        {topic.name: topic.columns for topic in command_topics((*mirror, *k_pma.actuators))},
     )
-
-
-def _names(sensors: Sequence[Sensor]) -> tuple[str, ...]:
-    return tuple(topic.name for topic in sensor_topics(sensors))

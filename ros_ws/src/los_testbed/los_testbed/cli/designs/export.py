@@ -147,7 +147,8 @@ def export_fmu(
         parameters_setting = {"parameters": None if parameters is None else str(parameters)}
         stated = with_stage({**of_designs(designs or ""), **parameters_setting})
         config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
-        model = plant_model(RunParts(config).plant())
+        parts = RunParts(config)
+        model = plant_model(parts.plant(), parts.ports)
     elif parameters is not None:
         raise InputError("--parameters must be given with --telescope: the laws are those of their designs")
     else:

@@ -23,7 +23,7 @@ from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.nodes.support.unread_topics import bypassed_in_words, unread_in_words
 from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
-from titop_plant.interface import MEASUREMENTS, TRUTH
+from titop_plant.interface import TRUTH
 
 LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
@@ -154,8 +154,9 @@ def wait_for_followers(
 
 def hold(io: PlantIo) -> None:
     """Send a hold tick."""
-    io.pack(HOLD_STAMP, np.zeros(MEASUREMENTS))
-    io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
+    none = np.zeros(io.ports.measurements)
+    io.pack(HOLD_STAMP, none)
+    io.publish(HOLD_STAMP, none, np.zeros(TRUTH))
 
 
 class Answers:

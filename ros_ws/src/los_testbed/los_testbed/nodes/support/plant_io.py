@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, codec_for
 from los_testbed.config.topics import (
-    FSM_COMMAND,
-    PMA_COMMAND,
+    COMMAND_TOPICS,
+    IMAGE_VECTOR,
     PROGRESS_TOPIC,
     SENSORS,
     TOPICS,
     TRUTH_LOS,
     TopicDefinition,
-    actuator_topics,
+    command_topics,
 )
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.source_watch import SourceWatch
@@ -35,8 +34,6 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.loop.command_gate import CommandGate
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
-
-NOTHING: Mapping[str, FloatArray] = MappingProxyType({})
 
 Frames = Mapping[str, tuple[int, FloatArray]]
 """Stamp [ns] and values of samples of slow sensors, by port."""
@@ -136,10 +133,11 @@ class PlantIo:
 
     def __init__(self, context: NodeContext) -> None:
         config, node, parts = context.config, context.node, RunParts(context.config)
+        self.ports = parts.ports
 
         def output(topic: TopicDefinition) -> Output:
             publisher = RawPublisher(node, topic.name, topic.type_name)
-            return topic, publisher, codec_for(topic), topic.every(parts.ports.ticks) * TICK_NS
+            return topic, publisher, codec_for(topic), topic.every(self.ports.ticks) * TICK_NS
 
         self._bundle = measurement_bundle(parts)
         self._whole = RawPublisher(node, self._bundle.name, self._bundle.type_name), self._bundle.codec()
@@ -152,9 +150,9 @@ class PlantIo:
             if topic.name in self._bundle.ages
         ]
         self._truth = output(TRUTH_LOS)
-        self._further = [output(t) for t in parts.topics[len(TOPICS) :] if t.publisher == "plant"]
-        bundled = {topic.name: topic.columns for topic in self._bundle.topics}
-        self._read = [(t, bundled[t.name]) for t, _, _, _ in self._further if t.name in bundled]
+        others = [topic for topic in parts.topics[len(TOPICS) :] if topic.publisher == "plant"]
+        self._placed = [output(topic) for topic in others if topic.vector != IMAGE_VECTOR]
+        self._images = [output(topic) for topic in others if topic.vector == IMAGE_VECTOR]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
         def subscribe(topic: TopicDefinition | TickBundle) -> RawSubscription:
@@ -167,16 +165,12 @@ class PlantIo:
             return CommandInput(name, topic, CommandGate(codec_for(topic), limit, *hold))
 
         mirror, force = parts.basis.authority
-        further = parts.used["k_pma"].further_actuators
-        self.mirror = command("fsm", FSM_COMMAND, mirror)
-        self.forces = command("pma", PMA_COMMAND, force)
-        self.commands = (
-            *(command(one.name, topic, one.authority) for one, topic in zip(further, actuator_topics(further))),
-            self.mirror,
-            self.forces,
-        )
+        mirror_topic, force_topic = COMMAND_TOPICS
+        rows = zip(self.ports.actuators, command_topics(self.ports.actuators), strict=True)
+        placed = [command(row.name, topic, row.authority) for row, topic in rows if topic not in COMMAND_TOPICS]
+        self.mirror, self.forces = command("fsm", mirror_topic, mirror), command("pma", force_topic, force)
+        self.commands = (*placed, self.mirror, self.forces)
         """Command topics in the order in which the controller sends them."""
-        self.command_size = max(one.topic.columns.stop for one in self.commands)
         whole = command_bundle(parts)
         self.bundle_reader = CommandReader(subscribe(whole), whole.codec(), self.commands)
         self.topic_readers = [CommandReader(subscribe(one.topic), codec_for(one.topic), [one]) for one in self.commands]
@@ -195,23 +189,19 @@ class PlantIo:
             for reader in self.topic_readers:
                 reader.source.close()
 
-    def pack(self, stamp: int, measurement: FloatArray, further: Mapping[str, FloatArray] = NOTHING) -> None:
-        """Prepare the message with all samples of a tick, before its deadline.
-
-        `further` holds the vectors behind those of the loop, by their names.
-        """
+    def pack(self, stamp: int, measurement: FloatArray) -> None:
+        """Prepare the message with all samples of a tick, before its deadline."""
         packed = self._packed
         packed[: len(measurement)] = measurement
-        for topic, columns in self._read:
-            packed[columns] = further[topic.vector][topic.columns] if topic.vector in further else 0.0
         for _, column, period in self._ages:
             packed[column] = 0.0 if stamp % period == 0 else np.nan
         self._whole[1].encode(stamp, packed)
 
-    def publish(
-        self, stamp: int, measurement: FloatArray, truth: FloatArray, further: Mapping[str, FloatArray] = NOTHING
-    ) -> None:
-        """Send a tick that was packed: the message first, then the topics, slower ones only at their ticks."""
+    def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray, image: FloatArray | None = None) -> None:
+        """Send a tick that was packed: the message first, then the topics, slower ones only at their ticks.
+
+        Of a camera that takes images `image` are its pixels, row by row; None: all zero.
+        """
         publisher, codec = self._whole
         publisher.publish(codec.message)
         for topic, publisher, codec, period in self._sensors:
@@ -219,11 +209,12 @@ class PlantIo:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         _, publisher, codec, _ = self._truth
         publisher.publish(codec.encode(stamp, truth))
-        for topic, publisher, codec, period in self._further:
+        for topic, publisher, codec, period in self._placed:
             if stamp % period == 0:
-                none = np.zeros(topic.size)  # at hold ticks
-                values = further[topic.vector][topic.columns] if topic.vector in further else none
-                publisher.publish(codec.encode(stamp, values))
+                publisher.publish(codec.encode(stamp, measurement[topic.columns]))
+        for topic, publisher, codec, period in self._images:
+            if stamp % period == 0:
+                publisher.publish(codec.encode(stamp, np.zeros(topic.size) if image is None else image))
 
     def publish_samples(self, stamp: int, measurement: FloatArray | None, frames: Frames, truth: str) -> None:
         """Publish a device's samples of a tick: frames with their stamps, the estimator's trigger last.
@@ -231,7 +222,7 @@ class PlantIo:
         Parameters
         ----------
         stamp : of the tick [ns]
-        measurement : (22,), of which the columns of the sensors of every tick are sent; None: nothing is
+        measurement : (m,), of which the columns of the sensors of every tick are sent; None: nothing is
         frames : stamp and values of slower sensors, by port
         truth : port of the true line of sight
         """
@@ -260,16 +251,17 @@ class PlantIo:
 
     def framed_at(self, stamp: int) -> list[str]:
         """Topics with a sample at some ticks only, which have one at this."""
-        slow = [(topic.name, period) for topic, _, _, period in (*self._sensors, *self._further) if period > TICK_NS]
+        outputs = (*self._sensors, *self._placed, *self._images)
+        slow = [(topic.name, period) for topic, _, _, period in outputs if period > TICK_NS]
         return [name for name, period in slow if stamp % period == 0]
 
     def settle(self) -> None:
         """Wait until the subscribers have received the last messages."""
-        outputs = [publisher for _, publisher, _, _ in (*self._sensors, self._truth, *self._further)]
+        outputs = [publisher for _, publisher, _, _ in (*self._sensors, self._truth, *self._placed, *self._images)]
         settle([self._whole[0], *outputs])
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
-        """Discard messages of the handshake; the run begins at `start` with this command (8,), default zero."""
+        """Discard messages of the handshake; the run begins at `start` with this command, default zero."""
         self.start = start
         self._waiting.clear()
         for reader in self.readers:
@@ -308,7 +300,7 @@ class PlantIo:
         return [reader.source.name for reader in self.readers if any(one in late for one in reader.inputs)]
 
     def apply(self, now_ns: int, out: FloatArray) -> None:
-        """Write the command of a tick into `out` (8 and those of further actuators)."""
+        """Write the command of a tick into `out`."""
         for one in self.commands:
             one.gate.apply(now_ns, out[one.topic.columns])
 

@@ -15,14 +15,13 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.config.plugins import RAISED, in_one_line
-from los_testbed.config.topics import READINGS
 from los_testbed.parts.image_camera import image_camera_of, window_of
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import BlockFailedError
 from los_testbed.run.loop.contract import RunFailedError, first_not_finite
-from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.interface import ESTIMATES, TICK_NS, TRUTH
+from titop_plant.telescope.loop_ports import LoopPorts
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore, EstimatorCore
@@ -32,9 +31,6 @@ BLOCK = 1000
 
 SIGNALS = ("measurement", "truth", "los_estimate", "command")
 """Vectors of a `SampleBlock`."""
-
-ACCELERATIONS = PLATFORM.stop - PLATFORM.start
-"""Values of the platform's accelerometer, which the controller takes."""
 
 SIMULATED_START_NS = 1_000_000_000
 """Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
@@ -68,23 +64,20 @@ class SampleBlock:
     Parameters
     ----------
     size : int
+    ports : LoopPorts
+        Sensors and actuators of the loop.
     window : int
         Pixels along each axis of the camera's images; 0 without images.
-    sensed : int
-        Values of the further sensors.
-    actuators : int
-        Forces of further actuators behind the commands.
     """
 
-    def __init__(self, size: int, window: int = 0, sensed: int = 0, actuators: int = 0) -> None:
-        self.size, self.window, self.sensed, self.actuators = size, window, sensed, actuators
+    def __init__(self, size: int, ports: LoopPorts, window: int = 0) -> None:
+        self.size, self.ports, self.window = size, ports, window
         self.stamps = np.zeros(size, np.int64)
-        self.measurement = np.zeros((size, MEASUREMENTS))
+        self.measurement = np.zeros((size, ports.measurements))
         self.truth = np.zeros((size, TRUTH))
         self.los_estimate = np.zeros((size, ESTIMATES))
-        self.command = np.zeros((size, COMMANDS + actuators))
+        self.command = np.zeros((size, ports.commands))
         self.image = np.zeros((size, window**2))
-        self.readings = np.zeros((size, sensed))
 
 
 @dataclass(frozen=True)
@@ -95,34 +88,36 @@ class SimulatedLoop:
     ----------
     plant, estimator, controller
         In the state in which the run starts.
-    first_command : ndarray, shape (8,) or (8 + actuators,), optional
-        Command that the first tick applies [rad, N]; default: zero.
     ports : LoopPorts
-        Rows of the telescope, whose further sensors are the readings of the plant.
+        Sensors and actuators of the plant.
     used : (LoopPorts, LoopPorts)
         Rows that observer and controller use.
+    first_command : ndarray, optional
+        Command that the first tick applies [rad, N]; default: zero.
     """
 
     plant: SteppedPlant
     estimator: EstimatorCore
     controller: ControllerCore
+    ports: LoopPorts
+    used: tuple[LoopPorts, LoopPorts]
     first_command: FloatArray | None = None
-    ports: LoopPorts = REFERENCE_PORTS
-    used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS)
 
     @classmethod
-    def of(cls, parts: RunParts, user_plant: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
+    def of(cls, parts: RunParts, user_plant: SteppedPlant | None = None, *, recorded: bool = True) -> SimulatedLoop:
         """The loop of a run in the state in which it starts; `user_plant` replaces the plant of `parts`.
 
-        Without `readings` further sensors that no controller uses are left out.
+        Of a loop that is not `recorded` sensors that no controller uses are left out.
         """
         estimator, controller = parts.estimator(), parts.controller()
-        plant, first = (
-            (parts.plant(readings=readings), parts.start.command) if user_plant is None else (user_plant, None)
-        )
+        if user_plant is None:
+            plant, first = parts.plant(recorded=recorded), parts.start.command
+            ports = parts.ports if recorded else parts.loop_ports
+        else:
+            plant, first, ports = user_plant, None, parts.ports.used_by()
         estimator.reset()
         controller.reset()
-        return cls(plant, estimator, controller, first, parts.ports, (parts.used["k_fsm"], parts.used["k_pma"]))
+        return cls(plant, estimator, controller, ports, (parts.used["k_fsm"], parts.used["k_pma"]), first)
 
     def run(self, ticks: int, sink: Callable[[SampleBlock, int], None]) -> None:
         """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
@@ -136,12 +131,12 @@ class SimulatedLoop:
         """
         from los_testbed.run.loop.compiled_loop import CompiledLoop
 
-        command, plant = np.zeros(self.used[1].commands), self.plant
-        block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
+        command, plant = np.zeros(self.ports.commands), self.plant
+        block = SampleBlock(BLOCK, self.ports, window_of(plant))
         if self.first_command is not None:
             command[: len(self.first_command)] = self.first_command
         start = aligned_start(SIMULATED_START_NS, self.ports.with_frames(plant.frame_ticks).period)
-        compiled = CompiledLoop.of(plant, self.estimator, self.controller, ticks)
+        compiled = CompiledLoop.of(plant, self.estimator, self.controller, self.ports, self.used, ticks)
         for first in range(0, ticks, BLOCK):
             rows = min(BLOCK, ticks - first)
             block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
@@ -150,7 +145,7 @@ class SimulatedLoop:
                 if error is not None:
                     sink(block, done)
                     raise RunFailedError(str(error)) from error.__cause__
-            odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
+            odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows, self.ports)
             sink(block, rows if odd is None else odd[0])
             if odd is not None:
                 raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
@@ -163,9 +158,8 @@ class SimulatedLoop:
         plant_step, done, who = plant.step, 0, "plant"
         camera = image_camera_of(plant)
         image = None if camera is None else camera.image.ravel()
-        readings = readings_of(plant)
-        seen, felt = (self.ports.readings_of(ports) for ports in self.used)
-        observed, taken = np.zeros(MEASUREMENTS + len(seen)), np.zeros(ACCELERATIONS + len(felt))
+        seen, felt = (self.ports.measured_columns(used.measured) for used in self.used)
+        observed, taken = (np.zeros(used.measurements) for used in self.used)
         try:
             # what overflows is found by the caller, with tick and port
             with np.errstate(over="ignore", invalid="ignore"):
@@ -176,12 +170,11 @@ class SimulatedLoop:
                     plant_step(command, y, truth)
                     if image is not None and (first + done) % plant.frame_ticks == 0:
                         block.image[done] = image
-                    block.readings[done] = readings
                     who = "observer"
-                    observed[:MEASUREMENTS], observed[MEASUREMENTS:] = y, readings[seen]
+                    observed[:] = y[seen]
                     estimate(observed, los)
                     who = "controller"
-                    taken[:ACCELERATIONS], taken[ACCELERATIONS:] = y[PLATFORM], readings[felt]
+                    taken[:] = y[felt]
                     control(los, taken, u)
                     command[:] = u
                     done += 1
@@ -193,9 +186,3 @@ class SimulatedLoop:
             failed.__cause__ = error
             return failed, done
         return None, done
-
-
-def readings_of(plant: object) -> FloatArray:
-    """Readings of the further sensors of a plant at its last tick, the same array at every tick; empty without any."""
-    readings = getattr(plant, READINGS, None)
-    return np.zeros(0) if readings is None else np.asarray(readings)

@@ -17,21 +17,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from titop_plant.disturbances.wheel_and_drive_tones import no_tones
-from titop_plant.interface import (
-    COMMANDS,
-    DT,
-    ESTIMATES,
-    FORCES,
-    HELD,
-    HELD_PARTS,
-    K_FSM_INPUTS,
-    K_FSM_OUTPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MEASUREMENTS,
-    PLATFORM,
-    TRUTH,
-)
+from titop_plant.interface import DT, ESTIMATES, K_FSM_OUTPUTS, TRUTH
 from titop_plant.simulation.compilation import kernel, kernel_for
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, TickRecord
@@ -39,9 +25,9 @@ from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.motion_profiles import linear_profile
-
-_PARTS = np.array([0, *(part.stop for part in HELD_PARTS.values())])
 
 
 class Signals(Protocol):
@@ -49,7 +35,7 @@ class Signals(Protocol):
 
     @property
     def measurement(self) -> FloatArray:
-        """Shape (n, 22)."""
+        """Shape (n, m)."""
 
     @property
     def truth(self) -> FloatArray:
@@ -61,7 +47,7 @@ class Signals(Protocol):
 
     @property
     def command(self) -> FloatArray:
-        """Shape (n, 8)."""
+        """Shape (n, c)."""
 
 
 class CompiledLoop:
@@ -74,29 +60,42 @@ class CompiledLoop:
     estimator : LosEstimator
     controller : FsmPmaController
         With a `SampledSystem` as K_PMA.
+    measured : int
+        First column of the inputs of K_PMA in the measurement.
     """
 
-    def __init__(self, plant: Plant, estimator: LosEstimator, controller: FsmPmaController) -> None:
-        self._plant, self._estimator, self._controller = plant, estimator, controller
+    def __init__(self, plant: Plant, estimator: LosEstimator, controller: FsmPmaController, measured: int) -> None:
+        self._plant, self._estimator, self._controller, self._measured = plant, estimator, controller, measured
 
     @classmethod
-    def of(cls, plant: object, estimator: object, controller: object, ticks: int) -> CompiledLoop | None:
+    def of(
+        cls,
+        plant: object,
+        estimator: object,
+        controller: object,
+        ports: LoopPorts,
+        used: tuple[LoopPorts, LoopPorts],
+        ticks: int,
+    ) -> CompiledLoop | None:
         """The loop of these parts; None where one of them is of another kind, or compiled code does not pay.
 
-        A plant that is stepped separately is switched to compiled code, too.
+        K_FSM must read the whole measurement, K_PMA neighbouring columns of it without held values. A plant that is
+        stepped separately is switched to compiled code, too.
         """
         if kernel_for(ticks) is None:
             return None
         plain = type(plant) is Plant and plant.is_plain and type(estimator) is LosEstimator
-        if not plain or type(controller) is not FsmPmaController:
+        seen, felt = (ports.measured_columns(law.measured) for law in used)
+        whole = isinstance(seen, slice) and seen == slice(0, ports.measurements) and not used[1].held.size
+        if not (plain and whole and isinstance(felt, slice)) or type(controller) is not FsmPmaController:
             compile_telescope(plant, ticks)
             return None
         if type(estimator.k_fsm) is not SampledSystem or type(controller.k_pma) is not SampledSystem:  # type: ignore[attr-defined]
             return None
-        return cls(plant, estimator, controller)  # type: ignore[arg-type]
+        return cls(plant, estimator, controller, felt.start)  # type: ignore[arg-type]
 
     def run(self, command: FloatArray, block: Signals, rows: int) -> bool:
-        """Write the next `rows` ticks into `block`; `command` (8,) is that of the tick before, and then of the last.
+        """Write the next `rows` ticks into `block`; `command` (c,) is that of the tick before, and then of the last.
 
         Returns
         -------
@@ -118,8 +117,8 @@ class CompiledLoop:
         return True
 
     def _observer(self) -> ObserverArrays:
-        product = self._estimator.k_fsm.product
-        return ObserverArrays(product.columns, product.values, _PARTS, HELD, self._estimator.held)
+        product, held = self._estimator.k_fsm.product, self._estimator.held
+        return ObserverArrays(product.columns, product.values, held.parts, held.columns, held.values)
 
     def _control(self, command: FloatArray) -> ControllerArrays:
         controller, law = self._controller, self._controller.k_pma
@@ -127,7 +126,7 @@ class CompiledLoop:
         return ControllerArrays(
             law.product.columns,
             law.product.values,
-            PLATFORM.start,
+            self._measured,
             np.array(controller.closed, dtype=np.int64),
             controller.mirror_gain,
             controller.limits,
@@ -151,21 +150,24 @@ def prepare() -> bool:
     """
     if kernel() is None:
         return False
-    matrix, start = np.zeros((MEASUREMENTS + TRUTH, COMMANDS)), np.zeros(0)
+    ports, one = load_telescope().loop_ports.used_by(), 1.0
+    k_fsm, k_pma = ports.of_law("k_fsm"), ports.of_law("k_pma")
+    matrix, start = np.zeros((ports.measurements + TRUTH, ports.commands)), np.zeros(0)
     moving = MovingTones(linear_profile(0.0, 0.0, np.zeros(4), np.zeros(4), 1.0), no_tones())
-    constant = ConstantStep(whole_step(matrix, np.zeros(0, complex)), start, np.zeros(0))
-    sensors = SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0)
-    gain = np.zeros((FORCES.stop - FORCES.start, PLATFORM.stop - PLATFORM.start))
+    constant = ConstantStep(whole_step(matrix, np.zeros(0, complex), 0), start, np.zeros(0))
+    sensors = SensorModel(np.zeros(ports.measurements), np.zeros(ports.measurements), 1, 0.0, 0)
     none = np.zeros((0, 0))
-    law = SampledSystem(none, none, none, gain, K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    observer = SampledSystem(none, none, none, np.zeros((ESTIMATES, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
-    one = 1.0
-    controller = FsmPmaController(law, los_sensitivity=one, fsm_authority=one, pma_authority=one)
-    block = _Ticks(*(np.zeros((1, width)) for width in (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)))
+    gain = np.zeros((k_pma.commands, k_pma.measurements))
+    law = SampledSystem(none, none, none, gain, k_pma.measured, k_pma.commanded, DT)
+    gain = np.zeros((ESTIMATES, k_fsm.measurements))
+    observer = SampledSystem(none, none, none, gain, k_fsm.measured, K_FSM_OUTPUTS, DT)
+    controller = FsmPmaController(law, k_pma, los_sensitivity=one, fsm_authority=one, pma_authority=one)
+    block = _Ticks(*(np.zeros((1, width)) for width in (ports.measurements, TRUTH, ESTIMATES, ports.commands)))
     for dynamics in (constant, RampedStep([matrix], 1, moving, start)):
-        telescope = Plant(dynamics, sensors, np.ones(COMMANDS))
+        telescope = Plant(dynamics, sensors, np.ones(ports.commands))
         telescope.compile()
-        CompiledLoop(telescope, LosEstimator(observer), controller).run(np.zeros(COMMANDS), block, 1)
+        loop = CompiledLoop(telescope, LosEstimator(observer, k_fsm), controller, 0)
+        loop.run(np.zeros(ports.commands), block, 1)
     return True
 
 

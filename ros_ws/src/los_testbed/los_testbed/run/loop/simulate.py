@@ -74,8 +74,9 @@ def run_in_process(
     """
     if plant is None:
         return record(RunParts(config), bag_path, progress)
-    check_plant(plant)
-    return record(RunParts(config.at_rest()), bag_path, progress, plant)
+    parts = RunParts(config.at_rest())
+    check_plant(plant, parts.ports.used_by())
+    return record(parts, bag_path, progress, plant)
 
 
 def record(

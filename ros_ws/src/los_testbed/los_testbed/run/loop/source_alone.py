@@ -141,9 +141,8 @@ def _at_rest(alone: RunParts) -> Plant:
 
 def _simulated(alone: RunParts, telescope: Plant, ticks: int) -> FloatArray:
     """True line of sight of the loop with this plant."""
-    plant = alone.with_devices(telescope)
     estimator, controller = alone.estimator(), alone.controller()
-    for part in (plant, estimator, controller):
+    for part in (telescope, estimator, controller):
         part.reset()
     los = np.zeros((ticks, 2))
     done = 0
@@ -156,5 +155,5 @@ def _simulated(alone: RunParts, telescope: Plant, ticks: int) -> FloatArray:
     with one_thread():
         first = None if alone.states is None else alone.states.command
         used = alone.used["k_fsm"], alone.used["k_pma"]
-        SimulatedLoop(plant, estimator, controller, first, alone.ports, used).run(ticks, keep)
+        SimulatedLoop(telescope, estimator, controller, alone.loop_ports, used, first).run(ticks, keep)
     return los

@@ -32,7 +32,6 @@ from pointing_analysis.indices.metrics import samples_or_one
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.sensors import MEASURED_SENSORS
-from titop_plant.telescope.loop_ports import LoopPorts
 
 GROUPS = {entry.port.name: entry.group for entry in MEASURED_SENSORS}
 PARTS = ("tones", "noise", "sources", "all")
@@ -78,8 +77,7 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part in ("sources", "all"):
         sources += _of_files(path, parts, unit)
     if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
-        ports = parts.telescope.loop_ports.used_by(*parts.models.values())
-        sources += _noise(path, model.loop, ports, unit)
+        sources += _noise(path, model.loop, unit)
     return sources
 
 
@@ -128,9 +126,10 @@ def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Error
     ]
 
 
-def _noise(path: tuple[str, ...], loop: SampledLoop, ports: LoopPorts, unit: float) -> list[ErrorSource]:
-    """One source for each group of sensors, and for each further sensor of the telescope."""
-    sigma, sources = ports.noise, []
+def _noise(path: tuple[str, ...], loop: SampledLoop, unit: float) -> list[ErrorSource]:
+    """One source for each group of sensors, and for each sensor at a place."""
+    ports, sources = loop.ports, list[ErrorSource]()
+    sigma = ports.noise
     groups = [GROUPS.get(sensor.port.name, sensor.port.name) for sensor in ports.sensors]
     for name in dict.fromkeys(groups):
         chosen = np.zeros_like(sigma)

@@ -8,14 +8,13 @@ than the loop has an age besides: time from its sample to the tick [s], NaN with
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from los_testbed.bags.cdr import Codec
-from los_testbed.config.topics import BUNDLES, COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
+from los_testbed.config.topics import BUNDLES, TopicDefinition, command_topics, sensor_topics
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.read.messages.message_types import JOINT_STATE
-from titop_plant.interface import MEASUREMENTS
 
 FRAME = "loop"
 
@@ -68,20 +67,13 @@ class TickBundle:
 
 
 def measurement_bundle(parts: RunParts) -> TickBundle:
-    """The message of the plant: the measurement, readings of further sensors that a controller takes in, ages."""
-    read = {port.name for ports in parts.used.values() for port in ports.further_measured}
-    topics: list[TopicDefinition] = list(SENSORS)
-    end = MEASUREMENTS
-    for topic in parts.topics[len(TOPICS) :]:
-        if topic.publisher == "plant" and topic.port in read:
-            topics.append(shifted(topic, end - topic.columns.start))
-            end += topic.size
+    """The message of the plant: the measurement, then the ages of slow sensors."""
+    topics = sensor_topics(parts.ports.sensors)
     slow = [topic.name for topic in topics if topic.framed and topic.every(parts.ports.ticks) > 1]
-    return TickBundle(BUNDLES["plant"], "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
+    end = parts.ports.measurements
+    return TickBundle(BUNDLES["plant"], "plant", topics, {name: end + i for i, name in enumerate(slow)})
 
 
 def command_bundle(parts: RunParts) -> TickBundle:
-    """The message of the controller: the command, forces of further actuators behind it."""
-    topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].further_actuators))
-
-    return TickBundle(BUNDLES["controller"], "controller", tuple(topics), {})
+    """The message of the controller: the command."""
+    return TickBundle(BUNDLES["controller"], "controller", command_topics(parts.ports.actuators), {})
