@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from los_testbed.config.topics import (
     ACCEL,
-    COMMANDS,
+    COMMAND_TOPICS,
     FSM_COMMAND,
     ISOLATOR_ACCEL,
     JOINT_STATE,
@@ -131,7 +131,7 @@ class PlantTimer:
         self.newest = {FSM_COMMAND.name: 0, PMA_COMMAND.name: 0}
         self.echoes: set[str] = set()
         self.start = self.begin = self.k = self.held = self.skipped = self.calls = 0
-        for topic in COMMANDS:
+        for topic in COMMAND_TOPICS:
             kind = MESSAGES[topic.type_name]
             context.node.create_subscription(kind, topic.name, self.receiver(topic), 10)
         context.node.create_subscription(MESSAGES[HEADER], PROGRESS_TOPIC, lambda m: self.echoes.add("recorder"), 10)
@@ -221,7 +221,7 @@ class Estimator:
 
 class Controller:
     def __init__(self, context: NodeContext) -> None:
-        self.core, self.outputs = build_controller(context.config), [Output(context, t) for t in COMMANDS]
+        self.core, self.outputs = build_controller(context.config), [Output(context, t) for t in COMMAND_TOPICS]
         self.command = np.zeros(8)
         self.synchronizer = Synchronizer(
             context, (ISOLATOR_ACCEL, LOS_ESTIMATE), [slice(2, 8), slice(0, 2)], 8, self.tick

@@ -34,21 +34,7 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import Port, SampledSystem
 from lftkit.arrays import FloatArray
 from los_estimator.runtime import LosEstimator
-from titop_plant.interface import (
-    COMMANDS,
-    DT,
-    ESTIMATES,
-    HELD,
-    HELD_PARTS,
-    K_FSM_INPUTS,
-    K_FSM_OUTPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MEASUREMENTS,
-    PLATFORM,
-    STAGES,
-    TRUTH,
-)
+from titop_plant.interface import DT, ESTIMATES, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, STAGES, TRUTH
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.kernel_arrays import (
     ControllerArrays,
@@ -58,6 +44,10 @@ from titop_plant.simulation.kernel_arrays import (
     StepArrays,
     TickRecord,
 )
+from titop_plant.telescope.load import load_telescope
+
+PORTS = load_telescope().loop_ports
+"""Sensors and actuators of the laws."""
 
 BLOCK, ODD = 1000, 30
 """Ticks of a block; ticks at its end with sums that overflow, of which the last five follow a NaN."""
@@ -103,23 +93,25 @@ def random_laws(rng: np.random.Generator, order: int) -> FlightLaws:
     k_pma = random_system(rng, int(rng.integers(1, 13)), K_PMA_INPUTS, K_PMA_OUTPUTS)
     sensitivity, mirror, force = (float(value) for value in 10.0 ** rng.uniform([-3, -4, 0], [1, 4, 12]))
     limits = {"los_sensitivity": sensitivity, "fsm_authority": mirror, "pma_authority": force}
-    return FlightLaws.of(LosEstimator(k_fsm), FsmPmaController(k_pma, **limits))
+    return FlightLaws.of(
+        LosEstimator(k_fsm, PORTS.of_law("k_fsm")), FsmPmaController(k_pma, PORTS.of_law("k_pma"), **limits)
+    )
 
 
 def inputs(rng: np.random.Generator, kind: str, rows: int = BLOCK) -> FloatArray:
     """Measurements (rows, 22) of a block."""
-    size = rows, MEASUREMENTS
+    size = rows, PORTS.measurements
     if kind == "ordinary":
         found = rng.standard_normal(size)
     elif kind == "all magnitudes":
-        found = magnitudes(rng, rows)
+        found = magnitudes(rng, PORTS.measurements, rows)
     elif kind == "subnormal":
         found = 5e-324 * rng.integers(-(1 << 51), 1 << 51, size).astype(float)
     else:
         found = 1e300 * rng.uniform(-1.0, 1.0, size)
-    found[-ODD:] = 1.7e308 * rng.uniform(-1.0, 1.0, (ODD, MEASUREMENTS))
+    found[-ODD:] = 1.7e308 * rng.uniform(-1.0, 1.0, (ODD, PORTS.measurements))
     found[-5, rng.integers(18)] = np.nan
-    return without_frames(found, rng)
+    return without_frames(found, PORTS.held, rng)
 
 
 @dataclass(frozen=True)
@@ -140,34 +132,34 @@ def by_kernel(laws: FlightLaws, setting: Setting, measurement: FloatArray) -> tu
     compiled = kernel()
     assert compiled is not None
     rows = len(measurement)
-    node = np.full((1, 1, 1 + MEASUREMENTS + TRUTH), -0.0)
+    node = np.full((1, 1, 1 + PORTS.measurements + TRUTH), -0.0)
     node[0, 0, 0] = 1.0
-    none, values = np.zeros((0, 0)), np.zeros(1 + COMMANDS)
+    none, values = np.zeros((0, 0)), np.zeros(1 + PORTS.commands)
     values[0] = 1.0
     step = StepArrays(0, np.zeros(0), np.zeros(0), none, np.zeros((1, 1)), none, none, node)
-    sensors = SensorArrays(measurement, np.full(MEASUREMENTS, -0.0), np.zeros((rows, MEASUREMENTS), bool))
+    sensors = SensorArrays(measurement, np.full(PORTS.measurements, -0.0), np.zeros((rows, PORTS.measurements), bool))
     estimator, controller = laws.estimator(), laws.controller(setting.stage)
     controller.limit(setting.mirror, setting.force)
     law, product = controller.k_pma, estimator.k_fsm.product
     assert isinstance(law, SampledSystem)
-    parts = np.array([0, *(part.stop for part in HELD_PARTS.values())])
-    widths = (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)
+    held = estimator.held
+    widths = (PORTS.measurements, TRUTH, ESTIMATES, PORTS.commands)
     record = TickRecord(*(np.empty((rows, width)) for width in widths))
     compiled.loop(
         step,
         values,
-        np.ones(COMMANDS),
+        np.ones(PORTS.commands),
         Course(np.zeros(rows), np.zeros((rows + 1, 0))),
         sensors,
-        ObserverArrays(product.columns, product.values, parts, HELD, estimator.held),
+        ObserverArrays(product.columns, product.values, held.parts, held.columns, held.values),
         ControllerArrays(
             law.product.columns,
             law.product.values,
-            PLATFORM.start,
+            laws.measured.start,
             np.array(controller.closed, dtype=np.int64),
             controller.mirror_gain,
             controller.limits,
-            np.zeros(COMMANDS),
+            np.zeros(PORTS.commands),
         ),
         record,
     )
@@ -192,7 +184,7 @@ class Exported:
     def answers(self, setting: Setting, measurement: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Estimates (n, 2) and commands (n, 8) from rest."""
         rows = len(measurement)
-        estimate, command = np.empty((rows, ESTIMATES)), np.empty((rows, COMMANDS))
+        estimate, command = np.empty((rows, ESTIMATES)), np.empty((rows, PORTS.commands))
         pointers = (ctypes.c_void_p(array.ctypes.data) for array in (measurement, estimate, command))
         limits = ctypes.c_double(setting.mirror), ctypes.c_double(setting.force)
         self._drive(STAGES.index(setting.stage), *limits, ctypes.c_long(rows), *pointers)

@@ -24,7 +24,7 @@ from lftkit.benchmarks.norms import RTOL, slycot_norms
 
 def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
-    from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant
+    from fsm_pma_controller.problem import MEASURED_NAMES, actuator_plant
     from lftkit import System
     from lftkit.tuning.requirements.assembled_loop import AssembledLoop
     from los_design.synthesis.options import DesignOptions
@@ -37,7 +37,7 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     options = DesignOptions()
     plant = actuator_plant(telescope, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
     data = continuous(k_pma).at({})
-    ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
+    ports = tuple(plant.system.output_port(name) for name in MEASURED_NAMES)
     law = System(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA")
     requirement = next(r for r in implemented_requirements(telescope, "fsm+pma") if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]

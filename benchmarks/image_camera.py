@@ -34,7 +34,7 @@ from real_time_loop import cpu_seconds, figures, machine
 from scipy import stats
 
 from lftkit.support.threads import one_thread
-from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import TRUTH
 
 KINDS = ("magnitude", "image")
 COST_TICKS = 4000
@@ -118,7 +118,7 @@ def costs(parameters: str) -> dict[str, dict[str, float]]:
         camera = image_camera_of(plant)
         assert camera is not None
         compile_telescope(plant, COST_TICKS)
-        u, y, truth = np.zeros(COMMANDS), np.zeros(MEASUREMENTS), np.zeros(TRUTH)
+        u, y, truth = np.zeros(parts.ports.commands), np.zeros(parts.ports.measurements), np.zeros(TRUTH)
         steps, works = np.zeros(COST_TICKS), np.zeros(COST_TICKS)
         for k in range(COST_TICKS):
             steps[k] = spent(lambda: plant.step(u, y, truth))

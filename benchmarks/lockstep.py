@@ -25,7 +25,7 @@ import numpy as np
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.topics import (
-    COMMANDS,
+    COMMAND_TOPICS,
     FSM_COMMAND,
     ISOLATOR_ACCEL,
     LOS_ESTIMATE,
@@ -41,7 +41,7 @@ from los_testbed.run.runner import Runner
 TICK_NS, WAIT_NS, WARM_UP = 1_000_000, 50_000_000, 500
 FAST = tuple(topic for topic in SENSORS if not topic.framed)
 ROLES: dict[str, tuple[tuple[TopicDefinition, ...], tuple[TopicDefinition, ...]]] = {
-    "plant": (COMMANDS, (*FAST, TRUTH_LOS)),
+    "plant": (COMMAND_TOPICS, (*FAST, TRUTH_LOS)),
     "estimator": (FAST, (LOS_ESTIMATE,)),
     "controller": ((ISOLATOR_ACCEL, LOS_ESTIMATE), (FSM_COMMAND, PMA_COMMAND)),
 }

@@ -24,7 +24,7 @@ from los_testbed.parts.run_parts import RunParts
 from lftkit.arrays import FloatArray
 from pointing_analysis.replay.gap_stepping import FILLS, LINE, GapStepper
 from pointing_analysis.units import RAD_PER_ARCSEC
-from titop_plant.interface import COMMANDS, DT, ESTIMATES, HELD, MEASUREMENTS, PLATFORM, TRUTH
+from titop_plant.interface import DT, ESTIMATES, PLATFORM, TRUTH
 
 CASES = (("fsm", "RPE"), ("fsm+pma", "RPE"), ("fsm+pma", "slow"))
 GAPS = 1, 2, 4, 8, 12, 20, 40
@@ -37,15 +37,16 @@ ROOT = Path(__file__).parents[1]
 def line_of_sight(parts: RunParts, first: int, gap: int, fill: str = LINE) -> FloatArray:
     """True line of sight [rad], shape (ticks, 2), of a run that loses `gap` ticks from tick `first` on."""
     plant, estimator, controller = parts.plant(), parts.estimator(), parts.controller()
+    ports = parts.ports
     estimator.reset()
     controller.reset()
-    observe = GapStepper(estimator.step, MEASUREMENTS, HELD, fill)
+    observe = GapStepper(estimator.step, ports.measurements, ports.held, fill)
     size = ESTIMATES + PLATFORM.stop - PLATFORM.start
     control = GapStepper(lambda x, out: controller.step(x[:ESTIMATES], x[ESTIMATES:], out), size, fill=fill)
-    command, estimate, new = np.zeros(COMMANDS), np.zeros(ESTIMATES), np.zeros(COMMANDS)
+    command, estimate, new = np.zeros(ports.commands), np.zeros(ESTIMATES), np.zeros(ports.commands)
     if parts.start.command is not None:
         command[:] = parts.start.command
-    measurement, seen = np.zeros(MEASUREMENTS), np.zeros((FIRST + AFTER, TRUTH))
+    measurement, seen = np.zeros(ports.measurements), np.zeros((FIRST + AFTER, TRUTH))
     missing = 0
     for k in range(len(seen)):
         plant.step(command, measurement, seen[k])

@@ -22,11 +22,9 @@ from pointing_analysis.indices.metrics import windows
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import (
     CAMERA,
-    COMMANDS,
     DT,
     ESTIMATES,
     FSM_ANGLE,
-    MEASUREMENTS,
     PLATFORM,
     TICK_NS,
     TRUTH,
@@ -42,13 +40,13 @@ def rpe(parts: RunParts, ticks: int, delay: int, loss: float, old: str) -> float
     plant, estimator, controller = parts.plant(), parts.estimator(), parts.controller()
     for part in (plant, estimator, controller):
         part.reset()
-    every = plant.frame_ticks
+    every, ports = plant.frame_ticks, parts.ports
     camera = SlowSensor("camera/los", CAMERA, every * TICK_NS, 0, old, FSM_ANGLE, parts.basis.los_sensitivity or 0.0)
     rng = np.random.default_rng(1)
-    command, los = np.zeros(COMMANDS), np.zeros(ESTIMATES)
+    command, los = np.zeros(ports.commands), np.zeros(ESTIMATES)
     if parts.start.command is not None:
         command[:] = parts.start.command
-    measurement, seen = np.zeros((ticks, MEASUREMENTS)), np.zeros((ticks, TRUTH))
+    measurement, seen = np.zeros((ticks, ports.measurements)), np.zeros((ticks, TRUTH))
     pending: dict[int, tuple[int, np.ndarray]] = {}
     first = every * 50  # stamps begin above zero
     for k in range(ticks):

@@ -25,12 +25,12 @@ from processor_time import least
 from tick import present
 
 from lftkit import Port, System
-from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import TRUTH
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
 
-DISTURBANCES = 22
+DISTURBANCES, MEASUREMENTS, COMMANDS = 22, 22, 8
 OUTPUT = 1e-9
 """Size of the outputs of a random plant."""
 
@@ -58,12 +58,13 @@ def cost(states: int, ticks: int) -> dict[str, float]:
     begin = time.process_time()
     step = plant_step(system, tones)
     seconds = time.process_time() - begin
-    sensors, limits = parts.family._sensors(parts.physical), parts.family.limits
+    sensors, limits = parts.family._sensors(parts.physical), parts.family.ports.limits
 
     def plant() -> Plant:
         return Plant(ConstantStep(step, np.zeros(system.order), np.unique(tones.frequency)), sensors, limits)
 
-    made: Any = SimpleNamespace(plant=plant, estimator=parts.estimator, controller=parts.controller, start=parts.start)
+    kept = {name: getattr(parts, name) for name in ("estimator", "controller", "start", "ports", "used")}
+    made: Any = SimpleNamespace(plant=plant, **kept)
     each = [least(lambda: present(made, count, True)) for count in (2, ticks)]  # noqa: B023
     return {"preparation_s": seconds, "tick_us": 1e6 * (each[1] - each[0]) / (ticks - 2)}
 

@@ -44,7 +44,7 @@ from los_testbed.run.loop.simulate import run_in_process
 from processor_time import least
 
 from titop_plant.held_samples import HeldSamples
-from titop_plant.interface import CAMERA, COMMANDS, FORCES, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.interface import CAMERA, FORCES, MIRROR, PLATFORM
 from titop_plant.simulation import build, compilation
 from titop_plant.simulation.plant_step import step_matrix
 
@@ -73,31 +73,32 @@ class DenseLoop:
     def __init__(self, parts: RunParts) -> None:
         plant, tones = parts.family.plant_and_tones(parts.physical)
         self.matrix, self.turn = step_matrix(plant, tones), np.exp(1j * tones.frequency * 1e-3)
-        self.n, self.limits = plant.A.shape[0], parts.family.limits
+        self.n, self.limits = plant.A.shape[0], parts.family.ports.limits
         self.z, self.out = np.zeros(self.matrix.shape[1]), np.zeros(self.matrix.shape[0])
-        self.phasors = self.z[self.n + COMMANDS :].view(complex)
+        self.commands, self.measurements = parts.ports.commands, parts.ports.measurements
+        self.phasors = self.z[self.n + self.commands :].view(complex)
         self.z[: self.n], self.phasors[:] = parts.start.states.plant, 1.0
         self.sensors = parts.family._sensors(parts.physical)
         self.noise = np.random.default_rng(np.random.SeedSequence(self.sensors.seed).spawn(2)[0])
-        self.block, self.tick = np.zeros((64, MEASUREMENTS)), 0
+        self.block, self.tick = np.zeros((64, self.measurements)), 0
         self.observer = Law(parts.k_fsm, parts.start.states.k_fsm)
         self.forces = Law(parts.k_pma, parts.start.states.k_pma)
-        self.held, self.seen, self.force = HeldSamples(parts.ports.sensors), np.zeros(MEASUREMENTS), np.zeros(6)
+        self.held, self.seen, self.force = HeldSamples(parts.ports.sensors), np.zeros(self.measurements), np.zeros(6)
         self.held.values[:] = parts.start.states.camera
         controller = parts.controller()
         self.gain, self.authority = controller.mirror_gain, controller.limits
 
     def plant(self, command: np.ndarray, y: np.ndarray, truth: np.ndarray) -> None:
-        n, v = self.n, self.z[self.n : self.n + COMMANDS]
+        n, v = self.n, self.z[self.n : self.n + self.commands]
         np.minimum(command, self.limits, out=v)
         np.maximum(v, -self.limits, out=v)
         np.matmul(self.matrix, self.z, out=self.out)
         if self.tick % 64 == 0:
             self.noise.standard_normal(out=self.block)
             self.block *= self.sensors.sigma
-        np.add(self.out[n : n + MEASUREMENTS], self.block[self.tick % 64], out=y)
+        np.add(self.out[n : n + self.measurements], self.block[self.tick % 64], out=y)
         y += self.sensors.bias
-        truth[:] = self.out[n + MEASUREMENTS :]
+        truth[:] = self.out[n + self.measurements :]
         if self.tick % self.sensors.frame_ticks:
             y[CAMERA] = np.nan
         self.z[:n] = self.out[:n]
@@ -140,7 +141,8 @@ def present(parts: RunParts, ticks: int, compiled: bool, keep: bool = False) -> 
     usual = compiled_loop.kernel_for
     compiled_loop.kernel_for = (lambda ticks: compilation.kernel()) if compiled else (lambda ticks: None)
     try:
-        SimulatedLoop(plant, estimator, controller, parts.start.command).run(ticks, sink)
+        used = parts.used["k_fsm"], parts.used["k_pma"]
+        SimulatedLoop(plant, estimator, controller, parts.ports, used, parts.start.command).run(ticks, sink)
     finally:
         compiled_loop.kernel_for = usual
     return found

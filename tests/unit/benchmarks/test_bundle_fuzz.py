@@ -19,7 +19,7 @@ fuzz = script(Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py")
 
 STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
 NAME = bundles.member_of(STAGE, FIGURE)
-PATCHED = ((sampled_loop, ["stable_below"]), (bundles, ["OpenLoop", "control_loop_plant"]))
+PATCHED = ((sampled_loop, ["stable_below"]), (bundles, ["provable_open_loop"]))
 """What the script replaces."""
 
 
