@@ -1,7 +1,7 @@
 """The actuators of the loop: ports, authority, places.
 
 The mirror and the proof-mass actuators of the isolator come first, then those of the tables ``[[actuator]]``
-(:mod:`titop_plant.telescope.devices`). This module needs numpy only.
+(:mod:`titop_plant.telescope.devices`).
 """
 
 from __future__ import annotations

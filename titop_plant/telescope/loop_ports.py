@@ -10,7 +10,7 @@ command        values of the actuators: ``fsm_command`` (2) [rad], then all othe
 The response of the loop is from the normalised disturbances, and what is added to the command, to the controlled line
 of sight and the command that is applied. In it the port ``pma_force`` holds all commands but those of the mirror.
 
-:attr:`titop_plant.telescope.telescope.Telescope.loop_ports` has all rows of a telescope. This module needs numpy only.
+:attr:`titop_plant.telescope.telescope.Telescope.loop_ports` has all rows of a telescope.
 """
 
 from __future__ import annotations
