@@ -57,12 +57,16 @@ class LiveRowSettings(AlgorithmSettings):
     left : times the rounding of the fourth differences that the third ones of a polynomial have at least
     turned : times the allowed bend of a line, or the typical step of a motion, from which a change is one
     format : largest part of the largest norm that is the rounding of a number format
+    around : times the length of a run, to either side, in which a signal is as slow as in it
+    turning : share of steps in the direction against the one before, from which a quantised signal is no slow motion
     multiple : part of a quantum by which the steps of a rounded record miss a multiple of it
+    growing : times that a quantum is fitted to more of the steps
     same : part by which the rows for a sample may differ in the two axes
     decimated : rows that are taken together where rounding hides a polynomial between single ones
     coarse : part of a limit up to which the values may be rounded
     at_rows : share of interpolated samples that are a whole number of rows apart, if they are at rows
     long : rows of a sample from which a corner may be seen a row late
+    certain : standard errors beyond which more values at the largest level are no chance
     short, even, stretches : most rows of a run, and variance of their number in equal stretches over its mean, in a
         record that was brought to another rate by lines or cubic splines (1 at random), and fewest stretches
     digits : largest rounding of a value to the digits of a file, a part of it: seven digits, or single precision
@@ -87,12 +91,16 @@ class LiveRowSettings(AlgorithmSettings):
     left: float = 4.0
     turned: float = 3.0
     format: float = 1e-3
+    around: int = 4
+    turning: float = 0.5
     multiple: float = 1e-3
+    growing: int = 16
     same: float = 0.02
     decimated: int = 4
     coarse: float = 0.5
     at_rows: float = 0.95
     long: int = 8
+    certain: float = 4.0
     short: int = 3
     even: float = 0.1
     stretches: int = 16
@@ -165,7 +173,7 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
         return None
     if e.shape[1] == 1 and np.isnan(e[:PART, 0]).any() and (hold := _regular(~np.isnan(e[:, 0]), settings)):
         return replace(hold, held=True)  # rows between the samples are empty
-    changed = _marks(e, _moves)
+    changed = _without_holes(_marks(e, _moves), e)
     begins = np.flatnonzero(changed[:PART])[1:]
     if not changed[1:].any():
         return None
@@ -187,7 +195,7 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     jumps = np.flatnonzero(second[:PART])
     jumps = jumps[jumps > 1]
     jumped = e[jumps] - 2.0 * e[jumps - 1] + e[jumps - 2]
-    saw = len(jumps) > 0 and _of_quantisation(jumped, settings, quantum)  # always the same one: a motion
+    saw = len(jumps) > settings.margin and _of_quantisation(jumped, settings, quantum)  # always the same: a motion
     turns = np.flatnonzero((corner & ~second)[1 : PART - 1]) + 1
     turns = turns[(turns > 1) & (turns < len(e) - 2)]
     turned = e[turns + 2] - e[turns + 1] - e[turns - 1] + e[turns - 2]  # of the slope
@@ -201,14 +209,50 @@ def _hold_of(e: FloatArray, settings: LiveRowSettings) -> Hold | None:
     return None
 
 
+def _without_holes(changed: BoolArray, e: FloatArray) -> BoolArray:
+    """Rows (n,) that begin a run, where rows that are missing within a run of equal values begin none.
+
+    Those between two runs of several rows end the first one.
+    """
+    missing: BoolArray = np.any(np.isnan(e), axis=1)
+    if not missing.any():
+        return changed
+    starts, ends = np.flatnonzero(missing[1:] & ~missing[:-1]) + 1, np.flatnonzero(missing[:-1] & ~missing[1:]) + 1
+    ends = ends[int(missing[0]) :]  # a gap at the start or at the end has no other side
+    starts = starts[: len(ends)]
+    inner = (starts > 1) & (ends < len(e) - 1)
+    starts, ends = starts[inner], ends[inner]
+    same = np.all(e[starts - 1] == e[ends], axis=1)
+    held = same | np.all(e[starts - 2] == e[starts - 1], axis=1) | np.all(e[ends] == e[ends + 1], axis=1)
+    changed[starts[held]] = False
+    changed[ends[same]] = False
+    return changed
+
+
 def _quantum(steps: FloatArray, settings: LiveRowSettings) -> FloatArray:
     """Quantum (2,) of which all steps (n, 2) between rows are multiples; zero in an axis that is not rounded."""
     quanta = np.zeros(steps.shape[1])
     for k, column in enumerate(np.abs(steps).T):
-        moving = column[column > 0.0]
-        if moving.size:
-            places = moving / moving.min()
-            quanta[k] = moving.min() if (np.abs(places - np.rint(places)) <= settings.multiple).all() else 0.0
+        sizes = np.sort(column[column > 0.0])
+        if not sizes.size:
+            continue
+        # Greatest common divisor of the smallest ones by Euclid's algorithm: of many decimals no step needs to have
+        # the last one alone. Then its value by larger and larger multiples.
+        quantum, least, few = float(sizes[0]), settings.rounding * float(sizes[-1]), sizes[: settings.fewest]
+        others = few
+        while others.size and quantum > least:
+            left = np.abs(few - quantum * np.rint(few / quantum))
+            others = left[left > settings.multiple * quantum]
+            quantum = float(others.min(initial=quantum))
+        if quantum <= least:
+            continue
+        for most in np.geomspace(few[-1], sizes[-1], settings.growing):
+            some = sizes[: np.searchsorted(sizes, (1.0 + settings.multiple) * most)]
+            counts = np.rint(some / quantum)
+            quantum = float(counts @ some / (counts @ counts))
+        places = sizes / quantum
+        if (np.abs(places - np.rint(places)) <= settings.multiple).all():
+            quanta[k] = quantum
     return quanta
 
 
@@ -284,12 +328,13 @@ def _regular(begins: BoolArray, settings: LiveRowSettings) -> Hold | None:
     if len(inner) < settings.fewest // 2:
         return None
     length = float(np.median(inner))
-    repeats = np.maximum(np.rint(inner / length), 1.0)
+    repeats = np.maximum(np.ceil(inner / length - 0.5), 1.0)
     fits = np.abs(inner - repeats * length) <= settings.spread * length
+    fits |= inner == np.floor(length) + 1.0  # of a length that is no whole number
     if length < 2.0 or inner[fits].sum() < settings.regular * inner.sum():
         return None
     rows = float(inner[fits].sum() / repeats[fits].sum())
-    return Hold(rows, starts, np.maximum(np.rint(lengths / rows), 1.0).astype(np.int64))
+    return Hold(rows, starts, np.maximum(np.ceil(lengths / rows - 0.5), 1.0).astype(np.int64))
 
 
 def samples_behind(e: FloatArray, hold: Hold) -> FloatArray:
@@ -336,14 +381,25 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     # Probability of one row that repeats, in a quantised axis at most, by the rows beside the longest run
     others, seen = len(x) - int(lengths.max()), int(repeated.sum()) - int(lengths.max()) + 1
     one = (seen + settings.beside) / (others + settings.beside) if quantised else quantum / typical
-    longest = math.log(settings.chance / len(x)) / math.log(min(max(one, 1e-300), 1.0 - 1e-15))
+    chance = math.log(settings.chance / len(x))
+    longest: FloatArray | float = chance / math.log(min(max(one, 1e-300), 1.0 - 1e-15))
     # Many single rows that repeat are no chance either, where rows further apart are not equal as often
     equal = int(np.count_nonzero(x[settings.apart :] == x[: -settings.apart]))
     if not quantised and int(repeated.sum()) > settings.margin + settings.beside * max(one * len(x), equal):
         longest = 0.0
     still = settings.fine * typical  # step of a motion that hardly moves
     if quantised and moving.size >= settings.fewest:
-        still = 2.001 * quantum
+        if _is_rough(x[starts], quantum, settings):  # it repeats more where it is slow: by the rows beside each run
+            ends, total = starts + lengths, np.append(0, np.cumsum(repeated))
+            first, last = (
+                np.maximum(starts - settings.around * lengths, 0),
+                np.minimum(ends + settings.around * lengths, len(x)),
+            )
+            near = total[last] - total[ends] + total[starts] - total[first]
+            share = (near + settings.beside) / (last - first - lengths + settings.beside)
+            longest = np.maximum(longest, chance / np.log(np.minimum(share, 1.0 - 1e-15)))
+        else:
+            still = 2.001 * quantum
     # The steps of a motion without noise change less from row to row than those of noise, by 1.4 or 1.7 of themselves
     changes = np.abs(np.diff(x[starts], n=2)[:PART])
     change = float(np.nanmedian(changes)) if np.isfinite(changes).any() else 0.0
@@ -351,6 +407,18 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     begun = (x[starts] == x[0]) & (lengths[0] > settings.margin)  # a motion that begins at rest comes back to it
     rests = (change <= settings.smooth * typical) & (begun | ~(into > allowed))
     return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
+
+
+def _is_rough(values: FloatArray, quantum: float, settings: LiveRowSettings) -> bool:
+    """Whether the values (m,) of a quantised signal, repeated ones left out, jump to and fro by several quanta.
+
+    A smooth motion changes by single quanta where it is slow, and turns back seldom where it is fast.
+    """
+    steps = np.diff(values[:PART])
+    steps = steps[np.isfinite(steps)]
+    jumps = np.mean(np.abs(steps) > 1.5 * quantum) if steps.size else 0.0
+    turns = np.mean(steps[1:] * steps[:-1] < 0.0) if steps.size > 1 else 0.0
+    return bool(jumps > 1.0 - settings.single and turns > settings.turning)
 
 
 def interpolated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray:
@@ -483,8 +551,33 @@ def _at_top(values: FloatArray, settings: LiveRowSettings, quantum: float = 0.0)
     comes = int(np.count_nonzero(np.diff(np.flatnonzero(at_top)) > 1)) + 1
     alone = comes > settings.margin and len(np.unique(near)) == len(near)
     beside = 1.0 if alone else settings.beside
-    if count <= beside * len(near) + settings.margin:
+    if count <= beside * len(near) + settings.margin and not _piled_up(values, top, next_level, settings):
         return none
     once = period(values, float(np.nanstd(values)))
     repeats_itself = once < len(values) and int(at_top[:once].sum()) <= settings.margin
     return none if repeats_itself else np.asarray(at_top)
+
+
+def _piled_up(values: FloatArray, top: float, next_level: float, settings: LiveRowSettings) -> bool:
+    """Whether the largest level of a quantised signal (n,) has more of its values than the levels below lead to.
+
+    Towards the end of a distribution the numbers fall from level to level by a factor that does not grow: that from the
+    next level to the largest one is compared with that before it. Where the numbers rise towards the end, as those of a
+    sinusoid do, nothing is said. What the blocks of the record differ by is the uncertainty of both.
+    """
+    quantum = top - next_level
+    levels = top - quantum * np.arange(3.0)
+    counts = np.array(
+        [
+            [np.count_nonzero(np.abs(block - level) <= settings.multiple * quantum) for level in levels]
+            for block in np.array_split(values, settings.stretches)
+        ]
+    )
+    total = counts.sum(axis=0)
+    if total[1:].min() <= settings.margin or total.sum() < np.count_nonzero(values >= levels[-1] - 0.5 * quantum):
+        return False  # levels that are not equally spaced
+    without = np.log(np.maximum(total - counts, 1))  # of each block, and of none
+    rise = np.vstack([np.log(total), without]) @ np.array([[0.0, 1.0], [-1.0, -2.0], [1.0, 1.0]])
+    blocks = len(counts)
+    error = np.sqrt((blocks - 1) / blocks * np.sum((rise[1:] - rise[1:].mean(axis=0)) ** 2, axis=0))
+    return bool((rise[0] > settings.certain * error).all())

@@ -412,10 +412,84 @@ def test_gaps_that_were_filled_by_lines_are_missing(lost: str, digits: int) -> N
     even = lost in ("every second row", "300 Hz")  # brought to another rate: no row is taken for a sample
     assert interpolated.mean() == (1.0 if even else pytest.approx(1.0 - kept.mean(), rel=0.02))
     assert not interpolated_rows(np.round(e, digits)).any()
-    (verdict,) = judge_series(
+    found = judge_series(
         TIME, filled, unit="mas", requirements="prob(|APE| < 1000 mas) >= 0.99 at 95 % confidence", transient=0.0
-    ).verdicts
-    assert verdict.status == "not judged" and "interpolated: " in verdict.note
+    )
+    (verdict,) = found.verdicts
+    if lost == "every second row":  # lines over two rows: the samples have half of the rate
+        assert verdict.status == "compliant" and (verdict.samples, verdict.missing) == (N // 2, 0.0)
+        assert any("500 Hz" in text for text in found.problems)
+    else:
+        assert verdict.status == "not judged" and "interpolated" in verdict.note
+
+
+@pytest.mark.parametrize("digits", range(3, 10))
+@pytest.mark.parametrize(("unit", "size"), [("mas", 1.0), ("urad", 4.848e-3)])
+def test_lines_are_seen_whatever_the_decimals_of_the_file_are(digits: int, unit: str, size: float) -> None:
+    """Also where no step of the file is its last decimal alone."""
+    e, filled = white(3.0), np.zeros(N, bool)
+    for first in range(100, N - 1000, 333):
+        e[first : first + 30] = np.linspace(e[first - 1], e[first + 30], 32)[1:-1]
+        filled[first : first + 30] = True
+    rounded = np.round(size * e, digits + (unit == "urad") * 2)
+    assert interpolated_rows(rounded).mean() == pytest.approx(filled.mean(), rel=0.05)
+
+
+@pytest.mark.parametrize("step", [0.3, 0.5, 0.75, 1.0])
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.99])
+@pytest.mark.parametrize("low", [-6.0, -np.inf])
+def test_a_coarsely_rounded_sensor_that_saturates_is_not_compliant(step: float, memory: float, low: float) -> None:
+    """More samples at the last level than those below lead to; without the ends of its range it is judged."""
+    rng = np.random.default_rng(int(100 * step))
+    motion = lfilter([1.0], [1.0, -memory], rng.standard_normal((4 * N, 2)), axis=0)
+    motion *= 3.0 / motion.std(axis=0)
+    rounded, time = step * np.round(motion / step), 1e-3 * np.arange(4 * N)
+    text = "prob(|APE_x| < 6.2 mas) >= 0.97 at 90 % confidence"
+    clipped = judge_series(time, np.clip(rounded, low, 6.0), unit="mas", requirements=text).verdicts[0]
+    assert clipped.status in ("not judged", "not enough data") and np.mean(np.abs(motion[:, 0]) > 6.2) > 0.03
+    assert not saturated_rows(rounded).any()
+
+
+@pytest.mark.parametrize("step", [0.5, 2.0, 4.0])
+def test_what_is_bounded_is_not_saturated(step: float) -> None:
+    rng, time = np.random.default_rng(3), 1e-3 * np.arange(4 * N)
+    tones = [8.0 * np.column_stack([np.sin(w * time), np.cos(w * time)]) for w in (6.28, 232.0, 1885.0)]
+    motions = [rng.uniform(-8.0, 8.0, (4 * N, 2)), rng.laplace(0.0, 2.0, (4 * N, 2)), rng.standard_t(3, (4 * N, 2))]
+    motions += [tone + noise * rng.standard_normal(tone.shape) for tone in tones for noise in (0.1, 0.5, 2.0)]
+    for motion in motions:
+        assert not saturated_rows(step * np.round(motion / step)).any()
+
+
+@pytest.mark.parametrize("step", [1.0, 2.0, 3.0, 4.0])
+def test_stuck_rows_of_a_coarsely_rounded_noise_are_missing(step: float) -> None:
+    """Runs of 30 rows whose edges are one quantum or two, in a signal that jumps to and fro by several."""
+    rounded, stuck = step * np.round(white(3.0) / step), np.zeros(N, bool)
+    assert not stuck_rows(rounded).any()
+    for first in range(100, N - 1000, 333):
+        rounded[first : first + 30] = rounded[first - 1]
+        stuck[first : first + 30] = True
+    assert stuck_rows(rounded)[stuck].all() and stuck_rows(rounded).mean() < 1.2 * stuck.mean()
+
+
+@pytest.mark.parametrize("lost", [50, 300, 600])
+def test_a_held_record_with_missing_rows_has_its_samples(lost: int) -> None:
+    """Single rows of the log are missing, each camera value is still there."""
+    held, kept = np.repeat(white(3.0, N // 20), 20, axis=0), np.ones(N, bool)
+    kept[np.random.default_rng(lost).choice(np.arange(20, N - 20), lost, replace=False)] = False
+    text = "prob(|APE| < 20 mas) >= 0.9 at 90 % confidence"
+    whole, some = (
+        judge_series(t, e, unit="mas", requirements=text) for t, e in ((TIME, held), (TIME[kept], held[kept]))
+    )
+    first, second = whole.verdicts[0], some.verdicts[0]
+    assert (second.status, second.samples, second.missing) == (first.status, first.samples, 0.0)
+    assert second.effective == first.effective
+
+
+@pytest.mark.parametrize("rate", [333.0, 490.0, 510.0])
+def test_samples_that_are_held_for_two_rows_or_three_are_all_there(rate: float) -> None:
+    held = white(3.0)[np.floor(TIME * rate + 1e-9).astype(int)]
+    hold = hold_of(held)
+    assert isinstance(hold, Hold) and hold.repeats.sum() == len(np.unique(held[:, 0]))
 
 
 def test_motions_without_noise_are_not_interpolated() -> None:
