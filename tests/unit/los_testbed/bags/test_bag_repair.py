@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from los_testbed.bags.check import check_bag
+from los_testbed.bags.describe import describe_bag
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.loop.simulate import run_in_process
@@ -60,12 +61,14 @@ def test_a_bag_that_ends_within_a_chunk_keeps_all_chunks_before(bag, tmp_path, p
     cut = chunks(bag)[3]
     file.write_bytes(file.read_bytes()[: cut.chunk_start_offset + int(part * cut.chunk_length)])
     (bag / "metadata.yaml").unlink()
+    described = describe_bag(bag)
     result = repair_bag(bag, tmp_path / "new")
     assert not result.finished and any("truncated" in text for text in result.sentences())
     lost = {loss.topic: loss.missing for loss in result.losses}
     assert sum(lost.values()) == 32_200 - result.messages, "the manifest before the chunk says what it held"
     with AnyReader([tmp_path / "new"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
+        assert (described["messages"], described["end_ns"]) == (sum(counts.values()), reader.end_time - 1)
         assert sum(1 for _ in reader.messages()) == result.messages
     assert counts["/telescope/truth/los"] == 4000 - lost.get("/telescope/truth/los", 0) >= 3000
     assert Run.open(tmp_path / "new").parameters["loop"] == "fsm+pma"

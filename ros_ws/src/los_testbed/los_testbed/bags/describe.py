@@ -1,4 +1,4 @@
-"""Contents of a bag: times, topics, run, hashes; chunks are unpacked only if the bag has no message counts."""
+"""Contents of a bag: times, topics, run, hashes; a bag without its statistics is read, its messages are counted."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def describe_bag(path: Path, max_chunk: int = MAX_CHUNK) -> dict[str, Any]:
     for _ in reading.blocks():
         pass
     counts = Counter[str]()
-    if all(info.expected for info in reading.infos):
+    statistics = [info.statistics for info in reading.infos if info.expected and info.statistics is not None]
+    if len(statistics) == len(reading.infos):
         spans = [(e.first, e.last) for info in reading.infos for e in info.expected.values()]
-        for info in reading.infos:
+        for info, messages in zip(reading.infos, statistics, strict=True):
             for number, channel in info.channels.items():
-                known = info.expected[number].last_sequence if number in info.expected else 0
-                counts[channel.topic] += known if info.statistics is None else info.statistics.get(number, 0)
-    else:  # of another program: its messages are counted
+                counts[channel.topic] += messages.get(number, 0)
+    else:  # cut, or of another program: what can be read is counted
         reading, spans = BagPass(path, bag, max_chunk), []
         for info, block in reading.blocks():
             spans.append((int(block.heads["log"].min()), int(block.heads["log"].max())))
