@@ -115,7 +115,7 @@ def _table(rows: tuple[DeviceCheckRow, ...]) -> TextTable:
         (
             f"{row.part}[{row.value}]",
             *(digits(x, none="") for x in (row.gain, row.delay_ms, row.noise, row.expected_noise, row.age_ms)),
-            row.fault or "pass",
+            row.fault or ("pass" if math.isfinite(row.gain) else "pass (noise only)"),
         )
         for row in rows
     ]
