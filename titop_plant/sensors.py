@@ -46,7 +46,7 @@ class SensorEntry:
     noise : str
         Key of the standard deviation of a sample, in the unit of the port.
     step : str
-        Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`; "": none.
+        Its quantisation: a key of ``[device_limits]``; "": none.
     rate : str
         Key of its samples per second, between which the last one is held; "": one a tick.
     bias : str

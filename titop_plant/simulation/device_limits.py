@@ -12,67 +12,23 @@ In each tick, in this order:
    signals by ``sqrt(2) / (2 pi cut-off)``. It starts settled on the first sample.
 5. Every measurement is rounded to its quantisation step.
 
-**The truth is that of the telescope: no sensor changes it.** With infinite rates and stroke, no filter and no
-quantisation the plant is bit-identical to the linear one.
+**The truth is that of the telescope: no sensor changes it.** Without any of these limits (all 0)
+the plant is bit-identical to the linear one.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.errors import InputError
 from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MIRROR
 from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.loop_ports import LoopPorts
-from titop_plant.telescope.sections import OscillatorTable
-
-
-@dataclass(frozen=True)
-class DeviceLimits:
-    """Limits of actuators and sensors; the defaults are plausible for such devices and of no particular mission.
-
-    Parameters
-    ----------
-    mirror_rate : float
-        Largest rate of the mirror [rad/s]: full stroke of 10.6 mrad in 21 ms.
-    force_rate : float
-        Largest rate of the motor force of a proof-mass actuator [N/s].
-    stroke : float
-        Largest displacement of a proof mass from its rest position [m].
-    cut_off : float
-        Of the anti-alias filters of the accelerometers [Hz], below half the tick rate; 0 for none.
-    acceleration_step, camera_step, gauge_step : float
-        Quantisation steps [m/s2 and rad/s2; rad; rad]; 0 for none. Defaults: 16 bits over 0.5 g either way, a
-        twentieth of a pixel's noise, 16 bits over the stroke of the mirror.
-
-    Raises
-    ------
-    ValueError
-        A rate or stroke that is not positive, a step that is negative, a cut-off outside its range.
-    """
-
-    mirror_rate: float = 0.5
-    force_rate: float = 3e4
-    stroke: float = 0.01
-    cut_off: float = 250.0
-    acceleration_step: float = 1.5e-4
-    camera_step: float = 5e-10
-    gauge_step: float = 1.6e-7
-
-    def __post_init__(self) -> None:
-        for name in ("mirror_rate", "force_rate", "stroke"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("acceleration_step", "camera_step", "gauge_step"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InputError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if not 0.0 <= self.cut_off < 0.5 / DT:
-            raise InputError(f"cut_off must be from 0 to {0.5 / DT:g} Hz, got {self.cut_off}")
+from titop_plant.telescope.sections import DeviceLimits, OscillatorTable
 
 
 class LimitedDevices:
@@ -81,6 +37,7 @@ class LimitedDevices:
     Parameters
     ----------
     limits : DeviceLimits
+        :attr:`titop_plant.telescope.telescope.Telescope.device_limits`.
     actuator : OscillatorTable
         Of the proof-mass actuators.
     ports : LoopPorts
@@ -98,7 +55,8 @@ class LimitedDevices:
     --------
     A filter of 250 Hz delays the accelerations by 0.9 ms at low frequency:
 
-    >>> round(1e3 * math.sqrt(2) / (2 * math.pi * DeviceLimits().cut_off), 2)
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> round(1e3 * math.sqrt(2) / (2 * math.pi * load_telescope().device_limits.cut_off), 2)
     0.9
     """
 
@@ -106,7 +64,9 @@ class LimitedDevices:
         self.limits, self.name = limits, str(astuple(limits))
         self._authority = ports.limits
         self._most = np.full(ports.commands, np.inf)
-        self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * dt, limits.force_rate * dt
+        self._most[MIRROR] = (limits.mirror_rate or math.inf) * dt
+        self._most[FORCES] = (limits.force_rate or math.inf) * dt
+        self._stroke = limits.stroke or math.inf
         self._push, self._move = held_oscillator(actuator, dt)
         self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
         if limits.cut_off:
@@ -137,7 +97,7 @@ class LimitedDevices:
 
     def before(self, command: FloatArray) -> FloatArray:
         """Output of the actuators for `command` (c,) in this tick; the next call overwrites it."""
-        v, stroke = self._command, self.limits.stroke
+        v, stroke = self._command, self._stroke
         np.clip(command, -self._authority, self._authority, out=v)
         if self._last is not None:  # the first command is that of the start
             np.clip(v, self._last - self._most, self._last + self._most, out=v)

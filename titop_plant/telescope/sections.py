@@ -21,6 +21,7 @@ from pointing_analysis.files.settings import (
     POSITIVE,
     STRICT,
     CheckedTable,
+    Excluded,
     Missing,
     Refused,
     setting,
@@ -30,6 +31,7 @@ from pointing_analysis.image.guide_camera import GuideCamera
 from pointing_analysis.image.optics import ImageOptics
 from titop_plant.blocks.stepper import Stepper
 from titop_plant.blocks.wheel_bearing import ReactionWheel
+from titop_plant.interface import DT
 from titop_plant.ports import AXES
 from titop_plant.telescope.optics import TwoMirrorTelescope
 
@@ -429,6 +431,20 @@ class DesignScenarioTable(CheckedTable):
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class DeviceLimits(CheckedTable):
+    """Limits of real actuators and sensors, which act in runs with ``nonlinear``; 0: no such limit."""
+
+    mirror_rate: float = setting(..., "largest rate of the mirror", "rad/s", 0.0)
+    force_rate: float = setting(..., "largest rate of a force of the proof-mass actuators", "N/s", 0.0)
+    stroke: float = setting(..., "largest displacement of a proof mass", "m", 0.0)
+    cut_off: float = setting(..., "cut-off of the accelerometers' anti-alias filters", "Hz", 0.0, Excluded(0.5 / DT))
+    acceleration_step: float = setting(..., "quantisation of the accelerometers", "m/s2 and rad/s2", 0.0)
+    camera_step: float = setting(..., "quantisation of the camera", "rad", 0.0)
+    gauge_step: float = setting(..., "quantisation of the mirror's gauges", "rad", 0.0)
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class LimitsTable(CheckedTable):
     """Limits of a design, which are made of the requirements, see :mod:`titop_plant.telescope.requirements`."""
 
@@ -478,6 +494,7 @@ TABLES: Mapping[str, tuple[type[CheckedTable], ...]] = {
     "camera": (GuideCamera,),
     "imbalance": (ImbalanceTable,),
     "design_scenario": (DesignScenarioTable,),
+    "device_limits": (DeviceLimits,),
     "weights": (WeightTable,),
 }
 """Classes of the tables of a parameter file: those of which it has one."""

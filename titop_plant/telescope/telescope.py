@@ -40,6 +40,7 @@ from titop_plant.telescope.sections import (
     AttitudeTable,
     BodyTable,
     DesignScenarioTable,
+    DeviceLimits,
     DriveTable,
     ImbalanceTable,
     IsolatorTable,
@@ -67,6 +68,8 @@ if TYPE_CHECKING:
 
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
+NOT_DESIGNED = ("requirement", SOURCES, "sensor", "device_limits")
+"""Tables that are not in the digest as they are."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 
@@ -195,6 +198,11 @@ class Telescope:
     def design_scenario(self) -> DesignScenarioTable:
         """Tones of the scenario design."""
         return DesignScenarioTable.of_part(self._tables["design_scenario"])
+
+    @cached_property
+    def device_limits(self) -> DeviceLimits:
+        """Limits of devices in a run with ``nonlinear``: in no linear plant and no design, so not in the hash."""
+        return DeviceLimits.of_part(self._tables["device_limits"])
 
     @cached_property
     def weights(self) -> WeightTable:
@@ -538,11 +546,11 @@ class Telescope:
         Of the requirements only the limits in ``weights`` and the probabilities of windows and instants count: nothing
         else of them is in a plant or a design. Of the optics those of images do not count, nor does the table of the
         guide camera, of which the low-pass and the noise under ``sensors`` count where they follow from it, nor do
-        sources of disturbance and further sensors, which a telescope has beside its loop: a design that reads one is
-        not told apart by its noise and rate.
+        limits of the devices, sources of disturbance and further sensors, which a telescope has beside its loop: a
+        design that reads one is not told apart by its noise and rate.
         """
         known = layout.without_sources(self.without_images())
-        content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
+        content = {key: value for key, value in known.items() if key not in NOT_DESIGNED}
         content["window_probability"] = self.window_probability
         content["instant_probability"] = self.instant_probability
         for name in OWN_BODIES:

@@ -21,7 +21,6 @@ from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel
 from titop_plant.blocks.revolute_joint import on_revolute_joint
 from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.sensors import SensorEntry
-from titop_plant.simulation.device_limits import DeviceLimits
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.structures import (
     Beam,
@@ -40,6 +39,7 @@ from titop_plant.telescope.load import load_telescope
 TURNED = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 SECTION = Section(E=7e10, G=2.7e10, density=2800.0, A=4e-4, Iy=3e-8, Iz=6e-8, J=5e-8)
 ALUMINIUM = {"E": 7e10, "G": 2.7e10, "density": 2800.0}
+LIMITS = load_telescope().device_limits
 BALL = np.diag([2.0] * 3 + [0.0] * 3)
 X = np.array([1.0, 0.0, 0.0])
 
@@ -121,9 +121,9 @@ OBJECTS: list[tuple[Callable[[], Any], str]] = [
         "bearing.rotor_mass must be at most 1 of the wheel, got 1.5",
     ),
     (lambda: wheel(**SOFT, radial_damping=-0.1), "radial_damping must be at least 0 N s/m, got -0.1"),
-    (lambda: DeviceLimits(mirror_rate=0.0), "mirror_rate must be positive, got 0"),
-    (lambda: DeviceLimits(gauge_step=-1.0), "gauge_step must be 0 or more"),
-    (lambda: DeviceLimits(cut_off=500.0), "cut_off must be from 0 to 500 Hz, got 500"),
+    (lambda: dataclasses.replace(LIMITS, mirror_rate=-1.0), "mirror_rate must be at least 0 rad/s, got -1"),
+    (lambda: dataclasses.replace(LIMITS, gauge_step=-1.0), "gauge_step must be at least 0 rad, got -1"),
+    (lambda: dataclasses.replace(LIMITS, cut_off=500.0), "cut_off must be at least 0 and below 500 Hz, got 500"),
     (lambda: SensorEntry(Port("a", 4), "a", "a", "a", "n", "s"), "size of a must be 1 to 3, or 6 of a twist, got 4"),
     (lambda: PlantConfig(camera_rate=300.0), "camera_rate must divide 1000 Hz (50, 40, 25, ...), got 300 Hz"),
     (lambda: PlantConfig(camera_rate=0.5), "camera_rate must be between 1 and 1000 Hz, got 0.5"),

@@ -17,7 +17,7 @@ from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import ACCELERATIONS, CAMERA, DT, FORCES, FSM_ANGLE, MIRROR, TRUTH
 from titop_plant.sensors import Sensor
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
+from titop_plant.simulation.device_limits import LimitedDevices
 from titop_plant.simulation.driven_plant import DisturbanceInput
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
@@ -26,12 +26,14 @@ from titop_plant.telescope.actuators import reference_actuators
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.placed.readings import SensorReadings
+from titop_plant.telescope.sections import DeviceLimits
 
 N, PLACED, TICKS = 5, 2, 200
 MEASURED = MEASUREMENTS + PLACED
 SIZE = MEASURED + TRUTH
 AUTHORITY = np.array([5e-3] * 2 + [30.0] * 6)
-ACTUATOR = load_telescope().pma
+ACTUATOR, LIMITS = load_telescope().pma, load_telescope().device_limits
+NONE = replace(LIMITS, **dict.fromkeys(LIMITS.SETTINGS, 0.0))
 SILENT = SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0)
 NOISY = SensorModel(np.full(MEASUREMENTS, 0.1), np.linspace(-1.0, 1.0, MEASUREMENTS), 4, 0.3, 7)
 EACH = np.ones(PLACED)
@@ -93,7 +95,7 @@ def whole() -> Plant:
     """With every part."""
     inputs = (DisturbanceInput(held(3), Noise(3), "noise"),)
     plant = replace(telescope(NOISY, 1.0), inputs=inputs, readings=SensorReadings([SENSOR], 1, noise=True))
-    devices = LimitedDevices(DeviceLimits(), ACTUATOR, PORTS)
+    devices = LimitedDevices(LIMITS, ACTUATOR, PORTS)
     return replace(plant, devices=devices, camera=Frames())
 
 
@@ -138,7 +140,7 @@ def test_limits_of_devices_change_no_truth_of_slow_commands() -> None:
     plain = telescope(SILENT, 1.0)
     commands = np.zeros((TICKS, COMMANDS))
     commands[:, MIRROR], commands[:, FORCES] = 1e-3, 1.0
-    limited = replace(plain, devices=LimitedDevices(DeviceLimits(), ACTUATOR, PORTS))
+    limited = replace(plain, devices=LimitedDevices(LIMITS, ACTUATOR, PORTS))
     first, second = response(plain, commands), response(limited, commands)
     assert first[:, MEASURED:].tobytes() == second[:, MEASURED:].tobytes()
     assert not np.array_equal(first[:, :MEASUREMENTS], second[:, :MEASUREMENTS])
@@ -221,7 +223,7 @@ def limited(limits: DeviceLimits, commands: np.ndarray, accelerations: np.ndarra
 def test_commands_change_no_faster_than_their_actuator() -> None:
     commands = np.tile(AUTHORITIES, (40, 1))
     commands[0] = 0.0
-    limits = DeviceLimits(mirror_rate=0.5, force_rate=3e3, stroke=math.inf)
+    limits = replace(LIMITS, mirror_rate=0.5, force_rate=3e3, stroke=0.0)
     _, whole = limited(limits, commands)
     applied = np.array(whole.commands)
     steps = np.diff(applied, axis=0)
@@ -233,7 +235,7 @@ def test_commands_change_no_faster_than_their_actuator() -> None:
 def test_the_proof_mass_stays_within_its_stroke() -> None:
     """A constant force would displace it by u / k = 100 mm; at the stop its force on the structure is zero."""
     still, command = np.zeros((4000, 18)), np.zeros(COMMANDS)
-    whole = Recorder(DeviceLimits(stroke=0.01), still)
+    whole = Recorder(replace(LIMITS, stroke=0.01), still)
     command[FORCES] = 7.0
     reached = []
     for _ in range(1000):
@@ -243,12 +245,12 @@ def test_the_proof_mass_stays_within_its_stroke() -> None:
     first = reached.index(0.01)
     assert first * DT == pytest.approx(math.sqrt(2 * 0.01 * 2.5 / 7.0), rel=0.1)  # nearly free motion until then
     assert whole.commands[first + 1][FORCES.start] == 0.0
-    _, unlimited = limited(DeviceLimits(stroke=math.inf), np.tile(command, (4000, 1)), still)
+    _, unlimited = limited(replace(LIMITS, stroke=0.0), np.tile(command, (4000, 1)), still)
     assert unlimited.devices.displacement[0] == pytest.approx(0.1, rel=0.01)
 
 
 def test_accelerations_pass_the_filter_and_start_settled() -> None:
-    limits = DeviceLimits(math.inf, math.inf, math.inf, 250.0, 0.0, 0.0, 0.0)
+    limits = replace(NONE, cut_off=250.0)
     seen, whole = limited(limits, np.zeros((400, COMMANDS)))
     b, a = signal.butter(2, 250.0, fs=1000.0)
     start = signal.lfilter_zi(b, a)[:, None] * whole.accelerations[0]
@@ -257,7 +259,7 @@ def test_accelerations_pass_the_filter_and_start_settled() -> None:
 
 
 def test_measurements_are_multiples_of_their_step() -> None:
-    limits = DeviceLimits(math.inf, math.inf, math.inf, 0.0, 1.5e-4, 5e-10, 1.6e-7)
+    limits = replace(NONE, acceleration_step=1.5e-4, camera_step=5e-10, gauge_step=1.6e-7)
     seen, whole = limited(limits, np.full((100, COMMANDS), 1e-3))
     steps = seen[:, ACCELERATIONS] / 1.5e-4
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)

@@ -422,9 +422,9 @@ class RunParts:
         """The telescope with limits of its devices, if configured."""
         if not self.config.nonlinear:
             return plant
-        from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
+        from titop_plant.simulation.device_limits import LimitedDevices
 
-        devices = LimitedDevices(DeviceLimits(), self.telescope.pma, ports, plant.dt)
+        devices = LimitedDevices(self.telescope.device_limits, self.telescope.pma, ports, plant.dt)
         return replace(plant, devices=devices)
 
     def _with_images(self, plant: Plant) -> Plant:

@@ -104,7 +104,8 @@ def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
     names = {*PhysicalSettings.SETTINGS, "nonlinear", *(("disturbance_source",) if config.disturbance else ())}
     settings = {name: plain[name] for name in sorted(names - {"parameters", "tau", "theta", "profile"})}
     settings |= {"theta": config.array_angle, "isolated": config.loop != "none", "start": config.start}
-    settings |= {"telescope": telescope_digest(parts.telescope), "disturbances": parts.sources_digest}
+    telescope = telescope_digest(parts.telescope, device_limits=config.nonlinear)
+    settings |= {"telescope": telescope, "disturbances": parts.sources_digest}
     settings["profile"] = content_digest(Path(config.profile)) if config.motion_from_file else config.profile
     if config.start != "rest" or needs_tone(config):
         named = {name: laws[name] or getattr(config, name) for name in laws}
@@ -112,15 +113,20 @@ def _of_plant(parts: RunParts, laws: Mapping[str, str]) -> dict[str, Any]:
     return settings
 
 
-def telescope_digest(telescope: Telescope) -> str:
+def telescope_digest(telescope: Telescope, *, device_limits: bool = True) -> str:
     """Digest of all values of a telescope and of the content of the files that it names, wherever they are.
+
+    Limits of its devices count with `device_limits`.
 
     Raises
     ------
     ValueError
         A file that cannot be read.
     """
-    return digest(map_files(telescope.to_mapping(), content_digest))
+    tables = telescope.to_mapping()
+    if not device_limits:
+        del tables["device_limits"]
+    return digest(map_files(tables, content_digest))
 
 
 def content_digest(path: Path) -> str:
