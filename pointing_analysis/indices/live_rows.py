@@ -352,8 +352,9 @@ def stuck_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolArray
     --------
     >>> e = np.random.default_rng(1).standard_normal((1000, 2))
     >>> e[300:500, 0] = e[300, 0]
-    >>> int(stuck_rows(e).sum()), int(stuck_rows(np.round(e)).sum())
-    (199, 0)
+    >>> coarse = np.round(e)
+    >>> [int(stuck_rows(record).sum()) for record in (e, coarse, coarse[:300])]
+    [199, 199, 0]
     """
     stuck = np.zeros(len(e), bool)
     if len(e) < settings.fewest:
