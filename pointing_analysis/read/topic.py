@@ -36,7 +36,7 @@ class Integrity:
     messages : messages in the bag
     unstamped : messages with the stamp zero, left out: the plant sends them while it waits for the run to begin
     duplicates : messages whose stamp was there already
-    conflicts : duplicates that differ from the first: two publishers on one topic
+    conflicts : duplicates that differ from the first: two publishers on one topic, or a clock that was set back
     out_of_order : messages recorded after one with a later stamp
     missing : samples missing between the first and the last stamp
     gaps : (start, samples missing) of the first 1000 gaps, start in seconds after the topic's first stamp
@@ -294,7 +294,7 @@ def on_grid(topic: Topic, off_grid: float = OFF_GRID) -> tuple[FloatArray, float
     if state.conflicts:
         raise BagError(
             f"{topic.name}: each stamp must have one value, got {state.conflicts} with two "
-            "(two publishers on the topic?)"
+            "(two publishers on the topic, or the clock was set back)"
         )
     if state.other_rate > 0.01:
         raise BagError(

@@ -378,7 +378,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
             (missing, "sample", f" missing in {counted(lost_gaps(run, name, missing), 'gap')}"),
             (ends, "sample", " missing before the first and after the last one"),
             (state.duplicates, "stamp", " twice"),
-            (state.conflicts, "stamp", " with two different values (two publishers?)"),
+            (state.conflicts, "stamp", " with two different values (two publishers, or the clock was set back)"),
             (state.out_of_order, message, " out of order"),
             (state.irregular, "interval", " off the sampling grid"),
         ):
