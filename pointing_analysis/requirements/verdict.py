@@ -393,10 +393,10 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
     puts the samples of all runs together. Recordings that contradict their own digests are not judged, nor are those
     of a device while it failed or its mirror did not follow its command. Nor is one of a loop that is known to be
-    unstable while it is within the limit.
+    unstable, unless it is not compliant.
     """
     verdict = _judged(requirement, runs, transient)
-    if verdict.within_limit and any(run.parameters.get(START_UP) == NEVER for run in runs):
+    if verdict.status != "not compliant" and any(run.parameters.get(START_UP) == NEVER for run in runs):
         return not_judged(requirement, "the loop is unstable")
     return verdict
 

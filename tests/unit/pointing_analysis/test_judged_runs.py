@@ -298,6 +298,13 @@ def test_an_unstable_loop_is_never_within_its_limit(tmp_path: Path) -> None:
             assert verdict.statement == ("not judged" if known else "compliant"), verdict
     beyond = judge_settled(APE, bag(tmp_path / "beyond", 1e6 * values, start_up=NEVER)).verdict
     assert beyond.status == "not compliant"
+    values[-len(values) // 18 :] *= 1e6  # one event above the limit, which a longer run of a stable loop might allow
+    known = {"start_up": MEASURED}, {"start_up": NEVER}
+    stable, unstable = (
+        judge_settled(APE, bag(tmp_path / f"end {n}", values, **k)).verdict for n, k in enumerate(known)
+    )
+    assert stable.statement.startswith("above limit; not yet demonstrated"), stable
+    assert unstable.statement == "not judged" and unstable.note == "the loop is unstable"
 
 
 @pytest.mark.parametrize("seconds", [9.0, 10.0])
