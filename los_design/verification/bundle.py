@@ -245,7 +245,7 @@ def write_bundle(
         Files of ``design certify``.
     """
     members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
-    of_loop = telescope.without_images()
+    of_loop = telescope.linear_tables()
     content = {k: dict(v) if isinstance(v, Mapping) else v for k, v in of_loop.items() if k != SOURCES}
 
     def member(body: str, file: str) -> str:

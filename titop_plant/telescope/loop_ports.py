@@ -177,19 +177,19 @@ class LoopPorts:
             tuple(row for row in self.actuators if row.name in used),
         )
 
-    def of_law(self, name: str, sensors: Iterable[str] = (), actuators: Iterable[str] = ()) -> LoopPorts:
+    def of_law(self, name: str, sensors: Sequence[str] = (), actuators: Sequence[str] = ()) -> LoopPorts:
         """Rows of a controller: those of the stored one of its name, then further ones in the order of their names.
 
         Parameters
         ----------
         name : {"k_fsm", "k_pma"}
-        sensors, actuators : iterable of str
+        sensors, actuators : list or tuple of str
             Further rows that it reads and commands; those of the stored one may be among them.
 
         Raises
         ------
         ValueError
-            A name that no row has, or one twice.
+            Not a list or tuple, a name that no row has, or one twice.
         """
         inputs, outputs = LAW_PORTS[name]
         commanded = [port.name for port in outputs if port.name in COMMANDED]
@@ -302,13 +302,16 @@ class LoopPorts:
 Row = TypeVar("Row", Sensor, Actuator)
 
 
-def _rows(known: Sequence[Row], first: Sequence[str], names: Iterable[str], what: str) -> tuple[Row, ...]:
+def _rows(known: Sequence[Row], first: Sequence[str], names: Sequence[str], what: str) -> tuple[Row, ...]:
     """The rows `first`, then those of other names, in the order of these."""
     rows = {row.name: row for row in known}
-    listed: tuple[str, ...] = (names,) if isinstance(names, str) else tuple(names)
-    if isinstance(names, str) or len(set(listed)) < len(listed) or set(listed) - set(rows):
-        raise InputError(f"{what} must be distinct names of the telescope's file ({', '.join(rows)}), got {listed!r}")
-    return tuple(rows[name] for name in dict.fromkeys((*first, *listed)))
+    listed = isinstance(names, list | tuple)  # others have no order, or are one text
+    if not listed or any(name not in list(rows) for name in names) or len(set(names)) < len(names):
+        known_names = ", ".join(rows)
+        raise InputError(
+            f"{what} must be a list or tuple of distinct names of the telescope's file ({known_names}), got {names!r}"
+        )
+    return tuple(rows[name] for name in dict.fromkeys((*first, *names)))
 
 
 def _columns(known: Sequence[Port], ports: Iterable[Port], kind: str) -> slice | IntArray:

@@ -68,7 +68,9 @@ if TYPE_CHECKING:
 
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
-NOT_DESIGNED = ("requirement", SOURCES, "sensor", "device_limits")
+DEVICE_LIMITS = "device_limits"
+"""Table of what acts in runs with ``nonlinear``."""
+NOT_DESIGNED = ("requirement", SOURCES, "sensor")
 """Tables that are not in the digest as they are."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
@@ -202,7 +204,7 @@ class Telescope:
     @cached_property
     def device_limits(self) -> DeviceLimits:
         """Limits of devices in a run with ``nonlinear``: in no linear plant and no design, so not in the hash."""
-        return DeviceLimits.of_part(self._tables["device_limits"])
+        return DeviceLimits.of_part(self._tables[DEVICE_LIMITS])
 
     @cached_property
     def weights(self) -> WeightTable:
@@ -528,9 +530,11 @@ class Telescope:
                 f"camera.exposure must be at most the {frame:g} s between frames of the run, got {exposure:g} s"
             )
 
-    def without_images(self) -> dict[str, Any]:
-        """Tables without what only images need."""
-        return guide_camera.without_images(self._tables)
+    def linear_tables(self) -> dict[str, Any]:
+        """Tables without what only images, or runs with limits of the devices, need."""
+        tables = guide_camera.without_images(self._tables)
+        tables.pop(DEVICE_LIMITS, None)
+        return tables
 
     # ---- identity ---------------------------------------------------------------------------------------------------
 
@@ -549,7 +553,7 @@ class Telescope:
         limits of the devices, sources of disturbance and further sensors, which a telescope has beside its loop: a
         design that reads one is not told apart by its noise and rate.
         """
-        known = layout.without_sources(self.without_images())
+        known = layout.without_sources(self.linear_tables())
         content = {key: value for key, value in known.items() if key not in NOT_DESIGNED}
         content["window_probability"] = self.window_probability
         content["instant_probability"] = self.instant_probability
@@ -578,4 +582,4 @@ def _with_digest(table: Mapping[str, Any], key: str = "modal_data") -> Mapping[s
     return {**table, key: hashlib.sha256(read_bytes(file)).hexdigest()} if file else table
 
 
-__all__ = ["SOURCES", "Telescope"]
+__all__ = ["DEVICE_LIMITS", "SOURCES", "Telescope"]

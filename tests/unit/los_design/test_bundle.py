@@ -95,7 +95,7 @@ def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: Im
     with open_bundle(written) as bundle:
         assert bundle.subject == Subject.of(*load_designs("implemented"), load_telescope().digest)
         assert bundle.figures == ((STAGE, FIGURE),) and bundle.proof(STAGE, FIGURE).level == 0.9
-        assert bundle.telescope.to_mapping() == loop.telescope.without_images()
+        assert bundle.telescope.to_mapping() == loop.telescope.linear_tables()
         kept = bundle.folder
     assert not kept.exists()
 

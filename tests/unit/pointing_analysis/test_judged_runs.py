@@ -299,9 +299,8 @@ def test_an_unstable_loop_is_never_within_its_limit(tmp_path: Path) -> None:
     beyond = judge_settled(APE, bag(tmp_path / "beyond", 1e6 * values, start_up=NEVER)).verdict
     assert beyond.status == "not compliant"
     values[-len(values) // 18 :] *= 1e6  # one event above the limit, which a longer run of a stable loop might allow
-    known = {"start_up": MEASURED}, {"start_up": NEVER}
     stable, unstable = (
-        judge_settled(APE, bag(tmp_path / f"end {n}", values, **k)).verdict for n, k in enumerate(known)
+        judge_settled(APE, bag(tmp_path / start, values, start_up=start)).verdict for start in (MEASURED, NEVER)
     )
     assert stable.statement.startswith("above limit; not yet demonstrated"), stable
     assert unstable.statement == "not judged" and unstable.note == "the loop is unstable"

@@ -50,10 +50,17 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
 
 def test_a_name_that_no_row_has_is_refused() -> None:
     ports = load_telescope().loop_ports
-    with pytest.raises(ValueError, match=r"sensors must be distinct names of the telescope's file \(accel_Ip, .*, got"):
+    with pytest.raises(ValueError, match=r"sensors must be a list .* of the telescope's file \(accel_Ip, .*, got"):
         ports.of_law("k_pma", ["on_m1"])
-    with pytest.raises(ValueError, match=r"actuators must be distinct names .* \(pma_force\), got \('fsm_command',\)"):
+    with pytest.raises(ValueError, match=r"actuators must be a list .* \(pma_force\), got \['fsm_command'\]"):
         ports.of_law("k_pma", (), ["fsm_command"])
+
+
+@pytest.mark.parametrize("names", ["on_m1", {"on_m1"}, None, [["on_m1"]], ["on_m1", "on_m1"]], ids=repr)
+def test_names_that_have_no_order_are_refused(own: LoopPorts, names: Any) -> None:
+    """A set would have another order of the vector in each process."""
+    with pytest.raises(ValueError, match="sensors must be a list or tuple of distinct names of the telescope's file"):
+        own.of_law("k_pma", names)
 
 
 def law(*names: str) -> SimpleNamespace:

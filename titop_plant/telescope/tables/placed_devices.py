@@ -57,7 +57,7 @@ def check_device_keys(kind: str, name: str, table: Mapping[str, Any], file: Para
     """
     known = DEVICE_KEYS[kind]
     for key, value in table.items():
-        like = known[key] * max(len(value), 1) if key == "axes" and isinstance(value, list) else known[key]
+        like = known[key] * len(value) if key == "axes" and isinstance(value, list) else known[key]
         file.check(f"{name}.{key}", key, like, value)
     with file.refusals(name):
         OscillatorTable.check_given({key: value for key, value in table.items() if key in MECHANICS})
@@ -74,8 +74,9 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
     for kind in DEVICES:
         for i, table in enumerate(whole.get(kind, ())):
             name = f"{kind}[{i}]"
-            if table.get("name") in (*COLUMNS, *ASSEMBLED):  # devices are known by the names of their ports
-                raise file.error(f"{name}.name", f"must not be one of {', '.join(COLUMNS)}, got {table['name']!r}")
+            ports = *COLUMNS, *ASSEMBLED  # devices are known by the names of their ports
+            if table.get("name") in ports:
+                raise file.error(f"{name}.name", f"must not be one of {', '.join(ports)}, got {table['name']!r}")
             measured = SENSOR_KINDS[_kind(name, table, file)].source if kind == SENSOR else ""
             if not (table.get("place") or measured):
                 raise file.error(name, "has no 'place'")

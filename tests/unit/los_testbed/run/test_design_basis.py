@@ -90,7 +90,7 @@ def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> No
     The file itself is refused where an array is no body with it: an inertia of which one side of the diagonal changes.
     """
     known, pair = REFERENCE.design_basis.parameters_hash, load_designs("implemented")
-    without = REFERENCE.without_images()
+    without = REFERENCE.linear_tables()
     walked = list(numbers(without))
     tables = {number[0] for number in walked}
     assert {"fsm", "pma", "sensors", "optics", "isolator", "payload", "body", "solar_array", "weights"} <= tables

@@ -23,7 +23,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import needs_tone
 from titop_plant.interface import LAW_PORTS
 from titop_plant.physical_settings import PhysicalSettings
-from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.telescope import DEVICE_LIMITS, Telescope
 
 DIGITS = 16
 """Hexadecimal digits of a digest that is compared and shown."""
@@ -125,7 +125,7 @@ def telescope_digest(telescope: Telescope, *, device_limits: bool = True) -> str
     """
     tables = telescope.to_mapping()
     if not device_limits:
-        del tables["device_limits"]
+        del tables[DEVICE_LIMITS]
     return digest(map_files(tables, content_digest))
 
 

@@ -235,7 +235,7 @@ def _law_of(run: Run, name: str, asked: str | Path | None, in_order: bool) -> tu
         linear = block.linear if block.is_linear else None
         return (block, b"") if linear is None else (linear, linear.to_json().encode())
     law = read_law(name, Path(text), in_order)
-    if not {port.name for port in law.inputs} & {port.name for port in LAW_PORTS[name][0]}:
+    if not {port.name for port in law.inputs} & {row.name for row in recorded_ports(run).sensors}:
         law.require(*LAW_PORTS[name], DT)  # none of its ports has a name of the loop: the message has them all
     return law, read_bytes(text) if text.endswith(".json") else law.to_json().encode()
 

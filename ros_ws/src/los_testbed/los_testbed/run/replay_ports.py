@@ -1,4 +1,4 @@
-"""Rows of the loop of a replay: those of the stored controllers, and what the laws of the bag name beside them."""
+"""Rows of the loop of a replay: those of the stored controllers, and the sensors and actuators of the bag."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config.topics import PLACED, command_topics, sensor_topics
 from los_testbed.run.metadata import AUTHORITY
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.recorded_sensors import sensors_of
+from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout
 from titop_plant.interface import COMMANDED, DT, K_FSM_OUTPUTS, MEASURED
@@ -19,26 +19,45 @@ from titop_plant.telescope.loop_ports import LoopPorts
 
 
 def recorded_ports(run: Run, *laws: SampledSystem) -> LoopPorts:
-    """Rows of a recorded loop with some controllers, from their ports and the limits in the bag.
+    """Rows of a recorded loop, in the order of the run.
 
     Parameters
     ----------
     run : Run
     laws : SampledSystem
-        Inputs and outputs that no stored controller has are sensors and actuators at places.
+        Inputs that the bag does not describe are sensors at places, too.
 
     Raises
     ------
     BagError
         An actuator that was not commanded in the run: its limit is not in the bag.
     """
-    measured = {port.name: port for law in laws for port in law.inputs if port.name not in MEASURED}
+    placed = [
+        Port(sensor.topic.removeprefix(f"{PLACED}/"), _size(run, sensor), sensor.unit)
+        for sensor in sensors_of(run)
+        if sensor.topic.startswith(f"{PLACED}/")
+    ]
+    measured = {port.name: port for port in (*placed, *(port for law in laws for port in law.inputs))}
+    measured |= {port.name: port for port in placed}
+    limits = run.parameters.get(AUTHORITY, {})
     of_loop = {*COMMANDED, *(port.name for port in K_FSM_OUTPUTS)}
     commanded = {port.name: port for law in laws for port in law.outputs if port.name not in of_loop}
+    if foreign := [name for name in commanded if name not in limits]:
+        raise BagError(
+            f"{run.path}: actuators of k_pma must be those that the run commanded, "
+            f"{', '.join(limits) or 'none beside mirror and proof-mass actuators'}, got {', '.join(foreign)}"
+        )
+    driven = [commanded.get(name, Port(name, 1, "")) for name in limits]  # the bag states no units of commands
+    beside = [_sensor(run, port) for name, port in measured.items() if name not in MEASURED]
     return LoopPorts(
-        (*map(port_alone, MEASURED_SENSORS), *(_sensor(run, port) for port in measured.values())),
-        (*reference_actuators(), *(_actuator(run, port) for port in commanded.values())),
+        (*map(port_alone, MEASURED_SENSORS), *beside),
+        (*reference_actuators(), *(Actuator(port, float(limits[port.name])) for port in driven)),
     )
+
+
+def _size(run: Run, sensor: RecordedSensor) -> int:
+    """How many values a sample has."""
+    return len(sensor.noise) or int(run[sensor.topic].values.shape[1])
 
 
 def _sensor(run: Run, port: Port) -> Sensor:
@@ -49,16 +68,6 @@ def _sensor(run: Run, port: Port) -> Sensor:
         ticks = max(1, round((1.0 / stated[0] if stated else run[topic].period) / DT))
     noise, bias = np.full((2, port.size), np.nan)
     return Sensor(port, noise, bias, ticks > 1, ticks)
-
-
-def _actuator(run: Run, port: Port) -> Actuator:
-    limits = run.parameters.get(AUTHORITY, {})
-    if port.name not in limits:
-        raise BagError(
-            f"{run.path}: actuators of k_pma must be those that the run commanded, "
-            f"{', '.join(limits) or 'none beside mirror and proof-mass actuators'}, got {port.name}"
-        )
-    return Actuator(port, float(limits[port.name]))
 
 
 def layout_of(k_fsm: LoopPorts, k_pma: LoopPorts) -> LoopLayout:
