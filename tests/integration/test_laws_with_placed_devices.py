@@ -337,6 +337,27 @@ def test_such_a_run_is_replayed_bit_by_bit(base: RunConfig, tmp_path: Path) -> N
             drive(run, controllers(run, k_pma=Path("other.json")), lambda done, total: None)
 
 
+def test_a_replay_has_the_bits_of_laws_with_ports_in_another_order(base: RunConfig, tmp_path: Path) -> None:
+    """Sums are taken in the order of the telescope's file, and so are they in a replay; of a class in its own."""
+    law = observer_with_devices()
+    B, D = (np.c_[np.full((len(matrix), 1), 3e-7), matrix] for matrix in (law.B, law.D))
+    replace(law, B=B, D=D, inputs=(AT_ROOT, *law.inputs)).to_file(tmp_path / "k_fsm.json")
+    law_with_devices().to_file(tmp_path / "k_pma.json")
+    files = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, duration=1.5)
+    classes = {"k_fsm": "laws_with_devices:Seeing", "k_pma": "laws_with_devices:Shaking"}
+    run_in_process(files, Path("files"))
+    run_in_process(replace(base, duration=1.5, **classes), Path("classes"))
+    assert not app.main(["--quiet", "replay", "files"])
+    assert not app.main(["--quiet", "replay", "classes", *(f"--{k.replace('_', '-')}={v}" for k, v in classes.items())])
+
+
+def test_forces_that_move_nothing_are_named(base: RunConfig, tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(f"{TELESCOPE}\n[pma]\nazimuths_deg = []\n")
+    assert "pma_force moves nothing: the telescope has no proof masses" in RunParts(base).idle_devices
+    law_with_devices().to_file(tmp_path / "k_pma.json")
+    assert "moves nothing" not in RunParts(replace(base, k_pma="k_pma.json")).idle_devices
+
+
 @pytest.mark.parametrize("depth", ["time", pytest.param("model", marks=pytest.mark.further)])
 def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(
     base: RunConfig, tmp_path: Path, depth: str

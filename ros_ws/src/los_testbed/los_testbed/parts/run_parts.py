@@ -314,7 +314,15 @@ class RunParts:
         driven = {"mirror": ("k_fsm", MIRROR_STAGES), "proof-mass actuators": ("k_pma", FORCE_STAGES)}
         still = [what for what, (name, stages) in driven.items() if loop in stages and self._drives_nothing(name)]
         lines = [f"in the stage {loop} nothing drives the {' and the '.join(still)}"] if still else []
+        if loop in FORCE_STAGES and not self._acts_by_forces:
+            lines.append(f"in the stage {loop} pma_force moves nothing: the telescope has no proof masses")
         return "; ".join([*lines, *([idle] if idle else [])])
+
+    @property
+    def _acts_by_forces(self) -> bool:
+        """Whether a force of K_PMA acts on the telescope; of another plant it is not known."""
+        placed = any(row.mount is not None for row in self.used["k_pma"].actuators)
+        return placed or bool(self.config.other_plant) or bool(self.telescope.pma.azimuths_deg)
 
     def _drives_nothing(self, name: str) -> bool:
         """Whether the outputs of a controller to the loop are zero whatever it measures."""
