@@ -175,10 +175,11 @@ SLOW = """
 import time
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
+from titop_plant.telescope.load import load_telescope
 
 class Slow(LosEstimator):
     def __init__(self):
-        super().__init__(SampledSystem.from_file("k_fsm.json"))
+        super().__init__(SampledSystem.from_file("k_fsm.json"), load_telescope().loop_ports.of_law("k_fsm"))
     def step(self, measurement, out):
         time.sleep(0.003)
         super().step(measurement, out)
