@@ -159,9 +159,8 @@ def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexA
     return moved, np.asarray(plant.D[:, m:] @ tones.amplitude, dtype=complex)
 
 
-def whole_step(matrix: FloatArray, turn: ComplexArray, order: int) -> PlantStep:
-    """The tick of :func:`step_matrix` of a plant of some order n, with the states themselves as coordinates."""
-    n = order
+def whole_step(matrix: FloatArray, turn: ComplexArray, n: int) -> PlantStep:
+    """The tick of :func:`step_matrix` of a plant of order n, with the states themselves as coordinates."""
     return PlantStep(
         0,
         np.zeros(0),

@@ -70,8 +70,6 @@ SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
 DEVICE_LIMITS = "device_limits"
 """Table of what acts in runs with ``nonlinear``."""
-NOT_DESIGNED = ("requirement", SOURCES, "sensor")
-"""Tables that are not in the digest as they are."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 
@@ -554,7 +552,7 @@ class Telescope:
         design that reads one is not told apart by its noise and rate.
         """
         known = layout.without_sources(self.linear_tables())
-        content = {key: value for key, value in known.items() if key not in NOT_DESIGNED}
+        content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
         content["window_probability"] = self.window_probability
         content["instant_probability"] = self.instant_probability
         for name in OWN_BODIES:

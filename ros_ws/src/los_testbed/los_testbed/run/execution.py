@@ -54,7 +54,8 @@ def check(parts: RunParts, plant: SteppedPlant | None = None) -> tuple[str, ...]
     if plant is not None or config.plant:
         from los_testbed.run.loop.contract import check_plant
 
-        check_plant(*((parts.plant(), parts.ports) if plant is None else (plant, parts.ports.used_by())))
+        tried, ports = (parts.plant(), parts.ports) if plant is None else (plant, parts.ports.used_by())
+        check_plant(tried, ports)
     if config.device:
         from los_testbed.parts.device_contract import make_device
 
