@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -349,6 +350,16 @@ def test_a_replay_has_the_bits_of_laws_with_ports_in_another_order(base: RunConf
     run_in_process(replace(base, duration=1.5, **classes), Path("classes"))
     assert not app.main(["--quiet", "replay", "files"])
     assert not app.main(["--quiet", "replay", "classes", *(f"--{k.replace('_', '-')}={v}" for k, v in classes.items())])
+
+
+@pytest.mark.parametrize(
+    "limits", [5, ["shaker"], {"shaker": -1.0}, {"shaker": "large"}, {"shaker": math.nan}], ids=repr
+)
+def test_limits_of_a_bag_that_are_none_are_refused(limits: Any) -> None:
+    """As of a bag that somebody has altered."""
+    run = Run.open(Path(__file__).parents[2] / "bags" / "reference")
+    with pytest.raises(BagError, match="actuator_authority must be positive limits by the names of actuators, got"):
+        controllers(run.changed({**run.parameters, "actuator_authority": limits}, run.attachments))
 
 
 def test_forces_that_move_nothing_are_named(base: RunConfig, tmp_path: Path) -> None:

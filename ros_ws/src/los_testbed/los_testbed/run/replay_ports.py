@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config.topics import PLACED, command_topics, sensor_topics
 from los_testbed.run.metadata import AUTHORITY
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.run import Run
@@ -30,16 +33,20 @@ def recorded_ports(run: Run, *laws: SampledSystem) -> LoopPorts:
     Raises
     ------
     BagError
-        An actuator that was not commanded in the run: its limit is not in the bag.
+        An actuator that was not commanded in the run: its limit is not in the bag; limits that are none.
     """
+    described = {sensor.topic: sensor for sensor in sensors_of(run)}
+    named = [(topic.removeprefix(f"{PLACED}/"), topic) for topic in described if topic.startswith(f"{PLACED}/")]
     placed = [
-        Port(sensor.topic.removeprefix(f"{PLACED}/"), _size(run, sensor), sensor.unit)
-        for sensor in sensors_of(run)
-        if sensor.topic.startswith(f"{PLACED}/")
+        Port(name, len(described[topic].noise) or run[topic].values.shape[1], described[topic].unit)
+        for name, topic in named
+        if name not in MEASURED
     ]
-    measured = {port.name: port for port in (*placed, *(port for law in laws for port in law.inputs))}
-    measured |= {port.name: port for port in placed}
+    known = {*MEASURED, *(port.name for port in placed)}
+    others = {port.name: port for law in laws for port in law.inputs if port.name not in known}
     limits = run.parameters.get(AUTHORITY, {})
+    if not isinstance(limits, dict) or not all(is_number(limit) and limit > 0.0 for limit in limits.values()):
+        raise BagError(f"{run.path}: {AUTHORITY} must be positive limits by the names of actuators, got {limits!r}")
     of_loop = {*COMMANDED, *(port.name for port in K_FSM_OUTPUTS)}
     commanded = {port.name: port for law in laws for port in law.outputs if port.name not in of_loop}
     if foreign := [name for name in commanded if name not in limits]:
@@ -48,24 +55,21 @@ def recorded_ports(run: Run, *laws: SampledSystem) -> LoopPorts:
             f"{', '.join(limits) or 'none beside mirror and proof-mass actuators'}, got {', '.join(foreign)}"
         )
     driven = [commanded.get(name, Port(name, 1, "")) for name in limits]  # the bag states no units of commands
-    beside = [_sensor(run, port) for name, port in measured.items() if name not in MEASURED]
+    beside = [_sensor(run, port, described) for port in (*placed, *others.values())]
     return LoopPorts(
         (*map(port_alone, MEASURED_SENSORS), *beside),
         (*reference_actuators(), *(Actuator(port, float(limits[port.name])) for port in driven)),
     )
 
 
-def _size(run: Run, sensor: RecordedSensor) -> int:
-    """How many values a sample has."""
-    return len(sensor.noise) or int(run[sensor.topic].values.shape[1])
-
-
-def _sensor(run: Run, port: Port) -> Sensor:
+def _sensor(run: Run, port: Port, described: Mapping[str, RecordedSensor]) -> Sensor:
     """Row of a sensor, at the rate of its topic in the bag."""
-    topic, ticks = f"{PLACED}/{port.name}", 1
-    stated = [sensor.rate for sensor in sensors_of(run) if sensor.topic == topic]
-    if stated or (topic in run and len(run[topic]) > 1):
-        ticks = max(1, round((1.0 / stated[0] if stated else run[topic].period) / DT))
+    topic, period = f"{PLACED}/{port.name}", DT
+    if topic in described:
+        period = 1.0 / described[topic].rate
+    elif topic in run and len(run[topic]) > 1:
+        period = run[topic].period
+    ticks = max(1, round(period / DT))
     noise, bias = np.full((2, port.size), np.nan)
     return Sensor(port, noise, bias, ticks > 1, ticks)
 
