@@ -8,6 +8,9 @@ TWIST_UNIT = ",".join(["m/s2"] * 3 + ["rad/s2"] * 3)
 WRENCH_UNIT = ",".join(["N"] * 3 + ["Nm"] * 3)
 IMBALANCE_UNIT = ",".join(["N"] * 3 + ["Nm"] * 2)
 
+LOAD = "load_"
+"""Beginning of the names of inputs for a wrench from outside on a node."""
+
 AXES = ("x translation", "y translation", "z translation", "x rotation", "y rotation", "z rotation")
 """Names of the six directions of a twist or a wrench."""
 

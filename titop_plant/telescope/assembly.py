@@ -93,7 +93,7 @@ SADM_ANGLE, PMA_STROKE = "sadm_angle", "pma_stroke"
 
 def load_port(node: str) -> Port:
     """Wrench from outside on a node of the structure, an input of a telescope with `loads` there."""
-    return Port(f"load_{node}", 6, ports.WRENCH_UNIT)
+    return Port(f"{ports.LOAD}{node}", 6, ports.WRENCH_UNIT)
 
 
 @dataclass(frozen=True)

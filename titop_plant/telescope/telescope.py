@@ -27,6 +27,7 @@ from pointing_analysis.image.optics import ImageOptics
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.physical_settings import ANGLE
+from titop_plant.ports import LOAD
 from titop_plant.sensors import CAMERA_PORT, Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
@@ -298,7 +299,7 @@ class Telescope:
         ['wheels', 'isolator', 'array_1', 'array_2', 'payload', 'M1', 'M2', 'detector']
         """
         nodes = layout.read_nodes(self._tables)
-        return {place: node for place, node in nodes.items() if self.has_input(f"load_{node}")}
+        return {place: node for place, node in nodes.items() if self.has_input(f"{LOAD}{node}")}
 
     def has_input(self, name: str) -> bool:
         """Whether sources can act on an input of the plant: all of an assembly, of a file's plant those that it has."""

@@ -11,10 +11,13 @@ import pytest
 
 from lftkit.systems.ports import Port
 from titop_plant.interface import ACCELEROMETERS, COLUMNS, COMMAND_PORTS, COMMANDED, LAW_PORTS, MEASURED, MEASURED_PORTS
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.guide_camera import exposure_low_pass
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT, LoopPorts
 
+EXAMPLES = Path(__file__).parents[3] / "examples" / "spacecraft"
 OWN = """
 [[sensor]]
 name = "on_m1"
@@ -61,6 +64,24 @@ def test_names_that_have_no_order_are_refused(own: LoopPorts, names: Any) -> Non
     """A set would have another order of the vector in each process."""
     with pytest.raises(ValueError, match="sensors must be a list or tuple of distinct names of the telescope's file"):
         own.of_law("k_pma", names)
+
+
+@pytest.mark.parametrize("file", [None, *sorted(EXAMPLES.glob("*.toml"))], ids=lambda file: file and file.stem)
+def test_every_other_port_of_a_telescope_is_a_reserved_name(file: Path | None, tmp_path: Path) -> None:
+    """Also of one with loads on all nodes and motors: a device of that name would be connected in place of the port."""
+    telescope, text = load_telescope(file), "" if file is None else file.read_text()
+    devices = {row.name for row in (*telescope.placed_sensors, *telescope.placed_actuators)}
+    loads, names = tuple(dict.fromkeys(telescope.nodes.values())), set[str]()
+    for isolated in (True, False):
+        system = build_telescope(telescope, isolated=isolated, loads=loads, motors=True).system
+        whole = with_sensors(system, telescope)
+        names |= {port.name for one in (system, whole) for port in (*one.inputs, *one.outputs)} - devices
+    assert {"attitude", "los", "load_M1"} < names
+    for name in sorted(names):
+        table = f'\n[[actuator]]\nname = "{name}"\nplace = "M1"\naxis = [1.0, 0.0, 0.0]\n'
+        (tmp_path / "mine.toml").write_text(text + table)
+        with pytest.raises(ValueError, match=r"actuator\[\d\].name' must not be one of .*, nor begin with load_, got"):
+            load_telescope(tmp_path / "mine.toml")
 
 
 def law(*names: str) -> SimpleNamespace:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from titop_plant.interface import COLUMNS
+from titop_plant.ports import LOAD
 from titop_plant.sensors import TICKS_PER_SECOND
 from titop_plant.telescope.devices import (
     ACCELEROMETER,
@@ -74,9 +75,10 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
     for kind in DEVICES:
         for i, table in enumerate(whole.get(kind, ())):
             name = f"{kind}[{i}]"
-            ports = *COLUMNS, *ASSEMBLED  # devices are known by the names of their ports
-            if table.get("name") in ports:
-                raise file.error(f"{name}.name", f"must not be one of {', '.join(ports)}, got {table['name']!r}")
+            own, others = str(table.get("name", "")), (*COLUMNS, *ASSEMBLED)  # devices are known by their ports' names
+            if own in others or own.startswith(LOAD):
+                reserved = f"must not be one of {', '.join(others)}, nor begin with {LOAD}, got {own!r}"
+                raise file.error(f"{name}.name", reserved)
             measured = SENSOR_KINDS[_kind(name, table, file)].source if kind == SENSOR else ""
             if not (table.get("place") or measured):
                 raise file.error(name, "has no 'place'")
