@@ -59,7 +59,7 @@ def measured(name: str) -> list[dict[str, Any]]:
     """Rows of a design."""
     telescope, pair = design(name)
     ports = telescope.loop_ports
-    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports)
     system = loop_plant(telescope, ports.used_by(*pair))
     check, rows = check_implemented(system, telescope, *pair, [{}], changes=False), []
     for stage in telescope.mirror_stages:

@@ -245,10 +245,10 @@ def main() -> None:
     parser.add_argument("--no-run", action="store_true")
     options = parser.parse_args()
     telescope, shipped = load_telescope(), json.loads(SHIPPED.read_text("utf-8"))
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by())
     loop = ImplementedLoop(open_loop, *load_designs("implemented"), options.stage)
     chance = np.random.default_rng(options.seed)
-    metrics = figures_of(telescope, options.stage)
+    metrics = figures_of(telescope, options.stage, telescope.loop_ports.used_by())
     found: dict[str, dict[str, Any]] = {}
     with threadpool_limits(1):
         for name, metric in metrics.items():

@@ -70,7 +70,9 @@ def main() -> None:
         check = check_implemented(system, telescope, *load_designs("implemented"), at)
         seconds = time.process_time() - begin
         result: dict[str, Any] = {
-            "closing": {k: round(v, 2) for k, v in closing(OpenLoop(system, telescope)).items()},
+            "closing": {
+                k: round(v, 2) for k, v in closing(OpenLoop(system, telescope, telescope.loop_ports.used_by())).items()
+            },
             "verify": {"points": check.count, "stable": check.stable, "cpu_s": round(seconds, 2)},
         }
     print(json.dumps(result) if options.json else json.dumps(result, indent=1))

@@ -174,7 +174,7 @@ def search_stages(
     """
     ports = telescope.loop_ports.used_by(k_fsm, k_pma)
     open_loops = {
-        isolated: OpenLoop(loop_plant(telescope, ports, isolated=isolated), telescope, ports=ports)
+        isolated: OpenLoop(loop_plant(telescope, ports, isolated=isolated), telescope, ports)
         for isolated in {stage != STAGES[0] for stage in telescope.stages}
     }
     stages = telescope.stages

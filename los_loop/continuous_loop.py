@@ -34,7 +34,7 @@ def continuous_plant(telescope: Telescope) -> System:
 
 def continuous_open_loop(telescope: Telescope) -> OpenLoop:
     """The telescope's LFT with commands that are not held."""
-    return OpenLoop(continuous_plant(telescope), telescope, held=False)
+    return OpenLoop(continuous_plant(telescope), telescope, telescope.loop_ports.used_by(), held=False)
 
 
 PROOF_MASSES_TO = 350.0
@@ -81,7 +81,7 @@ class ContinuousLoop(ImplementedLoop):
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the paper's problem asks for, by name."""
-        return loop_metrics(self.telescope, self.stage, rows=paper_gains(self.stage, self.fine))
+        return loop_metrics(self.telescope, self.stage, self.ports, rows=paper_gains(self.stage, self.fine))
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """None: the response of the LFT is that of the loop."""

@@ -77,15 +77,14 @@ class LoopMetric:
 def loop_metrics(
     telescope: Telescope,
     stage: str,
+    ports: LoopPorts,
     within: tuple[float, float] = (LOWEST, HIGHEST),
-    ports: LoopPorts | None = None,
     rows: Sequence[FigureOfMerit] | None = None,
 ) -> dict[str, LoopMetric]:
     """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s].
 
-    `ports` are those of the loop, default: of the stored controllers.
+    `ports` are those of the loop.
     """
-    ports = telescope.loop_ports.used_by() if ports is None else ports
     return {
         row.name: LoopMetric(
             row.name,
@@ -149,7 +148,7 @@ class ImplementedLoop:
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the loop must keep, by name."""
-        return loop_metrics(self.telescope, self.stage, ports=self.ports)
+        return loop_metrics(self.telescope, self.stage, self.ports)
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """Normalised gain of a disturbance by the periodic solution, with the sidebands; None for other inputs."""

@@ -192,7 +192,7 @@ class MemberLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
         ports = telescope.loop_ports.used_by(k_fsm, k_pma)
         system = loop_plant(telescope, ports, isolated=stage != STAGES[0])
-        loop = ImplementedLoop(OpenLoop(system, telescope, real=True, ports=ports), k_fsm, k_pma, stage)
+        loop = ImplementedLoop(OpenLoop(system, telescope, ports, real=True), k_fsm, k_pma, stage)
         U, V = channel_factors(system, settings.rank)
         rng = np.random.default_rng(0)
         members = [*telescope.corners(), *system.sample_values(rng, settings.draws)]

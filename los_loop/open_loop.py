@@ -37,11 +37,10 @@ class OpenLoop:
         As :func:`titop_plant.telescope.control_plant.control_loop_plant` makes it, or that at values of its parameters.
     telescope : Telescope
         Telescope parameters.
+    ports : LoopPorts
+        Rows of the telescope that the system has (:func:`titop_plant.telescope.control_plant.loop_plant`).
     real : bool
         Keep Delta real, with all channels of the arrays' angle.
-    ports : LoopPorts, optional
-        Rows of the telescope that the system has (:func:`titop_plant.telescope.control_plant.loop_plant`); default:
-        those of the stored controllers.
     held : bool
         Whether commands are held for a tick; otherwise they act as they are, in continuous time.
     """
@@ -50,12 +49,12 @@ class OpenLoop:
         self,
         system: System,
         telescope: Telescope,
+        ports: LoopPorts,
         *,
         real: bool = False,
-        ports: LoopPorts | None = None,
         held: bool = True,
     ) -> None:
-        self.ports, self.held = telescope.loop_ports.used_by() if ports is None else ports, held
+        self.ports, self.held = ports, held
         self.system, self.telescope = system, telescope
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)

@@ -236,7 +236,7 @@ def _sensitivities(designed: DesignedTelescope, samples: int, seed: int) -> Figu
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair, worst = designed.system, designed.pair, designed.worst
     ports, rng = designed.ports, np.random.default_rng(seed)
-    open_loop = OpenLoop(system, designed.telescope, ports=ports)
+    open_loop = OpenLoop(system, designed.telescope, ports)
     panels = [
         ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
         ("fsm+pma", "sensitivity, forces", ports.forces, "At the forces together, both controllers"),

@@ -122,7 +122,7 @@ def effects_of_entries(
         sides = []
         for telescope in both:
             ports = loops[0].ports
-            open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+            open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports)
             again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in by_stage.items()}
             sides.append([_peak(again[p.stage], metrics[p.stage][p.requirement], p) for p in worst])
         for p, value, low, high in zip(worst, before, *sides):

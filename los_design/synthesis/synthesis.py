@@ -295,7 +295,7 @@ class _Synthesis:
             )
             return k_fsm, k_pma
 
-        samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports=ports), options.workers)
+        samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports), options.workers)
         return ImplementedTask(samples, stages, tuned, options.seed, options.wall_limit, workers, sampled=pair)
 
 

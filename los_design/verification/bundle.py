@@ -64,6 +64,7 @@ from los_design.verification.subject import Subject
 from los_loop.implemented_loop import ImplementedLoop
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.plant_file import FILE, PLANT
 from titop_plant.telescope.requirements import design_limits, read_requirements
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
@@ -186,11 +187,16 @@ class ProofBundle:
         return digest([asdict(self.subject), proofs])
 
     @property
+    def ports(self) -> LoopPorts:
+        """Sensors and actuators of its loop."""
+        return self.telescope.loop_ports.used_by(self.k_fsm, self.k_pma)
+
+    @property
     def figures(self) -> tuple[tuple[str, str], ...]:
         """Stage and figure of each proof, in the order of stages and figures."""
         names = {name for name in self.names if name.startswith(PROOFS + "/")}
         names -= {member_of(stage, NOISE) for stage in MIRROR_STAGES}
-        known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.telescope, stage)]
+        known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.telescope, stage, self.ports)]
         figures = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
         if len(figures) != len(names) or not names:
             raise ProofError(f"a bundle must hold proofs of figures of {', '.join(MIRROR_STAGES)}, got {sorted(names)}")
@@ -388,7 +394,7 @@ def _check_limits(content: Mapping[str, Any]) -> None:
 
 def figures_proven(bundle: ProofBundle, stage: str) -> tuple[str, ...]:
     """Each figure of a stage with its bound and its limit, as a bundle says without a check."""
-    limits = provable(bundle.telescope, stage)
+    limits = provable(bundle.telescope, stage, bundle.ports)
     return tuple(
         bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
         for where, figure in bundle.figures
@@ -398,7 +404,7 @@ def figures_proven(bundle: ProofBundle, stage: str) -> tuple[str, ...]:
 
 def levels_proven(bundle: ProofBundle, stage: str) -> dict[str, float]:
     """Bound of each figure of a stage in its own unit, as a bundle says without a check."""
-    limits = provable(bundle.telescope, stage)
+    limits = provable(bundle.telescope, stage, bundle.ports)
     return {
         figure: bundle.proof(stage, figure).level * limits[figure].limit
         for where, figure in bundle.figures
@@ -431,7 +437,7 @@ def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] =
             first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
             checked = _checked(proof, each, first)
             stable[stage] = max(stable[stage], checked.stable_below)
-            limit = provable(telescope, stage)[figure].limit
+            limit = provable(telescope, stage, bundle.ports)[figure].limit
             figures.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
             )

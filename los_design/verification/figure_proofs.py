@@ -50,9 +50,10 @@ def figures_to_prove(telescope: Telescope, stages: Iterable[str], figure: str | 
     InputError
         No stage has a figure of that name.
     """
+    ports = telescope.loop_ports  # names are those of any loop
     if figure is None:
-        return [(stage, name) for stage in stages for name in figures_of(telescope, stage)]
-    known = [(stage, name) for stage in stages for name in (*provable(telescope, stage), NOISE)]
+        return [(stage, name) for stage in stages for name in figures_of(telescope, stage, ports)]
+    known = [(stage, name) for stage in stages for name in (*provable(telescope, stage, ports), NOISE)]
     chosen = [(stage, name) for stage, name in known if name == figure]
     if not chosen:
         names = dict.fromkeys(repr(name) for _, name in known)

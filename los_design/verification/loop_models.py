@@ -49,7 +49,7 @@ def provable_open_loop(telescope: Telescope, k_fsm: SampledSystem, k_pma: Sample
     """
     check_provable(telescope, k_fsm, k_pma)
     ports = telescope.loop_ports.used_by(k_fsm, k_pma)
-    return OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+    return OpenLoop(loop_plant(telescope, ports), telescope, ports)
 
 
 def check_provable(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
@@ -203,21 +203,21 @@ def box_of(loop: ImplementedLoop) -> Box:
     )
 
 
-def figures_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+def figures_of(telescope: Telescope, stage: str, ports: LoopPorts) -> dict[str, LoopMetric]:
     """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate.
 
     Parameters
     ----------
     telescope : Telescope
     stage : str
-    ports : LoopPorts, optional
-        Rows of the loop; default: those of the stored controllers.
+    ports : LoopPorts
+        Rows of the loop.
     """
-    metrics = loop_metrics(telescope, stage, (0.0, NYQUIST), ports)
+    metrics = loop_metrics(telescope, stage, ports, (0.0, NYQUIST))
     return {name: metric for name, metric in metrics.items() if metric.disturbed}
 
 
-def margins_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+def margins_of(telescope: Telescope, stage: str, ports: LoopPorts) -> dict[str, LoopMetric]:
     """Margins of a stage that can be proven, each at the commands of one port, up to half of the sampling rate.
 
     ==========================  =====================================================================================
@@ -231,7 +231,7 @@ def margins_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None)
     At the forces one more tick breaks the last bound (near 2600 rad/s), though the loop bears it: the norm does not
     see the phase.
     """
-    metrics = loop_metrics(telescope, stage, (0.0, NYQUIST), ports)
+    metrics = loop_metrics(telescope, stage, ports, (0.0, NYQUIST))
     margins = {name: metric for name, metric in metrics.items() if not metric.disturbed}
     for metric in list(margins.values()):
         port = metric.name.split(", ")[1]
@@ -241,13 +241,13 @@ def margins_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None)
     return margins
 
 
-def parts_near_edge(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+def parts_near_edge(telescope: Telescope, stage: str, ports: LoopPorts) -> dict[str, LoopMetric]:
     """Parts of the fast tones' band that can have bounds of their own, by name."""
     fast = figures_of(telescope, stage, ports)[FAST]
     return {name: replace(fast, name=name, band=band) for name, band in parts_of_band(telescope).items()}
 
 
-def frames_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+def frames_of(telescope: Telescope, stage: str, ports: LoopPorts) -> dict[str, LoopMetric]:
     """Gains that show what the camera's frames do to stability (:mod:`los_design.verification.frames`)."""
     if telescope.frame_ticks == 1:
         return {}
@@ -256,7 +256,7 @@ def frames_of(telescope: Telescope, stage: str, ports: LoopPorts | None = None) 
     return {name: replace(like, name=name, limit=FRAME_LIMITS[name], band=band) for name, band in bands.items()}
 
 
-def provable(telescope: Telescope, stage: str, ports: LoopPorts | None = None) -> dict[str, LoopMetric]:
+def provable(telescope: Telescope, stage: str, ports: LoopPorts) -> dict[str, LoopMetric]:
     """All gains of a stage that can be proven: figures, margins, frames, parts of the fast tones' band."""
     asked = telescope, stage, ports
     return figures_of(*asked) | margins_of(*asked) | frames_of(*asked) | parts_near_edge(*asked)

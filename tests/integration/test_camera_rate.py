@@ -60,7 +60,7 @@ def test_the_models_of_a_file_are_held_for_its_frames(file: str) -> None:
     for tone, weight, response in zip(loop.at_each(omega), size, exact):
         modelled = loop.some_responses(tone, nominal, slice(0, 2), slice(0, -8))[0]
         np.testing.assert_allclose(modelled / weight, response, atol=1e-3 * np.abs(response).max())
-    bands = {name: metric.band for name, metric in frames_of(parts.telescope, "fsm").items()}
+    bands = {name: metric.band for name, metric in frames_of(parts.telescope, "fsm", parts.ports).items()}
     assert bands == {SEEN: (0.0, NYQUIST / TICKS), IMAGES: (NYQUIST / TICKS, NYQUIST)}
 
 

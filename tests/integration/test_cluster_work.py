@@ -126,7 +126,7 @@ def test_a_worker_of_another_version_is_refused(client: Any, monkeypatch: pytest
 
 def test_checks_and_searches_are_those_of_one_process(client: Any, system: Any, telescope: Any) -> None:
     """A few points of both stages, and a short search with climbs around its best points."""
-    open_loop = OpenLoop(system, telescope)
+    open_loop = OpenLoop(system, telescope, telescope.loop_ports.used_by())
     loops = [ImplementedLoop(open_loop, *load_designs("implemented"), stage) for stage in MIRROR_STAGES]
     points = [{}, *system.sample_values(np.random.default_rng(3), 2)]
     options = SearchOptions(frequencies=20, points=6, ascents=6, iterations=5, patience=1)

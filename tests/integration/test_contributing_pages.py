@@ -29,11 +29,11 @@ from titop_plant.telescope.load import load_telescope
 
 name, telescope = "force, slow", load_telescope()
 system, pair = control_loop_plant(telescope), load_designs("implemented")
-loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
+loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm+pma")
 found = {
     "tuned for": limits(telescope, BOTH)[name],
     "searched": name in Search(loop).metrics,
-    "proven": figures_of(telescope, "fsm+pma")[name].band,
+    "proven": figures_of(telescope, "fsm+pma", telescope.loop_ports.used_by())[name].band,
     "columns": metric_columns("model", ()),
 }
 """

@@ -212,7 +212,7 @@ def test_the_tuner_has_the_gains_of_the_loop_with_slow_sensors(stage: tuple[int,
             )
         )
     pair = [replace(law, design_basis=telescope.design_basis.to_mapping()) for law in pair]
-    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports)
     loop = ImplementedLoop(open_loop, pair[0], pair[1], pair_problem.STAGE_NAMES[stage])
     x = parameters_of(blocks, matrices)
     for omega in (0.7, 31.0, 333.0):

@@ -289,10 +289,12 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
     ports, rng = telescope.loop_ports.used_by(observer, twin), np.random.default_rng(1)
     plain = telescope.loop_ports.used_by(k_fsm, k_pma)
     assert ports.scale.tolist() == [1.0] * 9 and plain.commands == 8
-    standard = ImplementedLoop(OpenLoop(loop_plant(telescope, plain), telescope), k_fsm, k_pma, "fsm+pma")
-    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
+    standard = ImplementedLoop(
+        OpenLoop(loop_plant(telescope, plain), telescope, telescope.loop_ports.used_by()), k_fsm, k_pma, "fsm+pma"
+    )
+    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports)
     other = ImplementedLoop(open_loop, observer, twin, "fsm+pma")
-    known, own = (loop_metrics(telescope, "fsm+pma", ports=one) for one in (plain, ports))
+    known, own = (loop_metrics(telescope, "fsm+pma", one) for one in (plain, ports))
     points = rng.uniform(size=(4, len(open_loop.names)))
     for omega in (0.3, 90.0, 399.5, 900.0):
         one, two = standard.at(omega), other.at(omega)

@@ -59,7 +59,7 @@ def proofs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def loop() -> ImplementedLoop:
     telescope = load_telescope()
-    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by())
     return ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma")
 
 

@@ -150,23 +150,23 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     omega = float(np.exp(rng.uniform(np.log(0.05), np.log(1400.0))))
     member, point = system.sample_values(rng, 1)[0], rng.uniform(size=7)
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage)
     closed, tuned = loop.at(omega), by_tuner(loop, omega, point, pair)
     deviation = loop.open.low + point * loop.open.width - loop.open.nominal
     deviation[-1] = 4.0 * np.arctan(deviation[-1])
-    for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
+    for name, metric in implemented_loop.loop_metrics(telescope, stage, telescope.loop_ports.used_by()).items():
         expected = float(loop.gains(closed, metric, point[None])[0])
         if metric.band[0] <= omega < metric.band[1]:
             assert tuned[name] == pytest.approx(expected, abs=SAME), name
         if metric.disturbed:
-            model = telescope_model(loop, figures_of(telescope, stage)[name])
+            model = telescope_model(loop, figures_of(telescope, stage, telescope.loop_ports.used_by())[name])
             assert float(member_gains(model, omega, deviation[None])[0]) == pytest.approx(expected, abs=SAME), name
     telescope = telescope.changed({"sensors": {"camera_rate": 1000.0}})  # without sidebands of frames
-    loop = ImplementedLoop(OpenLoop(centred(system, member), telescope), *pair, stage)
+    loop = ImplementedLoop(OpenLoop(centred(system, member), telescope, telescope.loop_ports.used_by()), *pair, stage)
     plant = loop.system.at({})
     matrices = sampled_loop(plant, loop.control_laws)
     response, relative = weighted_gains(matrices, plant, telescope, np.array([omega]))
-    for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
+    for name, metric in implemented_loop.loop_metrics(telescope, stage, telescope.loop_ports.used_by()).items():
         if metric.disturbed:
             gain = relative[0] if metric.relative else linalg.svdvals(response[0, metric.rows])[0]
             found = float(loop.gains(loop.at(omega), metric, loop.point({})[None])[0])
@@ -181,6 +181,9 @@ def by_tuner(loop: ImplementedLoop, omega: float, point: np.ndarray, pair: Pair)
     samples = pair_problem.sample(loop.open, np.array([omega]), point[None])
     problem = ResponseProblem(both, samples, pair_problem.gains(loop.telescope, (stage,)))
     targets = pair_problem.limits(loop.telescope, stage)
-    limits = {name: metric.limit for name, metric in implemented_loop.loop_metrics(loop.telescope, loop.stage).items()}
+    limits = {
+        name: metric.limit
+        for name, metric in implemented_loop.loop_metrics(loop.telescope, loop.stage, loop.ports).items()
+    }
     values = problem.values(parameters_of(both, matrices))[:, 0]
     return {name: float(v) * targets[name] / limits[name] for name, v in zip(targets, values)}

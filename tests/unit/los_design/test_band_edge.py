@@ -64,7 +64,7 @@ def test_figures_tuner_and_proofs_are_split_there(own: Telescope) -> None:
     seen = {gain.name.split(" ")[-1]: gain.scale(around) > 0.0 for gain in gains(own, (BOTH,))}
     assert seen["slow"].tolist() == [True, False] and seen["fast"].tolist() == [False, True]
     assert EDGE in grid(own.weights.band_edge)
-    figures = provable(own, STAGE)
+    figures = provable(own, STAGE, own.loop_ports.used_by())
     assert (figures["slow"].band[1], figures["fast"].band[0]) == (EDGE, EDGE)
     first, *_ = parts = parts_of_band(own)
     assert parts[first][0] == EDGE and set(parts) < set(figures)
@@ -86,7 +86,7 @@ def test_search_worst_tone_and_members_look_in_its_bands(
     few = MemberLoopSettings(draws=4)  # only the nominal member is asked for
     monkeypatch.setattr(MemberLoop, "of", partial(MemberLoop.of, settings=few))
     pair = load_designs("implemented")
-    search = Search(ImplementedLoop(OpenLoop(system, own), *pair, STAGE))
+    search = Search(ImplementedLoop(OpenLoop(system, own, own.loop_ports.used_by()), *pair, STAGE))
     assert EDGE in search.bands and search.metrics["fast"].band[0] == EDGE
     plant = ModalPlant.of(system.at({}), COMMANDS)
     loop = sampled_loop(plant, ControlLaws(*pair, STAGE, loop_rows()))

@@ -58,13 +58,15 @@ Mutation = Callable[[dict[str, bytes]], None]
 
 @pytest.fixture(scope="module")
 def loop(system, telescope) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), STAGE)
+    return ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), STAGE
+    )
 
 
 @pytest.fixture(scope="module")
 def proof(loop: ImplementedLoop) -> LoopProof:
     """Without strips: all but the scalings is there."""
-    metric = figures_of(loop.telescope, STAGE)[FIGURE]
+    metric = figures_of(loop.telescope, STAGE, loop.ports)[FIGURE]
     names = tuple(p.name for p in loop.system.parameters)
     about = {"stage": STAGE, "figure": FIGURE, "limit": metric.limit}
     return LoopProof(telescope_model(loop, metric), names, box_of(loop), metric.band, 0.9, (), about)
@@ -349,7 +351,7 @@ def test_the_box_is_that_of_all_proofs(loop: ImplementedLoop, tmp_path: Path) ->
     wide = tuple((5.0 * low, 5.0 * high) for low, high in box)
     files = {}
     for figure, own, level in (("fast, 128.5 to 132", box, 0.494), ("fast, 150 to 200", wide, 1000.0)):
-        metric = provable(loop.telescope, STAGE)[figure]
+        metric = provable(loop.telescope, STAGE, loop.ports)[figure]
         model = telescope_model(loop, metric)
         scalings = tuple(np.array([np.eye(len(group), dtype=complex)] * 2) for group in model.groups)
         strip = Strip(own, np.array(metric.band), scalings, scalings, np.ones(2))
@@ -445,7 +447,7 @@ def test_shipped_statements_are_of_the_shipped_pair() -> None:
     digest = load_telescope().digest
     assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), digest)
     for row in content["figures"]:
-        limit = provable(load_telescope(), row["stage"])[row["figure"]].limit
+        limit = provable(load_telescope(), row["stage"], load_telescope().loop_ports.used_by())[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
     assert Statement("0", (), True).text.endswith(" (bundle 0)")
 

@@ -57,12 +57,14 @@ BAND = (200.0, 205.0)
 
 @pytest.fixture(scope="module")
 def loop(system, telescope) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), "fsm+pma")
+    return ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), "fsm+pma"
+    )
 
 
 @pytest.fixture(scope="module")
 def part(loop: ImplementedLoop, tmp_path_factory: pytest.TempPathFactory) -> ProofPart:
-    model = telescope_model(loop, figures_of(loop.telescope, loop.stage)["fast"])
+    model = telescope_model(loop, figures_of(loop.telescope, loop.stage, loop.ports)["fast"])
     return ProofPart(model, box_of(loop), BAND, 1.0, math.inf, tmp_path_factory.mktemp("parts") / "000.npz")
 
 
@@ -76,9 +78,11 @@ def deviations(loop: ImplementedLoop, points) -> np.ndarray:
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
 def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, telescope) -> None:
     """All figures, random members and frequencies; 16 occurrences of the angle in place of 32."""
-    loop = ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), stage)
+    loop = ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), stage
+    )
     rng = np.random.default_rng(3)
-    for metric in figures_of(telescope, stage).values():
+    for metric in figures_of(telescope, stage, telescope.loop_ports.used_by()).values():
         model = telescope_model(loop, metric)
         assert model.sizes[0] == 32
         low, high = max(metric.band[0], 0.02), min(metric.band[1], 3000.0)
@@ -92,7 +96,7 @@ def test_the_models_of_margins_have_the_sensitivities_of_the_implemented_loop(lo
     """S, T = S - I, and what T is for one more tick, at random members and frequencies."""
     rng = np.random.default_rng(5)
     points = rng.uniform(size=(5, 7))
-    for name, metric in margins_of(loop.telescope, loop.stage).items():
+    for name, metric in margins_of(loop.telescope, loop.stage, loop.ports).items():
         model, channels = telescope_model(loop, metric), slice(metric.rows.start - 2, metric.rows.stop - 2)
         for omega in (0.3, 7.4, 198.0, 2500.0):
             S = loop.sensitivities(loop.at(omega), points)[:, channels, channels]
@@ -105,7 +109,7 @@ def test_the_models_of_margins_have_the_sensitivities_of_the_implemented_loop(lo
 
 
 def test_bands_and_parts_leave_no_frequency_out(telescope) -> None:
-    figures = figures_of(telescope, "fsm+pma")
+    figures = figures_of(telescope, "fsm+pma", telescope.loop_ports.used_by())
     assert set(figures) == {"APE", "slow", "fast", "mirror", "force"}
     assert figures["slow"].band[1] == figures["fast"].band[0] and figures["fast"].band[1] == NYQUIST
     for metric in figures.values():
@@ -134,7 +138,11 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: Im
 @pytest.mark.parametrize("name", ["sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror"])
 def test_a_part_of_a_margin_is_proven_over_the_box(name: str, loop: ImplementedLoop, tmp_path: Path) -> None:
     """Where the mirror's loop acts, below its limit; not far below what members have."""
-    model, box, band = telescope_model(loop, margins_of(loop.telescope, loop.stage)[name]), box_of(loop), (7.42, 7.48)
+    model, box, band = (
+        telescope_model(loop, margins_of(loop.telescope, loop.stage, loop.ports)[name]),
+        box_of(loop),
+        (7.42, 7.48),
+    )
     found = prove_part(ProofPart(model, box, band, 1.0, math.inf, tmp_path / "part.npz"))
     assert found.finished and not found.uncovered
     names = tuple(p.name for p in loop.system.parameters)
@@ -162,7 +170,7 @@ def test_a_part_of_the_noise_is_proven_near_what_members_have(loop: ImplementedL
 def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, telescope) -> None:
     """The integral of both axes' gains at the nominal member against the Lyapunov equation of the periodic loop."""
     pair = load_designs("implemented")
-    own = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
+    own = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage)
     model, zero = noise_model(own), np.zeros((1, 7))
     omega = np.unique(np.concatenate([np.geomspace(1e-3, NYQUIST, 250), np.linspace(1.0, NYQUIST, 150)]))
     power = np.zeros(len(omega))
@@ -213,7 +221,7 @@ def test_a_part_without_time_is_open_and_not_kept(part: ProofPart, tmp_path: Pat
 def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_path: Path) -> None:
     """Controllers of before, without margins: 40 mas is broken by 1.484."""
     pair = [SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma")]
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm+pma")
     values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
     until = time.monotonic() + 600.0
@@ -258,7 +266,9 @@ def test_no_part_is_proven_below_a_gain_that_is_reached(part: ProofPart, tmp_pat
 
 @pytest.fixture(scope="module", params=["fsm", "fsm+pma"])
 def either(request: pytest.FixtureRequest, system, telescope) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), request.param)
+    return ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), request.param
+    )
 
 
 def member(model: LoopModel, omega: float, deviations: FloatArray) -> ComplexArray:
@@ -280,7 +290,7 @@ def members(either: ImplementedLoop, count: int) -> FloatArray:
 
 def test_the_closed_gain_is_the_sensitivity_of_the_opened_one(either: ImplementedLoop) -> None:
     """``S = (I - L)^-1`` at members, though the one has the camera's loop closed and the other one open."""
-    metrics = frames_of(either.telescope, either.stage)
+    metrics = frames_of(either.telescope, either.stage, either.ports)
     closed, opened = (telescope_model(either, metrics[name]) for name in (SEEN, IMAGES))
     for deviations in members(either, 4):
         for omega in (0.05, 3.0, 8.0, 60.0, 157.0):
@@ -291,7 +301,7 @@ def test_the_closed_gain_is_the_sensitivity_of_the_opened_one(either: Implemente
 def test_found_members_keep_both_limits_and_their_periodic_loop_is_stable(either: ImplementedLoop) -> None:
     found = dict.fromkeys(LIMITS, 0.0)
     drawn = members(either, 3)
-    for name, metric in frames_of(either.telescope, either.stage).items():
+    for name, metric in frames_of(either.telescope, either.stage, either.ports).items():
         model = telescope_model(either, metric)
         for omega in np.geomspace(max(metric.band[0], 5.0), metric.band[1], 40):
             found[name] = max(found[name], *(float(np.linalg.norm(member(model, omega, one), 2)) for one in drawn))

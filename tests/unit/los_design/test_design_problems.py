@@ -135,7 +135,7 @@ def test_table_as_json(capsys) -> None:
 
 @pytest.fixture(scope="module")
 def open_loop(telescope):
-    return OpenLoop(control_loop_plant(telescope), telescope)
+    return OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by())
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ def test_every_gain_is_that_of_the_implemented_loop(telescope, open_loop, pair, 
     found = {gain.name: row for gain, row in zip(problem.gains, problem.values(x))}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
         loop = ImplementedLoop(open_loop, *pair, name)
-        for metric in loop_metrics(telescope, name).values():
+        for metric in loop_metrics(telescope, name, telescope.loop_ports.used_by()).values():
             share = limits(telescope, stage)[metric.name]
             expected = [
                 float(loop.gains(loop.at(w), metric, point[None])[0]) * metric.limit / share
@@ -236,7 +236,7 @@ def test_a_problem_of_one_controller_has_its_stage_only(open_loop) -> None:
 
 
 def open_loop_of(telescope) -> OpenLoop:
-    return OpenLoop(loop_plant(telescope, telescope.loop_ports), telescope, ports=telescope.loop_ports)
+    return OpenLoop(loop_plant(telescope, telescope.loop_ports), telescope, telescope.loop_ports)
 
 
 def noisy(telescope, factor: float):

@@ -46,12 +46,14 @@ def loop_of(gain: float = 1.0, stiffer: float = 1.0) -> ImplementedLoop:
     telescope = load_telescope().changed({"isolator": {"stiffness": stiffness}})
     k_fsm, k_pma = load_designs("implemented")
     system = control_loop_plant(telescope)
-    return ImplementedLoop(OpenLoop(system, telescope), replace(k_fsm, C=gain * k_fsm.C), k_pma, "fsm+pma")
+    return ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), replace(k_fsm, C=gain * k_fsm.C), k_pma, "fsm+pma"
+    )
 
 
 def proof_of(loop: ImplementedLoop, level: float = 0.99, figure: str = FIGURE) -> LoopProof:
     """Without its strips, which a comparison does not look at."""
-    metric = figures_of(loop.telescope, loop.stage)[figure]
+    metric = figures_of(loop.telescope, loop.stage, loop.ports)[figure]
     names = tuple(p.name for p in loop.system.parameters)
     about = {"stage": loop.stage, "figure": figure}
     return LoopProof(telescope_model(loop, metric), names, box_of(loop), metric.band, level, (), about)

@@ -33,7 +33,11 @@ def loop(tmp_path_factory: pytest.TempPathFactory) -> ImplementedLoop:
         for i, (axis, ends) in enumerate(zip(AXES, SPEEDS))
     ]
     telescope = load_telescope(write(tmp_path_factory.mktemp("ranges"), {"reaction_wheel": wheels}))
-    return ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
+    return ImplementedLoop(
+        OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by()),
+        *load_designs("implemented"),
+        "fsm",
+    )
 
 
 def test_the_boxes_of_searches_and_proofs_are_the_ranges(loop: ImplementedLoop) -> None:
@@ -51,7 +55,7 @@ def test_the_model_of_a_proof_has_the_gains_of_the_loop_at_the_corners(loop: Imp
     points[:, angle] = np.linspace(0.1, 0.9, 6)
     values = loop.open.low + points * loop.open.width - loop.open.nominal
     values[:, angle] = [4.0 * math.atan(x) for x in values[:, angle]]
-    for name, metric in figures_of(loop.telescope, "fsm").items():
+    for name, metric in figures_of(loop.telescope, "fsm", loop.ports).items():
         model = telescope_model(loop, metric)
         for omega in (0.5, 12.0, 230.0):
             expected = loop.gains(loop.at(omega), metric, points)

@@ -47,7 +47,9 @@ def stand_ins(monkeypatch) -> list[str]:
 
     def points(telescope, k_fsm, k_pma, options, workers):
         system = control_loop_plant(telescope)
-        search = Search(ImplementedLoop(OpenLoop(system, telescope), k_fsm, k_pma, "fsm"))
+        search = Search(
+            ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), k_fsm, k_pma, "fsm")
+        )
         found = [search.confirmed(search.metrics["slow"], 5.0, np.full(7, share)) for share in (0.6, 0.3, 0.6)]
         return {"fsm": {"slow": found}, "fsm+pma": {"slow": []}}
 

@@ -57,8 +57,8 @@ def measured(telescope, pair, values) -> dict[str, float]:
     """Worst gamma of every requirement of the tuned values' names at one parameter point, by the implemented loop."""
     system, found = control_loop_plant(telescope), {}
     for stage, name in ((ALONE, "fsm"), (BOTH, "fsm+pma")):
-        loop = ImplementedLoop(OpenLoop(system, telescope), *pair, name)
-        for metric in loop_metrics(telescope, name).values():
+        loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, name)
+        for metric in loop_metrics(telescope, name, telescope.loop_ports.used_by()).values():
             share = limits(telescope, stage)[metric.name]
             every = grid(telescope.weights.band_edge)
             omega = np.array([w for w in every if metric.band[0] <= w < metric.band[1]][::4])

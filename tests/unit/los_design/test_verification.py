@@ -106,7 +106,9 @@ def test_refined_peaks_are_on_top(three, telescope) -> None:
 def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> None:
     """Peaks that can't be the largest are not refined; those of a point alone always are."""
     points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 3)]
-    loop = ImplementedLoop(OpenLoop(small_family(), telescope), *quiet_pair(), "fsm+pma")
+    loop = ImplementedLoop(
+        OpenLoop(small_family(), telescope, telescope.loop_ports.used_by()), *quiet_pair(), "fsm+pma"
+    )
     alone = [stage_check.check_stages([loop], [point], changes=False)[0].worst for point in points]
     together = stage_check.check_stages([loop], points, changes=False)[0].worst
     for name, worst in together.items():
@@ -122,7 +124,9 @@ def test_a_peak_that_is_below_another_one_on_the_grid_is_found(system, telescope
     """The worst slow tone: a mode with a damping ratio of 1 % between two frequencies of the grid, beside a value of
     0.457 at 6 rad/s that is larger than those on the grid beside it."""
     stored = load_worst_points()["fsm+pma"]["slow"]
-    loop = ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), "fsm+pma")
+    loop = ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), "fsm+pma"
+    )
     (found,) = stage_check.check_stages([loop], [stored.parameters], changes=False)
     assert found.worst["slow"].gamma == pytest.approx(stored.gamma, rel=1e-5)
     assert found.worst["slow"].omega == pytest.approx(stored.omega, rel=1e-3)
@@ -330,16 +334,16 @@ OMEGA = np.array([0.3, 7.4, 40.0, 190.0, 580.0, 2500.0])
 
 @pytest.fixture(scope="module")
 def loops(system, telescope) -> list[ImplementedLoop]:
-    open_loop = OpenLoop(system, telescope)
+    open_loop = OpenLoop(system, telescope, telescope.loop_ports.used_by())
     return [ImplementedLoop(open_loop, *load_designs("implemented"), stage) for stage in MIRROR_STAGES]
 
 
 def test_parts_of_a_grid_have_the_largest_values_of_each_point(loops) -> None:
     """Of both stages; the point with the largest force at 580 rad/s counts as unstable, and has no part in them."""
     cube = np.random.default_rng(3).uniform(size=(7, 7))
-    force = loop_metrics(loops[1].telescope, loops[1].stage)["force"]
+    force = loop_metrics(loops[1].telescope, loops[1].stage, loops[1].ports)["force"]
     stable = np.arange(7) != loops[1].gains(loops[1].at(580.0), force, cube).argmax()
-    reaches = [Reach(loop, loop_metrics(loop.telescope, loop.stage)) for loop in loops]
+    reaches = [Reach(loop, loop_metrics(loop.telescope, loop.stage, loop.ports)) for loop in loops]
     parts = [sweep(reaches, OMEGA, np.arange(k, len(OMEGA), 2), cube, [stable, stable]) for k in range(2)]
     for reach, loop, found in zip(reaches, loops, (joined(part) for part in zip(*parts))):
         doubt = np.zeros_like(found.doubt)
@@ -357,6 +361,6 @@ def test_parts_of_a_grid_have_the_largest_values_of_each_point(loops) -> None:
 
 
 def test_without_changes_nothing_is_in_doubt(loops) -> None:
-    reach = Reach(loops[1], loop_metrics(loops[1].telescope, loops[1].stage), changes=False)
+    reach = Reach(loops[1], loop_metrics(loops[1].telescope, loops[1].stage, loops[1].ports), changes=False)
     (found,) = sweep([reach], OMEGA, np.arange(6), np.full((1, 7), 0.5), [np.array([True])])
     assert not found.doubt.any() and found.value["APE"][0] > 0.0

@@ -60,7 +60,10 @@ def known_values(stage: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
 def test_the_response_is_that_of_the_periodic_solution(stage: str, system, telescope, pair) -> None:
-    loop, values = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), known_values("fsm+pma")
+    loop, values = (
+        ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage),
+        known_values("fsm+pma"),
+    )
     plant = system.at(values)
     exact = sampled_loop(plant, ControlLaws(*pair, stage, loop_rows(), 0.1))
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
@@ -75,7 +78,11 @@ def test_the_response_is_that_of_the_periodic_solution(stage: str, system, teles
 
 def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pair) -> None:
     """With the plant's response from the mirror alone: S = (I - L)^-1, L by tones on the command, no LFT."""
-    loop, values, w = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"), known_values("fsm"), 7.0
+    loop, values, w = (
+        ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm"),
+        known_values("fsm"),
+        7.0,
+    )
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.at(values)
     n = plant.A.shape[0]
@@ -101,7 +108,10 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pai
     ],
 )
 def test_gradients_equal_differences(stage: str, name: str, omega: float, system, telescope, pair) -> None:
-    loop, metric = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), loop_metrics(telescope, stage)[name]
+    loop, metric = (
+        ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage),
+        loop_metrics(telescope, stage, telescope.loop_ports.used_by())[name],
+    )
     h, point = 1e-5, np.clip(loop.point(known_values("fsm+pma")), 2e-5, 1.0 - 2e-5)
     value, slope, by_frequency = loop.gain(omega, metric, point)
     both = [loop.gains(loop.at(omega), metric, point + sign * h * np.eye(7)) for sign in (1.0, -1.0)]
@@ -114,7 +124,7 @@ def test_gradients_equal_differences(stage: str, name: str, omega: float, system
 def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope, pair) -> None:
     """From frequencies 0.2 % and parameters 3 % of the box away; confirmed by the periodic solution."""
     omega, _, gamma = KNOWN[stage]
-    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, stage))
+    search = Search(ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage))
     metric, start = search.metrics["fast"], search.loop.point(known_values(stage))
     rng = np.random.default_rng(1)
     near = np.clip(start + 0.03 * rng.uniform(-1.0, 1.0, 7), 0.0, 1.0)
@@ -131,7 +141,7 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
 
 def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> None:
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
-    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
+    search = Search(ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm"))
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
     for vector in (found.disturbance, found.direction):
         assert np.linalg.norm(vector) == pytest.approx(1.0)
@@ -144,7 +154,7 @@ def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> N
 
 
 def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> None:
-    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
+    search = Search(ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm"))
     slow, fast = (
         search.confirmed(search.metrics[name], w, np.full(7, 0.5)) for name, w in (("slow", 5.0), ("fast", 400.0))
     )
@@ -163,7 +173,7 @@ def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> N
 @pytest.mark.further
 def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system, telescope, pair) -> None:
     options = SearchOptions(frequencies=40, points=4, ascents=6, iterations=3, seed=3)
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "isolator")
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "isolator")
     runs = [Search(loop, options).run(["fast"])["fast"] for _ in range(2)]
     assert [(p.gamma, p.omega) for p in runs[0]] == [(p.gamma, p.omega) for p in runs[1]]
     assert all(85.0 <= p.omega <= 3000.0 for p in runs[0])
@@ -175,7 +185,7 @@ def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system,
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["fsm+pma", "fsm"])
 def test_the_search_finds_the_known_worst_cases_by_itself(stage: str, system, telescope, pair) -> None:
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, stage)
     found: list[WorstPoint] = Search(loop, SearchOptions(seed=5)).run(["fast"])["fast"]
     omega, _, gamma = KNOWN[stage]
     assert found[0].gamma >= gamma - 1e-3
@@ -187,11 +197,13 @@ STAGE = "fsm+pma"
 
 @pytest.fixture(scope="module")
 def loop(system, telescope) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), STAGE)
+    return ImplementedLoop(
+        OpenLoop(system, telescope, telescope.loop_ports.used_by()), *load_designs("implemented"), STAGE
+    )
 
 
 def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: ImplementedLoop) -> None:
-    worst, metric = load_worst_points()[STAGE]["slow"], figures_of(loop.telescope, STAGE)["slow"]
+    worst, metric = load_worst_points()[STAGE]["slow"], figures_of(loop.telescope, STAGE, loop.ports)["slow"]
     found = {effect.parameter: effect for effect in effects_of_box(loop, metric, worst)}
     assert set(found) == set(loop.names)
     point = loop.point(dict(worst.parameters))
@@ -208,7 +220,7 @@ def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: Implement
 
 def test_a_per_cent_of_all_disturbances_is_a_per_cent_of_the_figure(loop: ImplementedLoop) -> None:
     """The fast worst tone is of the wheels, whose weight multiplies it."""
-    worst, metrics = load_worst_points()[STAGE]["fast"], figures_of(loop.telescope, STAGE)
+    worst, metrics = load_worst_points()[STAGE]["fast"], figures_of(loop.telescope, STAGE, loop.ports)
     (effect,) = effects_of_entries([loop], {STAGE: metrics}, [worst], ["weights.wheel_imbalance"])
     assert effect.slope == pytest.approx(0.01, rel=1e-3)
     assert effect.largest / effect.value == pytest.approx(1.01, rel=1e-4)
@@ -231,7 +243,7 @@ def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
     telescope, pair = load_telescope(), load_designs("implemented")
     system = control_loop_plant(telescope)
     at = verification_points(telescope, system, 0)[:3]
-    open_loop, found, checked = OpenLoop(system, telescope), [], []
+    open_loop, found, checked = OpenLoop(system, telescope, telescope.loop_ports.used_by()), [], []
     with one_thread(), Workers(2) as two:
         for workers in (Workers(), two):
             search = Search(ImplementedLoop(open_loop, *pair, "fsm+pma"), SMALL)
@@ -251,7 +263,7 @@ def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
 def test_values_and_gradients_in_two_threads() -> None:
     telescope = load_telescope()
     with one_thread():
-        samples = Samples(OpenLoop(control_loop_plant(telescope), telescope))
+        samples = Samples(OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by()))
         samples.add(np.random.default_rng(0).uniform(size=(2, 7)))
         one, two = (pair_problem(samples, (ALONE, BOTH), (0, 1), threads) for threads in (1, 2))
         matrices = []

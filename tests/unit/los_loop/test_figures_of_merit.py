@@ -67,7 +67,7 @@ def test_ports_that_the_loop_does_not_have_are_named(output, inputs, message) ->
 def test_an_added_row_is_tuned_for(added, telescope, system) -> None:
     """The tuner on responses and that on state spaces have it, with its band, bound and kind."""
     assert limits(telescope, BOTH)["force, slow"] == 0.1 and "force, slow" not in limits(telescope, ALONE)
-    problem = pair_problem(Samples(OpenLoop(system, telescope)), (ALONE, BOTH), (0, 1))
+    problem = pair_problem(Samples(OpenLoop(system, telescope, telescope.loop_ports.used_by())), (ALONE, BOTH), (0, 1))
     gain = next(g for g in problem.gains if g.name == "force, slow")
     assert gain.hard and gain.scale(np.array([10.0, 84.0, 86.0])).tolist() == [10.0, 10.0, 0.0]
     names = [noise.name for noise in problem.noises]
@@ -90,9 +90,9 @@ def test_an_added_row_is_searched_verified_and_proven(added, telescope, system) 
     pair = load_designs("implemented")
     check = check_implemented(system, telescope, *pair, [{}], changes=False)
     found = check.both.worst["force, slow"]
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, FORCE_STAGES[0])
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, FORCE_STAGES[0])
     assert "force, slow" in Search(loop).metrics
-    assert figures_of(telescope, "fsm+pma")["force, slow"].band == (0.0, 85.0)
+    assert figures_of(telescope, "fsm+pma", telescope.loop_ports.used_by())["force, slow"].band == (0.0, 85.0)
     T = loop.all_responses(loop.at(found.omega), loop.point({})[None])[0]
     assert found.omega <= 85.0
     assert found.gamma == pytest.approx(np.linalg.norm(T[4:10, :22], 2) / 0.2, rel=1e-3)
@@ -113,8 +113,8 @@ def test_an_added_row_is_a_column_of_campaigns(monkeypatch, telescope, system) -
     pair = load_designs("implemented")
     found = MemberMetrics.of(telescope, *pair, "fsm+pma").metrics({})
     assert tuple(found) == metric_names()
-    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
-    metric = loop_metrics(telescope, "fsm+pma")["force, slow"]
+    loop = ImplementedLoop(OpenLoop(system, telescope, telescope.loop_ports.used_by()), *pair, "fsm+pma")
+    metric = loop_metrics(telescope, "fsm+pma", telescope.loop_ports.used_by())["force, slow"]
     values = [loop.gains(loop.at(w), metric, loop.point({})[None])[0] for w in np.geomspace(0.01, 85.0, 400)]
     assert found["force_slow_gain"] >= 0.99 * max(values) > 0.0
 

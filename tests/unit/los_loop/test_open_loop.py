@@ -49,7 +49,7 @@ def test_held_commands_reach_every_output_as_through_each_mode(omega: float, ope
 
 @pytest.fixture(scope="module")
 def open_loop(system, telescope) -> OpenLoop:
-    return OpenLoop(system, telescope)
+    return OpenLoop(system, telescope, telescope.loop_ports.used_by())
 
 
 def points(count: int) -> np.ndarray:

@@ -20,7 +20,11 @@ from titop_plant.telescope.load import load_telescope
 @pytest.fixture(scope="module")
 def mirror_loop() -> ImplementedLoop:
     telescope = load_telescope()
-    return ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
+    return ImplementedLoop(
+        OpenLoop(control_loop_plant(telescope), telescope, telescope.loop_ports.used_by()),
+        *load_designs("implemented"),
+        "fsm",
+    )
 
 
 def gain_margin(curve: BrokenLoop) -> float:

@@ -547,7 +547,7 @@ class RunParts:
         with one_thread():
             plant = loop_plant(telescope, ports, isolated=self.family.isolated)
             # parameters with values have no channels of Delta, which would be closed at each frequency
-            open_loop = OpenLoop(plant.substituted(self.family.known(values or {})), telescope, ports=ports)
+            open_loop = OpenLoop(plant.substituted(self.family.known(values or {})), telescope, ports)
             return ImplementedLoop(open_loop, laws["k_fsm"], laws["k_pma"], self.config.loop)
 
     def tone_model(self, delays: Delays | None = None) -> ToneModel:

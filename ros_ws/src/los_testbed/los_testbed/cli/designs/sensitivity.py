@@ -47,7 +47,7 @@ def sensitivity(
         changed_entry(telescope, one, 1.0)
     with one_thread():
         loops, points = loops_of(folder, MIRROR_STAGES, warn=warn)
-        metrics = {stage: figures_of(telescope, stage) for stage in loops}
+        metrics = {stage: figures_of(telescope, stage, loop.ports) for stage, loop in loops.items()}
         points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
         if not points:
             raise InputError(f"{folder} must contain worst points from `los-testbed design all`, got none")
