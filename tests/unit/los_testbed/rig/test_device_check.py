@@ -2,6 +2,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from los_testbed.cli.device import _table
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.device_contract import DeviceError, Sample
 from los_testbed.rig import motions
-from los_testbed.rig.check import faults, judge
+from los_testbed.rig.check import DeviceCheckRow, faults, judge
 from los_testbed.rig.motions import model_response, peaks_of, record
 from los_testbed.rig.supervisor import Supervisor, SupervisorSettings
 from los_testbed.rig.wiring import Wiring
@@ -233,3 +234,15 @@ def test_the_command_ends_with_a_table_json_and_code(bench, capsys, monkeypatch)
     bench.wiring = Wiring("")
     assert main(["device", "check", "my:Rig"]) == 0
     assert "no fault: directions, gains, delays and noise agree with the model" in capsys.readouterr().out
+
+
+def test_values_of_which_only_the_noise_was_compared_are_told(bench, capsys, monkeypatch):
+    """The model says that no motion moves them."""
+    rows = [DeviceCheckRow("camera_los", j, gain, 1.0, 1e-8, 1e-8, 5.0, "") for j, gain in enumerate((np.nan, 1.0))]
+    monkeypatch.setattr("los_testbed.rig.check.judge", lambda *_: tuple(rows))
+    monkeypatch.setattr(motions, "record", lambda *_: SimpleNamespace(longest_pause_ms=0.0))
+    monkeypatch.setenv("COLUMNS", "160")
+    assert main(["device", "check", "my:Rig"]) == 0
+    text = capsys.readouterr().out
+    assert "pass (noise only)" in text.split("camera_los[0]")[1].split("\n")[0]
+    assert "agree with the model; of 1 value only the noise was compared" in text

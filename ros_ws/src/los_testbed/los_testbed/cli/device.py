@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lftkit.support.counted_nouns import counted
 from los_testbed.cli.options.options import TelescopeFile, option
 from los_testbed.config.run_config import RunConfig
 from pointing_analysis.command.exit_codes import ExitCode
@@ -85,7 +86,10 @@ def check(
     fault_lines = faults(rows)
     console = Screen(stderr=json_)
     console.print(on_screen(_table(rows), whole=("value",)))
-    for line in fault_lines or ("no fault: directions, gains, delays and noise agree with the model",):
+    noise_only = sum(not math.isfinite(row.gain) for row in rows)
+    agreed = "no fault: directions, gains, delays and noise agree with the model"
+    agreed += f"; of {counted(noise_only, 'value')} only the noise was compared" if noise_only else ""
+    for line in fault_lines or (agreed,):
         say(console, line)
     if (pause := recorded.longest_pause_ms) > config.hold_ticks:
         warn([f"commands paused for up to {pause:.0f} ms, the machine is busy: directions are valid, repeat the rest"])
