@@ -200,19 +200,22 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
 
 
 WRONG = ("limit", "not_finite")
+UNREADABLE = "unreadable_/telescope/fsm/command"
 
 
 @pytest.mark.further
 def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     """80 messages of each kind; what the rogue sends is wrong whenever it arrives."""
     fsm, pma, m1 = codec_for(FSM_COMMAND), codec_for(PMA_COMMAND), codec_for(M1_ACCEL)
-    first = []
+    sent = {}
 
     def intrude(runner):
         rogue = Bystander(runner.domain, (FSM_COMMAND, PMA_COMMAND, M1_ACCEL), [ISOLATOR_ACCEL])
         try:
             cut = bytes(fsm.encode(MS, np.zeros(2)))[:32]
-            first.append(rogue.send_until_counted(FSM_COMMAND, cut, "plant", "rejected_fsm_size"))
+            # each reader finds the rogue in its own time: before that, the middleware gives it nothing
+            sent["before"] = rogue.send_until_counted(FSM_COMMAND, cut, "recorder", UNREADABLE)
+            sent["after"] = rogue.send_until_counted(FSM_COMMAND, cut, "plant", "rejected_fsm_size")
             rogue.send_until_counted(PMA_COMMAND, pma.encode(1, np.zeros(6)), "plant", "rejected_pma_off_grid")
             rogue.send_until_counted(M1_ACCEL, m1.encode(MS, np.zeros(6)), "estimator", "rejected_foreign")
             for _ in range(80):
@@ -242,10 +245,12 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     counts |= {f"pma_{r}": plant[f"rejected_pma_{r}"] for r in WRONG}
     counts |= {f"estimator_{r}": estimator[f"rejected_{r}"] for r in ("off_grid", "future")}
     for reason, count in counts.items():
-        assert 0 < int(count) <= 80 + (first[0] if reason == "fsm_size" else 0), (reason, counts)
+        assert 0 < int(count) <= 80 + (sum(sent.values()) if reason == "fsm_size" else 0), (reason, counts)
     if judged_at_pace(Run.open(results.bag), "that nearly all wrong messages are seen"):
         assert min(map(int, counts.values())) >= 76, counts
-    assert int(results.statistics["recorder"]["unreadable_/telescope/fsm/command"]) == 160 + first[0]
+    # the recorder's readers are reliable: nothing is missing of what was sent once it knew the rogue
+    all_known = 160 + sent["after"]
+    assert all_known < int(results.statistics["recorder"][UNREADABLE]) <= all_known + sent["before"]
     truth = Run.open(results.bag)["truth/los"].stamp
     lost = int(plant.get("lost_periods", 0))  # they may be at the ends
     assert int(plant["ticks"]) - 100 - lost < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
