@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from lftkit.errors import InputError
-from lftkit.support.counted_nouns import counted
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.formatting.number_text import digits, number, percent, with_unit
 from pointing_analysis.image.optics import optics_of
@@ -28,13 +27,10 @@ from pointing_analysis.indices.motion import read_motion
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError, RefutedBagError
-from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN
-from pointing_analysis.read.recorded_sensors import RecordedSensor, read_sensors, sensors_of
+from pointing_analysis.read.recorded_sensors import RecordedSensor, read_sensors
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import FAILURE, missed_share, run_end, statistics_of
+from pointing_analysis.read.run_end import missed_share, statistics_of
 from pointing_analysis.read.series import SAMPLING
-from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
 from pointing_analysis.requirements.exposure import (
     USUAL_PROBABILITY,
@@ -46,6 +42,7 @@ from pointing_analysis.requirements.exposure import (
 )
 from pointing_analysis.requirements.guarantee import NO_PROOF
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
+from pointing_analysis.requirements.recording_state import recording_state
 from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import (
     Beside,
@@ -352,75 +349,6 @@ def _disturbed(run: Recording) -> str:
     return f"{share:.3g} % of the ticks were missed" if share > most else ""
 
 
-def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
-    """Lost samples by topic, defects of the bag, dropped camera frames."""
-    lost: dict[str, int] = {}
-    problems = list(run.problems)
-    stamps = {}
-    sensors = sensors_of(run)
-    known = {*KNOWN, *(sensor.topic for sensor in sensors)}
-    message, empty = ("message", "with NaN") if run.kind == "bag" else ("sample", "without a value: missing")
-    cameras = [sensor.topic for sensor in sensors if sensor.held] or [name for name in (CAMERA,) if name in run]
-    for name in (n for n in run.topics if n in known):
-        topic = run[name]
-        state, shown = topic.integrity, run.shown(name)
-        ends = topic.lost_before + topic.lost_after
-        if len(topic) and topic.period > 0:
-            after = round(topic.lost_after * topic.period * 1e9)
-            stamps[name] = (topic.grid_start, int(topic.stamp[-1]) + after, topic.period)
-        missing = state.missing - min(state.missing, unsent(run, name))
-        lost[name] = missing + ends + (state.nan if name not in cameras else 0)
-        if topic.open_end:
-            problems.append(
-                f"{shown}: the recording is truncated: the number of missing samples at its end is not known"
-            )
-        for count, noun, rest in (
-            (missing, "sample", f" missing in {counted(lost_gaps(run, name, missing), 'gap')}"),
-            (ends, "sample", " missing before the first and after the last one"),
-            (state.duplicates, "stamp", " twice"),
-            (state.conflicts, "stamp", " with two different values (two publishers, or the clock was set back)"),
-            (state.out_of_order, message, " out of order"),
-            (state.irregular, "interval", " off the sampling grid"),
-        ):
-            if count:
-                problems.append(f"{shown}: {counted(count, noun, rest)}")
-        if state.nan and name not in cameras:
-            problems.append(f"{shown}: {counted(state.nan, message)} {empty}")
-    _add_ends(lost, problems, stamps)
-    if failure := str(statistics_of(run.parameters, "plant").get(FAILURE, "")):
-        problems.append(f"the run failed: {failure}")
-    elif early := run_end(run.parameters, run.covered_ticks if isinstance(run, Run) else None).text:
-        problems.append(early)
-    dropped = {name: run[name].integrity.nan for name in cameras}
-    for name, count in dropped.items():
-        if count:
-            # Reasons and counts of a camera that takes images; empty for others
-            first = "frames_"
-            counts = {
-                key: value for key, value in statistics_of(run.parameters, "plant").items() if key.startswith(first)
-            }
-            why = ", ".join(
-                f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(counts.items())
-            )
-            what = f"without angles: {why}" if why else "dropped (NaN)"
-            problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} {what}")
-    return {k: v for k, v in lost.items() if v}, problems, sum(dropped.values())
-
-
-def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:
-    """Samples a topic lacks at the start or the end against all others, the truth as well; one period is no loss."""
-    if "truth/los" not in stamps:
-        return
-    first, last = min(begin for begin, _, _ in stamps.values()), max(end for _, end, _ in stamps.values())
-    for name, (begin, end, period) in stamps.items():
-        step = period * 1e9
-        short = int(max(begin - first, 0) / step + 1e-6) + int(max(last - end, 0) / step + 1e-6)
-        # The command to the last sensor tick may fall after the end of the recording.
-        if short > 1:
-            lost[name] += short
-            problems.append(f"{name}: {counted(short, 'sample')} missing at the start or the end of the run")
-
-
 def _knowledge(run: Recording, transient: float | None, window: float, part: float) -> tuple[Knowledge | None, str]:
     """Knowledge errors of a recording with estimates, or why they cannot be computed."""
     if "los_estimate" not in run:
@@ -472,7 +400,7 @@ def summarise(
     others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
     if budget is not None and (others or not _of_budget(asked, window, parts.windows)):
         budget = replace(budget, allowances={})  # those of the bag are parts of other limits
-    lost, problems, dropped = _integrity(run)
+    lost, problems, dropped = recording_state(run)
     star, unusable = _star(run, series, window, parts.image) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
     knowledge, without = _knowledge(run, transient, window, parts.knowledge)

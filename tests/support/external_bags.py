@@ -69,14 +69,18 @@ def _attitude(kind: str, stamp: int, row: list[float]) -> Any:
 
 
 def write_external(
-    path: Path, topics: dict[str, tuple[str, ArrayLike]], rate: float, logged: ArrayLike | None = None
+    path: Path,
+    topics: dict[str, tuple[str, ArrayLike]],
+    rate: float,
+    logged: ArrayLike | None = None,
+    stamps: ArrayLike | None = None,
 ) -> Path:
-    """Write a bag: topic -> (message type, samples (n, 2), of attitudes (n, 4)); stamps on the grid of `rate` [Hz]."""
+    """Write a bag: topic -> (message type, samples (n, 2), of attitudes (n, 4)); `stamps` [ns], else on the grid."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for name, (kind, samples) in topics.items():
             connection = writer.add_connection(name, kind, typestore=STORE)
             for i, row in enumerate(np.asarray(samples, dtype=float).tolist()):
-                stamp = START + i * round(1e9 / rate)
+                stamp = START + i * round(1e9 / rate) if stamps is None else int(np.asarray(stamps)[i])
                 time = stamp if logged is None else int(np.asarray(logged)[i])
                 message = _attitude(kind, stamp, row) if len(row) == 4 else _message(kind, stamp, *row, i)
                 data = STORE.serialize_cdr(message, kind)

@@ -207,6 +207,19 @@ def test_what_is_no_angle_is_refused(tmp_path: Path, kind: str, los: str, quanti
     assert {one.field for one in candidates(bag)} <= {"orientation"}
 
 
+@pytest.mark.parametrize("lost", [0, 50])
+def test_samples_missing_by_a_clock_that_stepped_are_said_to_be(tmp_path: Path, lost: int) -> None:
+    """Stamps that jump ahead by 0.5 s while the times of recording go on, and samples that are lost in both."""
+    kept = np.r_[0:3000, 3000 + lost : 6000]
+    logged = external_bags.START + 10 * 1_000_000 * kept
+    ahead = np.where((kept >= 3000) & (lost == 0), 500 * 1_000_000, 0)
+    topics = {"/los": ("geometry_msgs/msg/Vector3Stamped", samples(len(kept)))}
+    bag = external_bags.write_external(tmp_path / "bag", topics, 100.0, logged + 2 * 1_000_000, logged + ahead)
+    (problem,) = summarise(open_los(bag, los="/los", unit="arcsec")).problems
+    assert "50 samples missing in 1 gap" in problem
+    assert ("whose clock, or the recorder's, was stepped" in problem) == (lost == 0)
+
+
 def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> None:
     xy, rng = samples(3000), np.random.default_rng(1)
     even = external_bags.START + np.arange(len(xy)) * round(1e9 / RATE)

@@ -22,12 +22,12 @@ from pointing_analysis.read.series import series
 from pointing_analysis.report.report import render
 from pointing_analysis.report.signal_files import signals_of
 from pointing_analysis.requirements.exposure import Probabilities
+from pointing_analysis.requirements.recording_state import missing_ends
 from pointing_analysis.requirements.requirement import entries
 from pointing_analysis.requirements.summary import (
     Knowledge,
     Performance,
     Summary,
-    _add_ends,
     applicable,
     summarise,
     summarise_all,
@@ -94,7 +94,7 @@ def test_the_ends_that_the_truth_lacks_are_lost() -> None:
     """Stamps [ns] of a truth that ends, or begins, a second after all others."""
     for ends in ((0, 9_000_000_000), (1_000_000_000, 10_000_000_000)):
         lost, problems = {"truth/los": 0, "m1/accel": 0}, list[str]()
-        _add_ends(lost, problems, {"truth/los": (*ends, 1e-3), "m1/accel": (0, 10_000_000_000, 1e-3)})
+        missing_ends(lost, problems, {"truth/los": (*ends, 1e-3), "m1/accel": (0, 10_000_000_000, 1e-3)})
         assert lost == {"truth/los": 1000, "m1/accel": 0} and len(problems) == 1
 
 
