@@ -269,9 +269,10 @@ def _predictions(names: Sequence[str], model: ModelResults, several: bool) -> Re
     note = (
         "Amplitude of the line of sight at each tone of the disturbance, norm of both axes. The prediction is the loop "
         "as implemented (sampled plant, one tick of delay, camera held between frames, commands limited), run from the "
-        "same start. For a rig it is the mean over loops in steady state, with the delays measured in the run. Only "
-        "the tones named in the recording are compared. Ratio: measured over predicted, ± two standard deviations "
-        "due to noise; “in noise”: neither amplitude is above the noise."
+        "same start, without the limits of rate and stroke and the quantisation of a run with nonlinear. For a rig it "
+        "is the mean over loops in steady state, with the delays measured in the run. Only the tones named in the "
+        "recording are compared. Ratio: measured over predicted, ± two standard deviations due to noise; “in noise”: "
+        "neither amplitude is above the noise."
     )
     parts = []
     for k, (name, prediction) in enumerate(zip(names, model.predictions)):
