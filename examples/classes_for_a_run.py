@@ -22,7 +22,8 @@ from los_testbed.config.run_config import RunConfig
 import fsm_pma_controller
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import CAMERA, DT, FSM_ANGLE
-from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS
+from titop_plant.simulation.driven_plant import disturbance_columns
+from titop_plant.telescope.load import load_telescope
 
 
 class ThrusterPulses:
@@ -33,6 +34,7 @@ class ThrusterPulses:
 
     def __init__(self, config: RunConfig) -> None:
         self.seed = config.seed
+        self.wrench = disturbance_columns(load_telescope(config.parameters or None))["external_wrench"]
         self.pulse = np.array([0.0, 5e-4, 0.0, 0.0, 0.0, 2.5e-4])  # force [N], torque [Nm]
 
     def reset(self) -> None:
@@ -43,7 +45,7 @@ class ThrusterPulses:
             self.left = 20
         out[:] = 0.0
         if self.left:
-            out[DISTURBANCE_COLUMNS["external_wrench"]] = self.pulse
+            out[self.wrench] = self.pulse
             self.left -= 1
 
 

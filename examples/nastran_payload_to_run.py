@@ -96,7 +96,7 @@ def telescope_of(bdf: Path, op2: Path, folder: Path) -> Path:
     write_modal_data(payload, folder / "my_payload.toml", f"from {bdf.name} and {op2.name}")
     print(mass_summary(payload, nastran_mass(bdf, parent=PARENT)))
     path = folder / "my_telescope.toml"
-    path.write_text('[payload]\nmodal_data = "my_payload.toml"\n', "utf-8")
+    path.write_text('base = "reference"\n[payload]\nmodal_data = "my_payload.toml"\n', "utf-8")
     return path
 
 

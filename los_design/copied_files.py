@@ -2,53 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
 
 from lftkit.errors import InputError
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.files.structured_text import load_toml, read_text
-from titop_plant.telescope.load import FOLDER
-
-FILE_KEYS = frozenset({"modal_data", "pupil", "noise_curve", "file"})
-"""Keys of a parameter file whose values are names of files: of bodies, optics, camera and disturbances."""
+from titop_plant.telescope.named_files import map_files
+from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE
 
 BESIDE = "telescope_files"
 """Folder of copies of these files beside a copy of the parameter file."""
-
-
-def map_files(value: Any, change: Callable[[Path], Any], folder: Path = Path()) -> Any:
-    """A value of a parameter file with each file name replaced.
-
-    Parameters
-    ----------
-    value : mapping, list or value
-        Of a user's file, or of the whole telescope (:func:`titop_plant.telescope.load.load_telescope`).
-    change : callable
-        Gives the other value for the path of a file.
-    folder : Path
-        Of the user's file; of a table with an entry ``folder`` it is that one, and the entry is left out.
-
-    Examples
-    --------
-    >>> map_files({"payload": {"modal_data": "p.toml", "modes": 6}, "body": {"modal_data": ""}}, str, Path("/there"))
-    {'payload': {'modal_data': '/there/p.toml', 'modes': 6}, 'body': {'modal_data': ''}}
-    """
-    if isinstance(value, Mapping):
-        folder = Path(value.get(FOLDER, folder))
-        return {
-            key: change(folder / entry)
-            if key in FILE_KEYS and isinstance(entry, str) and entry
-            else map_files(entry, change, folder)
-            for key, entry in value.items()
-            if key != FOLDER
-        }
-    if isinstance(value, (list, tuple)):
-        return [map_files(entry, change, folder) for entry in value]
-    return value
 
 
 def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
@@ -65,6 +30,7 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
     import tomli_w
 
     text, contents = read_text(path), dict[str, bytes]()
+    tables = load_toml(text, path)
 
     def placed(file: Path) -> str:
         content = content_of(file)
@@ -73,7 +39,11 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
         contents[name] = content
         return name
 
-    moved = map_files(load_toml(text, path), placed, path.parent)
+    moved = map_files(tables, placed, path.parent)
+    if (base := tables.get(BASE, REFERENCE)) != REFERENCE:
+        of_base, below = with_files_beside(path.parent / base)
+        moved[BASE] = f"{BESIDE}/{BASE}.toml"
+        contents |= {moved[BASE]: of_base.encode(), **{f"{BESIDE}/{name}": content for name, content in below.items()}}
     return (tomli_w.dumps(moved) if contents else text), contents
 
 

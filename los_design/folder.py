@@ -14,6 +14,7 @@ from los_design.copied_files import with_files_beside
 from los_design.files import CONTROLLERS, ROUNDS, TELESCOPE
 from los_design.synthesis.store import shipped
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE
 from titop_plant.telescope.tables.uncertain import UNCERTAIN
 from titop_plant.telescope.telescope import Telescope
 
@@ -77,7 +78,7 @@ def store_telescope(folder: Path, parameters: Path | None, uncertain: Sequence[s
         raise InputError(f"--output must be a folder without designs of another telescope, got {folder}")
     if uncertain and loaded.factors:
         raise InputError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
-    text, beside = ("", {}) if parameters is None else with_files_beside(parameters)
+    text, beside = (f'{BASE} = "{REFERENCE}"\n', {}) if parameters is None else with_files_beside(parameters)
     if uncertain:
         table = "".join(f"{name} = {spread!r}\n" for name, spread in telescope.spreads.items())
         text = f"{text}\n[{UNCERTAIN}]\n{table}"
@@ -85,11 +86,11 @@ def store_telescope(folder: Path, parameters: Path | None, uncertain: Sequence[s
         folder.mkdir(parents=True, exist_ok=True)
         if stored.exists() and parameters is not None and stored.samefile(parameters) and not uncertain:
             return
-        if not text:  # the folder is of the reference, or of the telescope of its file, which has the same hash
+        if parameters is None and not uncertain:  # the folder is of the reference
             return
         # The files that the telescope names are there before it
         for name, content in {**beside, TELESCOPE: text.encode()}.items():
-            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             with atomic_file(folder / name) as temporary:
                 temporary.write_bytes(content)
     except OSError as error:

@@ -31,7 +31,7 @@ from los_design.search.worst_points import (
 )
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.provenance import law_digest
-from los_design.synthesis.start_choice import is_reference
+from los_design.synthesis.store import of_shipped_designs
 from los_design.synthesis.synthesis import design_pair
 from los_design.verification.verification import (
     ImplementedCheck,
@@ -179,7 +179,7 @@ def search_stages(
     }
     stages = telescope.stages
     known: dict[str, list[WorstPoint]] = {stage: [] for stage in stages}
-    if is_reference(telescope):
+    if of_shipped_designs(telescope):
         known |= {stage: [*points.values()] for stage, points in load_worst_points().items()}
     for stage, system in zip(telescope.mirror_stages, (k_fsm, k_pma)):
         known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]

@@ -23,10 +23,9 @@ from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, blocks
 from los_design.synthesis.rounds import TOLERANCE
 from los_design.synthesis.starts import random_law, stored_start
-from los_design.synthesis.store import continuous, load_designs
+from los_design.synthesis.store import continuous, load_designs, of_shipped_designs
 from los_design.synthesis.task import Task, first_points
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
 Pair = Sequence[FloatArray]
@@ -82,7 +81,7 @@ def choose_start(
         gain_matrix_of(stored_start("k-pma")),
     ]
     devices = bool(telescope.placed_sensors or telescope.placed_actuators)
-    if is_reference(telescope) and not devices and stable(entries(stored)):
+    if of_shipped_designs(telescope) and not devices and stable(entries(stored)):
         return entries(stored)
     report("another telescope than that of the stored start: starts are compared")
     k_fsm, k_pma = (gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented"))
@@ -119,11 +118,6 @@ def _widened(M: FloatArray, block: ControllerBlock, part: float) -> FloatArray:
         size = float(np.sqrt(np.mean(M[n:, :n] ** 2)))
         out[len(M) :, :n] = part * size * rng.standard_normal((rows - len(M), n))
     return out
-
-
-def is_reference(telescope: Telescope) -> bool:
-    """Whether these are the parameters that the stored controllers were designed for."""
-    return telescope.parameters_hash == load_telescope().parameters_hash
 
 
 def _corners(task: Task, seed: int) -> list[dict[str, float]]:

@@ -14,6 +14,7 @@ from lftkit.errors import InputError
 from lftkit.systems.ports import spread_columns
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.telescope import Telescope
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
 VARIANTS = ("implemented", "implemented_nominal")
@@ -90,6 +91,12 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
             )
         result.append(SampledSystem.from_file(path))
     return result[0], result[1]
+
+
+def of_shipped_designs(telescope: Telescope) -> bool:
+    """Whether the shipped controllers, and what is stored beside them, were made for these parameters."""
+    made_for = load_designs("implemented")[0].design_basis["parameters_hash"]
+    return bool(made_for == telescope.parameters_hash)
 
 
 def design_ports(kind: str, ports: LoopPorts) -> tuple[tuple[Port, ...], tuple[Port, ...]]:

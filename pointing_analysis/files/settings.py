@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin
 from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from lftkit.errors import InputError
 
@@ -385,6 +386,11 @@ class CheckedTable:
     def of_part(cls, table: Mapping[str, Any], **parts: Any) -> Self:
         """The same of a table with further keys, which others read."""
         return cls(**{**{key: value for key, value in table.items() if key in cls.SETTINGS}, **parts})
+
+    @classmethod
+    def missing(cls, table: Mapping[str, Any]) -> list[str]:
+        """Keys that must be given and are not in the table."""
+        return [name for name, one in cls.SETTINGS.items() if one.default is PydanticUndefined and name not in table]
 
     @classmethod
     def check_given(cls, table: Mapping[str, Any]) -> None:

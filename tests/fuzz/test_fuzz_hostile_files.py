@@ -47,8 +47,10 @@ MAT_DOORS = [line for line in DOORS if line.startswith((f"{RUN} --k", f"{RUN} --
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("hostile")
     write_controllers(made)
-    (made / "body.toml").write_text('[payload]\nmodal_data = "file"\n')
-    (made / "source.toml").write_text('[[disturbance]]\nname = "x"\nkind = "series"\nfile = "file"\n')
+    (made / "body.toml").write_text('base = "reference"\n[payload]\nmodal_data = "file"\n')
+    (made / "source.toml").write_text(
+        'base = "reference"\n[[disturbance]]\nname = "x"\nkind = "series"\nfile = "file"\n'
+    )
     return made
 
 

@@ -213,14 +213,14 @@ def test_any_value_in_a_parameter_file(folder: Path, value: object, place: tuple
     table, key = place
     where = f"{table}.{key}" if kind.startswith("[[") else key
     head = "" if kind.startswith("[[") else f"[{table}]\n"
-    (folder / "own.toml").write_text(head + kind.format(where, as_toml(value)) + "\n", "utf-8")
+    (folder / "own.toml").write_text('base = "reference"\n' + head + kind.format(where, as_toml(value)) + "\n", "utf-8")
     check(*called(folder, ["plant", f"--parameters={folder / 'own.toml'}", "--json"]))
 
 
 @given(value=VALUES, key=st.sampled_from(["", "requirement", "name", "text", "contribution", "budget", "version"]))
 @examples(12, times=QUICK)
 def test_any_value_in_a_toml_file_of_requirements_or_a_budget(folder: Path, value: object, key: str) -> None:
-    (folder / "own.toml").write_text(f"{key or 'requirement.x'} = {as_toml(value)}\n", "utf-8")
+    (folder / "own.toml").write_text(f"base = 'reference'\n{key or 'requirement.x'} = {as_toml(value)}\n", "utf-8")
     check(
         *called(folder, ["report", str(folder / "bag"), "--output=no/r.html", f"--requirements={folder / 'own.toml'}"])
     )

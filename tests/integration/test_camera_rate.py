@@ -29,7 +29,7 @@ RATE, TICKS = 25.0, 40
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("slow") / "telescope.toml"
-    path.write_text(f"[sensors]\ncamera_rate = {RATE}\n", "utf-8")
+    path.write_text(f"base = 'reference'\n[sensors]\ncamera_rate = {RATE}\n", "utf-8")
     return str(path)
 
 
@@ -83,8 +83,8 @@ def test_the_name_of_a_telescope_has_its_rate(file: str) -> None:
 
 def test_a_rate_that_does_not_divide_the_ticks_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "telescope.toml"
-    path.write_text("[sensors]\ncamera_rate = 30.0\n", "utf-8")
-    with pytest.raises(InputError, match=r"line 2: 'sensors.camera_rate' must divide 1000 Hz .*, got 30.0 Hz"):
+    path.write_text("base = 'reference'\n[sensors]\ncamera_rate = 30.0\n", "utf-8")
+    with pytest.raises(InputError, match=r"line 3: 'sensors.camera_rate' must divide 1000 Hz .*, got 30.0 Hz"):
         load_telescope(path)
 
 

@@ -60,7 +60,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     made.mkdir()
     for package, name in ((los_estimator, "k_fsm"), (fsm_pma_controller, "k_pma")):
         shutil.copy(Path(str(package.__file__)).parent / "designs" / f"{name}.json", made)
-    (made / "telescope.toml").write_text(SOURCES)
+    (made / "telescope.toml").write_text('base = "reference"\n' + SOURCES)
     return made
 
 
@@ -88,7 +88,9 @@ def test_the_verdicts_are_those_of_runs_under_the_sources(folder: Path, tmp_path
 def test_the_worst_member_is_judged_as_well(folder: Path) -> None:
     stored = Path(str(worst_points.__file__)).parent / "worst_points.json"
     shutil.copy(stored, folder)
-    (folder / "telescope.toml").write_text(SOURCES[SOURCES.index("[[disturbance]]") :])  # limits are part of the hash
+    (folder / "telescope.toml").write_text(
+        'base = "reference"\n' + SOURCES[SOURCES.index("[[disturbance]]") :]
+    )  # limits are part of the hash
     found = verify_mission(folder)
     assert {verdict.member for verdict in found.verdicts} == {"nominal", "worst for the RPE"}
 
@@ -105,7 +107,7 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
     codes, told = {}, {}
     for scale in ("0.001", "300.0"):
         scaled = SOURCES.replace("frequency = 47.0", f"frequency = 47.0\nscale = {scale}")
-        (folder / "telescope.toml").write_text(scaled)
+        (folder / "telescope.toml").write_text('base = "reference"\n' + scaled)
         try:
             codes[scale] = app.main(["design", "verify", "--designs", str(folder), "--json"])
         except SystemExit as ended:
@@ -127,6 +129,6 @@ def test_a_source_that_no_run_can_have_is_refused_before_the_design(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.savetxt("a.csv", np.c_[np.arange(100) / 100, np.ones(100)], delimiter=",", header="time,Fx", comments="")
-    Path("t.toml").write_text('[[disturbance]]\nname = "a"\nkind = "series"\nfile = "a.csv"\n')
+    Path("t.toml").write_text('base = "reference"\n[[disturbance]]\nname = "a"\nkind = "series"\nfile = "a.csv"\n')
     error = refused(capsys, "design", "all", "--parameters", "t.toml", "--output", "made")
     assert "must be as long as the run, 20 s, got 1 s (repeat = true repeats it)" in error

@@ -57,7 +57,7 @@ def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     """The design takes an hour: its call is checked against the signature, its result is empty."""
     from los_design import redesign
 
-    (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")
+    (folder / "soft.toml").write_text("base = 'reference'\n[pma]\nstiffness = 90.0\n")
     check = SimpleNamespace(gammas={})
     summary = redesign.DesignSummary(folder, check, [])
     monkeypatch.setattr(redesign, "design_all", create_autospec(redesign.design_all, return_value=summary))

@@ -82,7 +82,7 @@ def of_analysis() -> None:
 
 
 def of_telescope() -> None:
-    Path("my_telescope.toml").write_text("[pma]\nstiffness = 90.0\n")
+    Path("my_telescope.toml").write_text("base = 'reference'\n[pma]\nstiffness = 90.0\n")
     Path("my_profile.csv").write_text(PROFILE)
     Path("designs/mine").mkdir(parents=True)
     for name, module in (("k_fsm.json", los_estimator), ("k_pma.json", fsm_pma_controller)):

@@ -79,7 +79,9 @@ def judged_with(loop: str, changed: dict[str, float] | None, folder: Path) -> Su
     options = ["run", "--mode", "inprocess", "--duration", "30", "--loop", loop, "--no-report"]
     if changed is not None:
         parameters = folder / "limits.toml"
-        parameters.write_text("[device_limits]\n" + "".join(f"{key} = {value}\n" for key, value in changed.items()))
+        parameters.write_text(
+            "base = 'reference'\n[device_limits]\n" + "".join(f"{key} = {value}\n" for key, value in changed.items())
+        )
         options += ["--set", "nonlinear=true", "--parameters", str(parameters)]
     assert main([*options, "--output", str(folder / "bag")]) == 0
     return summarise(Run.open(folder / "bag"))

@@ -41,7 +41,7 @@ def small(folder: Path) -> str:
 def plant_from_a_file(folder: Path) -> str:
     """One driven array, three wheels, no proof-mass actuators, as a .mat file."""
     text = "[pma]\nazimuths_deg = []\n\n" + array("wing", True) + wheels(3)
-    (folder / "whole.toml").write_text(text)
+    (folder / "whole.toml").write_text('base = "reference"\n' + text)
     write_mat(folder / "plant.mat", P=build_telescope(load_telescope(folder / "whole.toml")).system)
     return '[plant]\nfile = "plant.mat"\n\n' + text
 
@@ -62,7 +62,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
 
 @pytest.mark.parametrize("name", TELESCOPES)
 def test_commands_without_controllers(command: CommandLine, name: str) -> None:
-    (command.here / "mine.toml").write_text(TELESCOPES[name](command.here))
+    (command.here / "mine.toml").write_text('base = "reference"\n' + TELESCOPES[name](command.here))
     for line in (
         "plant check mine.toml",
         "plant export --output whole.json --parameters mine.toml",
@@ -80,7 +80,7 @@ def test_commands_without_controllers(command: CommandLine, name: str) -> None:
 @pytest.mark.parametrize("name", ["small", "plant from a file"])
 def test_designs_of_other_telescopes(command: CommandLine, name: str) -> None:
     """Designed, verified, proven, budgeted, run: all by the same folder."""
-    (command.here / "mine.toml").write_text(TELESCOPES[name](command.here))
+    (command.here / "mine.toml").write_text('base = "reference"\n' + TELESCOPES[name](command.here))
     for line, codes in (
         ("design all --effort short --parameters mine.toml --output designs --workers 1", {0, 7}),
         ("design verify --designs designs --samples 5 --workers 1", {0, 7}),

@@ -17,9 +17,11 @@ from los_testbed.cli import app as cli
 from los_testbed.config.run_config import RunConfig
 from support.loop_rows import MEASUREMENTS
 
+from lftkit.systems.ports import total_size
 from pointing_analysis.read.run import Run
 from titop_plant.interface import CAMERA
-from titop_plant.simulation.driven_plant import DISTURBANCE_SIZE
+from titop_plant.simulation.driven_plant import driven_ports
+from titop_plant.telescope.load import load_telescope
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -124,7 +126,7 @@ def test_each_command_of_the_example_runs(line: str, tmp_path: Path, monkeypatch
 def test_the_pulses_last_20_ms_and_come_twice_a_second() -> None:
     pulses = run("classes_for_a_run")["ThrusterPulses"](RunConfig(seed=4))
     pulses.reset()
-    rows = np.zeros((60_000, DISTURBANCE_SIZE))
+    rows = np.zeros((60_000, total_size(driven_ports(load_telescope()))))
     for row in rows:
         pulses.step(row)
     on = rows[:, 23] > 0.0

@@ -63,7 +63,7 @@ class Damper:
 
 def file_of(folder: Path, text: str) -> str:
     path = folder / "telescope.toml"
-    path.write_text(text, "utf-8")
+    path.write_text('base = "reference"\n' + text, "utf-8")
     return str(path)
 
 

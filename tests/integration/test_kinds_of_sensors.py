@@ -68,7 +68,7 @@ TRACKER, GUIDE = Port("tracker", 3, "rad"), Port("guide", 2, "rad")
 
 def telescope_file(folder: Path, gyro: str = "", more: str = "") -> str:
     path = folder / "telescope.toml"
-    path.write_text(SENSORS.format(gyro=gyro) + more, "utf-8")
+    path.write_text('base = "reference"\n' + SENSORS.format(gyro=gyro) + more, "utf-8")
     return str(path)
 
 
@@ -160,14 +160,14 @@ def test_the_model_of_the_loop_holds_their_samples(start: str, tmp_path: Path) -
         ),
         ('kind = "star_tracker"\nposition = [1.0, 0.0, 0.0]', "'sensor[0].position' must be absent for a star_tracker"),
         ('kind = "line_of_sight"\naxes = [[1.0, 0.0, 0.0]]', "'sensor[0].axes' must be absent for a line_of_sight"),
-        ('kind = "rate_gyro"\nrandom_walk = -1.0', "'sensor[0].random_walk' must not be negative, got -1.0"),
-        ('kind = "rate_gyro"\nscale = -1.0', "'sensor[0].scale' must be above -1, got -1.0"),
+        ('kind = "rate_gyro"\nrandom_walk = -1.0', "'sensor[0].random_walk' must be at least 0, got -1"),
+        ('kind = "rate_gyro"\nscale = -1.0', "'sensor[0].scale' must be above -1, got -1"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_line(lines: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "telescope.toml"
-    path.write_text(f'[[sensor]]\nname = "one"\n{lines}\n', "utf-8")
-    with pytest.raises(InputError, match=r"telescope\.toml, line [34]: ") as refused:
+    path.write_text(f'base = "reference"\n[[sensor]]\nname = "one"\n{lines}\n', "utf-8")
+    with pytest.raises(InputError, match=r"telescope\.toml, line [45]: ") as refused:
         load_telescope(path)
     assert message in str(refused.value)
 

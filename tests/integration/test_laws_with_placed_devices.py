@@ -112,7 +112,7 @@ ON_M1, AT_ROOT, SHAKER = Port("on_m1", 3, "m/s2"), Port("at_root", 1, "m/s2"), P
 def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunConfig:
     """A short run of a telescope with further devices, in a folder with laws of the user."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "own.toml").write_text(TELESCOPE)
+    (tmp_path / "own.toml").write_text('base = "reference"\n' + TELESCOPE)
     (tmp_path / "laws_with_devices.py").write_text(LAWS)
     return RunConfig(
         duration=0.4, loop="fsm+pma", scenario="imbalance", disturbance=False, noise=False, start="rest",
@@ -148,7 +148,7 @@ def test_an_actuator_that_nothing_drives_in_the_stage_is_named_before_the_work(
 
 def test_a_bag_has_the_sensors_by_their_names(base: RunConfig, tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(
-        TELESCOPE.replace('place = "A1"\naxes', 'place = "A1"\nrange = 1e-3\naxes') + SINE
+        'base = "reference"\n' + TELESCOPE.replace('place = "A1"\naxes', 'place = "A1"\nrange = 1e-3\naxes') + SINE
     )
     config = replace(base, duration=1.0, loop="fsm", disturbance=True)
     run_in_process(config, tmp_path / "bag")
@@ -283,7 +283,7 @@ def twin_pair(telescope: Telescope) -> tuple[SampledSystem, SampledSystem]:
 @pytest.mark.further
 def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
     """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
-    (tmp_path / "twins.toml").write_text(TWINS)
+    (tmp_path / "twins.toml").write_text('base = "reference"\n' + TWINS)
     telescope = load_telescope(tmp_path / "twins.toml")
     (k_fsm, k_pma), (observer, twin) = load_designs("implemented"), twin_pair(telescope)
     ports, rng = telescope.loop_ports.used_by(observer, twin), np.random.default_rng(1)
@@ -365,7 +365,7 @@ def test_limits_of_a_bag_that_are_none_are_refused(limits: Any) -> None:
 
 
 def test_forces_that_move_nothing_are_named(base: RunConfig, tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(f"{TELESCOPE}\n[pma]\nazimuths_deg = []\n")
+    (tmp_path / "own.toml").write_text(f"base = 'reference'\n{TELESCOPE}\n[pma]\nazimuths_deg = []\n")
     assert "pma_force moves nothing: the telescope has no proof masses" in RunParts(base).idle_devices
     law_with_devices().to_file(tmp_path / "k_pma.json")
     assert "moves nothing" not in RunParts(replace(base, k_pma="k_pma.json")).idle_devices
@@ -376,7 +376,7 @@ def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(
     base: RunConfig, tmp_path: Path, depth: str
 ) -> None:
     """Without noise in time, where each sensor has its own sequence; a row is that of its run."""
-    (tmp_path / "twins.toml").write_text(TWINS)
+    (tmp_path / "twins.toml").write_text('base = "reference"\n' + TWINS)
     base = replace(base, parameters="twins.toml", duration=1.1, scenario="imbalance", disturbance=True)
     for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
         law.to_file(tmp_path / f"{name}.json")
@@ -418,20 +418,20 @@ def test_other_devices_are_refused(
 
 
 def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(TELESCOPE + SINE)
+    (tmp_path / "own.toml").write_text('base = "reference"\n' + TELESCOPE + SINE)
     config = replace(base, k_pma="laws_with_devices:Shaking", disturbance=True)
     with pytest.raises(ValueError, match="actuator shaker must have one driver, got source sine and k_pma"):
         RunParts(config).check()
     (source,) = RunParts(config).sources
     assert source.limit == 31.6
-    (tmp_path / "own.toml").write_text(TELESCOPE + SINE + SINE.replace('"sine"', '"other"'))
+    (tmp_path / "own.toml").write_text('base = "reference"\n' + TELESCOPE + SINE + SINE.replace('"sine"', '"other"'))
     with pytest.raises(ValueError, match="actuator shaker must have one source, got 2"):
         _ = RunParts(config).sources
 
 
 def test_the_models_of_proofs_have_the_gains_of_such_a_loop(base: RunConfig, tmp_path: Path) -> None:
     """Figures and sensitivities, at random members; a part of the band is proven and checked."""
-    (tmp_path / "twins.toml").write_text(TWINS)
+    (tmp_path / "twins.toml").write_text('base = "reference"\n' + TWINS)
     telescope, rng = load_telescope(tmp_path / "twins.toml"), np.random.default_rng(7)
     pair = twin_pair(telescope)
     open_loop = provable_open_loop(telescope, *pair)
@@ -456,14 +456,14 @@ def test_sensors_that_no_proof_takes_are_refused_before_the_design(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "slow.toml"
-    file.write_text('[[sensor]]\nname = "slow"\nkind = "rate_gyro"\nrate = 10.0\n')
+    file.write_text('base = "reference"\n[[sensor]]\nname = "slow"\nkind = "rate_gyro"\nrate = 10.0\n')
     line = refused(capsys, "design", "all", "--certify", "--parameters", file, "--output", tmp_path / "mine")
     assert "the rate of the camera, 50 Hz, got slow" in line and not (tmp_path / "mine").exists()
 
 
 def test_the_curves_of_such_a_pair_are_those_of_the_standard_one(base: RunConfig, tmp_path: Path) -> None:
     """At the mirror; at the forces there are six actuators in the one and seven in the other."""
-    (tmp_path / "twins.toml").write_text(TWINS)
+    (tmp_path / "twins.toml").write_text('base = "reference"\n' + TWINS)
     base = replace(base, parameters="twins.toml")
     for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
         law.to_file(tmp_path / f"{name}.json")

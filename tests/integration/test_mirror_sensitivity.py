@@ -43,7 +43,7 @@ def for_sensitivity(k_fsm: SampledSystem, basis: dict[str, object]) -> SampledSy
 def config(tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
     folder = tmp_path_factory.mktemp("mirror")
     user = folder / "user.toml"
-    user.write_text(f"[fsm]\nlos_sensitivity = {SENSITIVITY}\n")
+    user.write_text(f"base = 'reference'\n[fsm]\nlos_sensitivity = {SENSITIVITY}\n")
     basis = load_telescope(user).design_basis.to_mapping()
     k_fsm, k_pma = load_designs("implemented")
     for_sensitivity(k_fsm, basis).to_file(folder / "k_fsm.json")

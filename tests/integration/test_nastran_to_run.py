@@ -55,7 +55,7 @@ def test_the_reference_payload_as_a_superelement_in_millimetres(tmp_path: Path) 
         *files, name="payload", parent=parent, ports=dict(ports), units="mm-t-s", damping=0.003, n_modes=36
     )
     write_modal_data(body, tmp_path / "payload.toml")
-    (tmp_path / "telescope.toml").write_text('[payload]\nmodal_data = "payload.toml"\n', "utf-8")
+    (tmp_path / "telescope.toml").write_text('base = "reference"\n[payload]\nmodal_data = "payload.toml"\n', "utf-8")
     found, reference = (assembled_telescope(load_telescope(file)) for file in (tmp_path / "telescope.toml", ""))
     mine, theirs = (next(b for b in one.bodies if b.name == "payload") for one in (found, reference))
     assert mine.mass == pytest.approx(theirs.mass, rel=1e-8)

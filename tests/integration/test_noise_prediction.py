@@ -66,7 +66,7 @@ WINDOW = 20
 
 def settings(folder: Path, **values: object) -> RunConfig:
     file = folder / "image.toml"
-    file.write_text('[sensors]\ncamera = "image"\n', "utf-8")
+    file.write_text('base = "reference"\n[sensors]\ncamera = "image"\n', "utf-8")
     return RunConfig.from_mapping({"mode": "inprocess", "parameters": str(file), **values})
 
 

@@ -45,10 +45,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     """A telescope with uncertain factors, and one whose file has the values of `MEMBER`."""
     folder, table = tmp_path_factory.mktemp("telescopes"), load_telescope().isolator
     uncertain, certain = folder / "uncertain.toml", folder / "certain.toml"
-    uncertain.write_text(SPREADS)
+    uncertain.write_text('base = "reference"\n' + SPREADS)
     stiffness, damping = [1.03 * k for k in table.stiffness], [0.6 * d for d in table.damping]
     arrays = f"[solar_array]\ndamping = {0.7 * load_telescope().to_mapping()['solar_array']['damping']!r}\n"
-    certain.write_text(f"{arrays}[isolator]\nstiffness = {stiffness}\ndamping = {damping}\n")
+    certain.write_text(f"base = 'reference'\n{arrays}[isolator]\nstiffness = {stiffness}\ndamping = {damping}\n")
     return str(uncertain), str(certain)
 
 

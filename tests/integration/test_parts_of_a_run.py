@@ -86,7 +86,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def telescope(folder: Path, *kinds: str) -> str:
     tables = [f'[[disturbance]]\nname = "my {kind}"\nkind = "{kind}"\n{SOURCES[kind]}\n' for kind in kinds]
-    (folder / "telescope.toml").write_text("\n".join(tables))
+    (folder / "telescope.toml").write_text('base = "reference"\n' + "\n".join(tables))
     return str(folder / "telescope.toml")
 
 
@@ -140,7 +140,7 @@ def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, simulated: 
 def test_sources_that_cancel_have_no_shares(folder: Path) -> None:
     """What is left of them is rounding, of which they were said to be -554063908432868 %."""
     both = [f'[[disturbance]]\nname = "{name}"\nkind = "series"\n{SOURCES["series"]}\n' for name in "ab"]
-    (folder / "telescope.toml").write_text("\n".join([both[0], both[1] + "scale = -1.0\n"]))
+    (folder / "telescope.toml").write_text('base = "reference"\n' + "\n".join([both[0], both[1] + "scale = -1.0\n"]))
     rows = source_shares(RanLoop.of(recorded(parameters="telescope.toml", noise=False)))
     assert [row.name for row in rows] == ["a", "b", TOGETHER]
     assert (
@@ -265,7 +265,10 @@ def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
 COOLER = """
 import numpy as np
 from titop_plant.interface import DT
-from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS
+from titop_plant.simulation.driven_plant import disturbance_columns
+from titop_plant.telescope.load import load_telescope
+
+WRENCH = disturbance_columns(load_telescope())["external_wrench"]
 
 
 class Cooler:
@@ -276,7 +279,7 @@ class Cooler:
         angle = 2.0 * np.pi * 45.0 * DT * self.tick
         out[:] = 0.0
         force = 200.0 * np.sin(angle) + 100.0 * np.sin(2.0 * angle + 1.0)
-        out[DISTURBANCE_COLUMNS["external_wrench"]] = force * np.array([1.0, 0.5, 0.2, 0.1, 0.1, 0.0])
+        out[WRENCH] = force * np.array([1.0, 0.5, 0.2, 0.1, 0.1, 0.0])
         self.tick += 1
 """
 

@@ -82,7 +82,7 @@ def test_the_report_of_a_quiet_run_has_the_ratio_one(quiet, tmp_path, loop) -> N
 
 def test_noise_changes_the_ratio_by_what_the_table_says(tmp_path) -> None:
     file = tmp_path / "quiet.toml"  # tones of unit norm are weak beside the paper's accelerometers
-    file.write_text("[sensors]\naccelerometer_noise = [2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4]\n")
+    file.write_text("base = 'reference'\n[sensors]\naccelerometer_noise = [2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4]\n")
     (found,) = predicted(recorded(tmp_path / "bag", duration=6.0, parameters=str(file)))
     strong = [tone for tone in found.tones if not tone.in_noise]
     assert any(tone.uncertainty < 0.02 for tone in strong)

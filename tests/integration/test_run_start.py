@@ -32,7 +32,9 @@ def biased(tmp_path_factory) -> RunConfig:
     file = tmp_path_factory.mktemp("biased") / "telescope.toml"
     zeros = ", ".join(["0.0"] * 6)
     file.write_text(
-        f"[sensors]\naccelerometer_noise = [{zeros}]\ncamera_noise = 0.0\nstrain_gauge_noise = 0.0\n", "utf-8"
+        "base = 'reference'\n"
+        f"[sensors]\naccelerometer_noise = [{zeros}]\ncamera_noise = 0.0\nstrain_gauge_noise = 0.0\n",
+        "utf-8",
     )
     return RunConfig(duration=4.0, mode="inprocess", parameters=str(file), wheel_speed=WHEELS, tau=0.3)
 

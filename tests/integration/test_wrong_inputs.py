@@ -229,15 +229,17 @@ REQUIREMENTS: dict[str, Row] = {
 
 ARRAY = "[[solar_array]]\nname = 'wing'\npoint = 'A1'\nlike = 'reference'\n"
 TELESCOPE: dict[str, Row] = {
-    "an unknown table": ("[isolater]\n", "line 1|isolater|isolator"),
-    "an unknown key": ("[isolator]\nstifness = 1\n", "line 2|isolator.stifness|did you mean stiffness"),
-    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 2|stiffness[0]|above 0|-1"),
-    "a damping above one": (ARRAY + "damping = 1.5\n", "line 1|solar_array[0]|damping|1.5"),
-    "modes heavier than the body": (ARRAY + "mass = 2.0\n", "line 1|solar_array[0]|residual mass"),
-    "a point elsewhere": (ARRAY.replace("A1", "Z9"), "line 3|solar_array[0].point|A1|'Z9'"),
-    "a missing file of modes": ("[payload]\nmodal_data = 'm.toml'\n", "line 2|payload.modal_data|m.toml"),
+    "an unknown table": ("[isolater]\n", "line 2|isolater|isolator"),
+    "an unknown key": ("[isolator]\nstifness = 1\n", "line 3|isolator.stifness|did you mean stiffness"),
+    "a negative stiffness": ("[isolator]\nstiffness = [-1.0, 1, 1, 1, 1, 1]\n", "line 3|stiffness[0]|above 0|-1"),
+    "a damping above one": (ARRAY + "damping = 1.5\n", "line 2|solar_array[0]|damping|1.5"),
+    "modes heavier than the body": (ARRAY + "mass = 2.0\n", "line 2|solar_array[0]|residual mass"),
+    "a point elsewhere": (ARRAY.replace("A1", "Z9"), "line 4|solar_array[0].point|A1|'Z9'"),
+    "a missing file of modes": ("[payload]\nmodal_data = 'm.toml'\n", "line 3|payload.modal_data|m.toml"),
     "a source at no place": (table("cooler", f"frequency = 47; {PUSH}", "moon"), "disturbance 'c'|place|'moon'"),
 }
+"""Behind the line of the base."""
+
 RUN_FILE: dict[str, Row] = {
     "a value out of range": ("duration: -3\n", "duration must be between|-3"),
     "an unknown setting": ("durration: 3\n", "unknown parameter 'durration'|duration"),
@@ -277,7 +279,8 @@ def test_a_wrong_input_is_refused(
     monkeypatch.chdir(tmp_path)
     files = {"data.csv": PLAIN, name: content} if name == "mission.toml" else {name: content}
     for file, text in files.items():
-        Path(file).write_bytes(text if isinstance(text, bytes) else text.encode())
+        head = b'base = "reference"\n' if file == "telescope.toml" else b""
+        Path(file).write_bytes(head + (text if isinstance(text, bytes) else text.encode()))
     code, out, err = call_command(capsys, *COMMANDS[name], *" ".join(options).split())
     messages = [text for text in err.splitlines() if text.startswith(("los-testbed: ", "los-testbed analyse: error: "))]
     assert code == 2 and out == "" and len(messages) == 1, (code, out, err)

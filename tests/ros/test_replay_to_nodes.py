@@ -73,7 +73,7 @@ def test_live_nodes_driven_by_a_bag_answer_as_recorded(recorded, tmp_path):
 def test_frames_of_the_camera_come_to_a_recorder(tmp_path):
     """The bag of a run with images drives live nodes and a recorder, whose bag has the same frames, byte by byte."""
     file = tmp_path / "image.toml"
-    file.write_text('[sensors]\ncamera = "image"\n', "utf-8")
+    file.write_text('base = "reference"\n[sensors]\ncamera = "image"\n', "utf-8")
     config = config_for(tmp_path, mode="realtime", duration=1.0, seed=5, parameters=str(file))
     original = tmp_path / "original"
     run_in_process(config, original)

@@ -25,7 +25,7 @@ from pointing_analysis.read.run import Run
 
 def user_file(folder: Path, text: str) -> str:
     """A parameter file with this text."""
-    (folder / "user.toml").write_text(text, "utf-8")
+    (folder / "user.toml").write_text('base = "reference"\n' + text, "utf-8")
     return str(folder / "user.toml")
 
 

@@ -19,5 +19,8 @@ def toml(value: Any) -> str:
 
 def write(folder: Path, layout: dict[str, Any]) -> Path:
     path = folder / "mine.toml"
-    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in layout.items()) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join(f"{key} = {toml(value)}" for key, value in {"base": "reference", **layout}.items()) + "\n",
+        encoding="utf-8",
+    )
     return path

@@ -23,7 +23,6 @@ from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -33,14 +32,16 @@ def driven_ports(telescope: Telescope) -> tuple[Port, ...]:
     return (*telescope.disturbance_ports, *outside)
 
 
-DISTURBANCE_PORTS = driven_ports(load_telescope())
-"""Those of the reference telescope."""
+def disturbance_columns(telescope: Telescope) -> dict[str, slice]:
+    """Columns of each port in that vector.
 
-DISTURBANCE_COLUMNS = port_slices(DISTURBANCE_PORTS)
-"""Columns of each port in its vector."""
-
-DISTURBANCE_SIZE = total_size(DISTURBANCE_PORTS)
-"""Size of its vector."""
+    Examples
+    --------
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> disturbance_columns(load_telescope())["external_wrench"]
+    slice(22, 28, None)
+    """
+    return dict(port_slices(driven_ports(telescope)))
 
 
 class Disturbance(Protocol):

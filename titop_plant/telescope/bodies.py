@@ -36,11 +36,11 @@ from titop_plant.structures.beam_frame import (
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.structures.sections import bar, box, tube
-from titop_plant.telescope.layout import BODY_POINTS, frame_points
+from titop_plant.telescope.layout import frame_points
 from titop_plant.telescope.sections import BodyTable, Equipment, Material, PayloadTable, SectionTable
 from titop_plant.telescope.telescope import Telescope
 
-PORTS = {"body": BODY_POINTS, "payload": ("M1", "M2", "I_f", "DET")}
+PORTS = {"body": BodyTable.POINTS, "payload": ("M1", "M2", "I_f", "DET")}
 """Points of each frame; a parameter file may add points to the body."""
 SUPPORTS = 4
 """Nodes of the frame that carry the bracket of an added point."""
@@ -69,7 +69,7 @@ def build_body(telescope: Telescope, points: Sequence[str] = ("A1", "A2")) -> Mo
         The file is not modal data, has another parent point or lacks a port.
     """
     needed = (*points, "I_w", "I_p")
-    from_file = _from_file(telescope.body, "body", needed)
+    from_file = _from_file(telescope, "body", needed)
     return from_file or _from_frame(telescope.body, "body", body_frame(telescope), frame_points(telescope.body.ports))
 
 
@@ -93,7 +93,7 @@ def build_payload(telescope: Telescope) -> ModalData:
         The file is not modal data, has another parent point or lacks a port.
     """
     points = PORTS["payload"]
-    from_file = _from_file(telescope.payload, "payload", points)
+    from_file = _from_file(telescope, "payload", points)
     return from_file or _from_frame(telescope.payload, "payload", payload_frame(telescope), points)
 
 
@@ -101,9 +101,9 @@ def _from_frame(table: BodyTable | PayloadTable, name: str, frame: BeamFrame, po
     return to_modal_data(frame, PARENTS[name], points, table.modes, table.damping)
 
 
-def _from_file(table: BodyTable | PayloadTable, name: str, points: Sequence[str]) -> ModalData | None:
+def _from_file(telescope: Telescope, name: str, points: Sequence[str]) -> ModalData | None:
     """The user's body, if the parameters name a file."""
-    path = table.modal_data
+    path = telescope.modal_file(name)
     if not path:
         return None
     try:

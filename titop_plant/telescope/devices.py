@@ -23,17 +23,28 @@ no prediction.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
-from titop_plant.sensors import TICKS_PER_SECOND, Sensor, SensorMount, divided_ticks
+from pointing_analysis.files.settings import (
+    ANY,
+    POSITIVE,
+    STRICT,
+    CheckedTable,
+    Excluded,
+    Refused,
+    setting,
+    settings_class,
+)
+from titop_plant.sensors import TICKS_PER_SECOND, Sensor, SensorMount, divided_ticks, whole_ticks
 from titop_plant.telescope.actuators import Actuator, ActuatorMount
 from titop_plant.telescope.places import REFERENCE_POINT
-from titop_plant.telescope.sections import OscillatorTable
+from titop_plant.telescope.sections import Matrix, OscillatorTable, Vector
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -61,13 +72,98 @@ ACTUATOR_UNITS: Mapping[str, str] = {PROOF_MASS: "N", FORCE: "N", TORQUE: "Nm"}
 """Kinds of actuators, each with its unit: a proof mass that moves along an axis, a force or a torque from outside."""
 
 PROOF_MASSES = "pma"
-MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "authority")
+MECHANICS = tuple(OscillatorTable.SETTINGS)
 """Values of an actuator that are those of ``[pma]`` where its table does not give them."""
+
+UNIT_WITHIN = 1e-3
+"""Of the length of an axis from 1; it is brought to 1."""
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class DeviceTable(CheckedTable):
+    """A sensor or an actuator at a place."""
+
+    name: str = setting(..., "name")
+    place: str = setting("", "point of the structure", absent="the bus")
+    position: Vector | None = setting(None, "from the point", "m", length=3, absent="the point")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class SensorTable(DeviceTable):
+    """A sensor; its standard deviations are those of a sample."""
+
+    kind: str = setting(ACCELEROMETER, "kind", choices=tuple(SENSOR_KINDS))
+    axes: Matrix | None = setting(None, "unit vectors along which it measures", length=(ANY, 3), absent="x, y, z")
+    rate: float = setting(float(TICKS_PER_SECOND), "samples per second", "Hz")
+    noise: float | None = setting(None, "noise", "", 0.0, absent="that of [sensors], or 0")
+    bias: float = setting(0.0, "bias")
+    random_walk: float = setting(0.0, "random walk of the bias, over the root of a second", "", 0.0)
+    scale: float = setting(0.0, "relative error of its scale", "", Excluded(-1.0))
+    step: float = setting(0.0, "quantisation; 0: none", "", 0.0)
+    range: float | None = setting(None, "largest value", "", POSITIVE, absent="any")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.of_kind.source and self.position is not None:
+            raise Refused("position", f"must be absent for a {self.kind}, got {list(self.position)}")
+        if self.kind == LINE_OF_SIGHT and self.axes is not None:
+            raise Refused("axes", f"must be absent for a {self.kind}, got {list(map(list, self.axes))}")
+        if not (self.place or self.of_kind.source):
+            raise Refused("", "has no 'place'")
+        _refuse_other_vectors("axes", self.axes or ())
+        if not self.rate >= 1.0 or whole_ticks(self.rate) is None:
+            expected = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...) and be 1 Hz at least"
+            raise Refused("rate", f"{expected}, got {self.rate!r} Hz")
+
+    @property
+    def of_kind(self) -> SensorKind:
+        """What its kind measures."""
+        return SENSOR_KINDS[self.kind]
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ActuatorTable(DeviceTable):
+    """An actuator; what a proof mass leaves out is that of ``[pma]``."""
+
+    kind: str = setting(PROOF_MASS, "kind", choices=tuple(ACTUATOR_UNITS))
+    axis: Vector = setting(..., "unit vector along which it acts", length=3)
+    moving_mass: float | None = setting(None, "moving mass", "kg", POSITIVE)
+    casing_mass: float | None = setting(None, "mass of the casing", "kg", POSITIVE)
+    inertia: Vector | None = setting(None, "inertia, z along the motion", "kg m2", POSITIVE, length=3)
+    stiffness: float | None = setting(None, "stiffness", "N/m", POSITIVE)
+    damping: float | None = setting(None, "damping", "N s/m", 0.0)
+    authority: float | None = setting(None, "largest force, or torque", "N, Nm", POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.place:
+            raise Refused("", "has no 'place'")
+        _refuse_other_vectors("axis", (self.axis,))
+        if self.kind != PROOF_MASS:
+            for key in MECHANICS:
+                if key != "authority" and (value := getattr(self, key)) is not None:
+                    raise Refused(key, f"must be absent for a {self.kind}, got {value}")
+            if self.authority is None:
+                raise Refused("", "has no 'authority'")
+
+
+def _refuse_other_vectors(key: str, axes: Iterable[Vector]) -> None:
+    """Refuse more than three axes, and those that are no unit vectors."""
+    listed = tuple(axes)
+    if len(listed) > 3:
+        raise Refused(key, f"must be one to three unit vectors, got {len(listed)}")
+    for axis in listed:
+        length = math.sqrt(sum(entry**2 for entry in axis))
+        if abs(length - 1.0) > UNIT_WITHIN:
+            raise Refused(key, f"must be a unit vector, got {list(axis)} of length {length:.4g}")
 
 
 def read_sensors(tables: Mapping[str, Any]) -> tuple[Sensor, ...]:
     """Sensors of the tables ``[[sensor]]``, in their order; accelerometers have the washout of ``[sensors]``."""
-    return tuple(_sensor(table, tables) for table in tables.get(SENSOR, ()))
+    return tuple(_sensor(SensorTable.of_table(table), tables) for table in tables.get(SENSOR, ()))
 
 
 def read_actuators(tables: Mapping[str, Any]) -> tuple[Actuator, ...]:
@@ -81,40 +177,33 @@ def usual_values(table: Mapping[str, Any]) -> tuple[str, ...]:
     return (*(key for key in known if key not in table and key != "authority"), "authority")
 
 
-def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
-    kind = str(table.get("kind", PROOF_MASS))
-    mechanics = OscillatorTable.of_part({**usual, **table}) if kind == PROOF_MASS else None
-    authority = float(table.get("authority", usual["authority"]))
-    place, axis = str(table["place"]), _unit(table["axis"])
-    mount = ActuatorMount(place, axis, _position(table), mechanics, torque=kind == TORQUE)
-    port = Port(str(table["name"]), 1, ACTUATOR_UNITS[kind])
+def _actuator(values: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
+    table = ActuatorTable.of_table(values)
+    mechanics = OscillatorTable.of_part({**usual, **values}) if table.kind == PROOF_MASS else None
+    authority = float(usual["authority"]) if table.authority is None else table.authority
+    mount = ActuatorMount(table.place, _unit(table.axis), _position(table), mechanics, torque=table.kind == TORQUE)
+    port = Port(table.name, 1, ACTUATOR_UNITS[table.kind])
     return Actuator(port, authority, authority / float(usual["authority"]), mount)
 
 
-def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:
-    name = str(table.get("kind", ACCELEROMETER))
-    kind, angular = SENSOR_KINDS[name], name == ANGULAR
+def _sensor(table: SensorTable, tables: Mapping[str, Any]) -> Sensor:
+    kind, angular = table.of_kind, table.kind == ANGULAR
     usual = 0.0 if kind.source else tables["sensors"]["accelerometer_noise"][3 if angular else 0]
-    axes = np.eye(2) if name == LINE_OF_SIGHT else np.array([_unit(axis) for axis in table.get("axes", np.eye(3))])
-    each, ticks = np.ones(len(axes)), divided_ticks(float(table.get("rate", TICKS_PER_SECOND)), "rate")
-    mount = SensorMount(
-        str(table.get("place", REFERENCE_POINT)),
-        axes,
-        _position(table),
-        angular,
-        not kind.source,
-        float(table.get("scale", 0.0)),
-    )
+    stated = np.eye(3) if table.axes is None else np.array([_unit(axis) for axis in table.axes])
+    axes = np.eye(2) if table.kind == LINE_OF_SIGHT else stated
+    each, ticks = np.ones(len(axes)), divided_ticks(table.rate, "rate")
+    place = table.place or REFERENCE_POINT
+    mount = SensorMount(place, axes, _position(table), angular, not kind.source, table.scale)
     return Sensor(
-        Port(str(table["name"]), len(axes), kind.unit),
-        noise=float(table.get("noise", usual)) * each,
-        bias=float(table.get("bias", 0.0)) * each,
+        Port(table.name, len(axes), kind.unit),
+        noise=(usual if table.noise is None else table.noise) * each,
+        bias=table.bias * each,
         framed=ticks > 1,
         ticks=ticks,
         washout=0.0 if kind.source else float(tables["sensors"]["washout"]),
-        step=float(table.get("step", 0.0)),
-        range=float(table.get("range", math.inf)),
-        random_walk=float(table.get("random_walk", 0.0)),
+        step=table.step,
+        range=math.inf if table.range is None else table.range,
+        random_walk=table.random_walk,
         mount=mount,
         measures=kind.source,
     )
@@ -125,5 +214,5 @@ def _unit(axis: Any) -> FloatArray:
     return np.asarray(vector / math.sqrt(vector @ vector))
 
 
-def _position(table: Mapping[str, Any]) -> FloatArray:
-    return np.array(table.get("position", [0.0, 0.0, 0.0]), dtype=float)
+def _position(table: DeviceTable) -> FloatArray:
+    return np.array(table.position or (0.0, 0.0, 0.0), dtype=float)

@@ -28,7 +28,7 @@ from lftkit.systems.ports import Port
 from titop_plant import ports
 from titop_plant.blocks.pyramid import pyramid_axes
 from titop_plant.telescope.places import BUS, PAYLOAD
-from titop_plant.telescope.sections import Broadband, Drive, PrintedModes, Vector, WheelKind
+from titop_plant.telescope.sections import BodyTable, Broadband, Drive, PrintedModes, Vector, WheelKind
 
 if TYPE_CHECKING:
     from titop_plant.blocks.stepper import Stepper
@@ -51,9 +51,6 @@ SOURCE_OF_STEPPER = (
 
 WHEEL_IMBALANCE, WHEEL_TORQUE, SADM_TORQUE = "wheel_imbalance", "wheel_torque", "sadm_torque"
 """Names of the input ports whose size depends on what is mounted."""
-
-BODY_POINTS = ("A1", "A2", "I_w", "I_p")
-"""Points of the central body's frame; a parameter file may add others."""
 
 IMBALANCE_CHANNELS = 5
 """Forces x, y, z and torques x, y of one wheel."""
@@ -231,7 +228,7 @@ def read_nodes(tables: Mapping[str, Any]) -> dict[str, str]:
     arrays, others = read_arrays(tables), read_appendages(tables)
     nodes = {**BUS, **{f"array_{i}": one.point for i, one in enumerate(arrays, start=1)}, **PAYLOAD}
     nodes |= {one.name: one.point for one in (*arrays, *others)}
-    points = () if tables["body"]["modal_data"] else frame_points(tables["body"]["ports"])
+    points = () if tables["body"].get("modal_data") else frame_points(tables["body"]["ports"])
     return nodes | {point: point for point in points if point not in nodes.values()}
 
 
@@ -242,7 +239,7 @@ def device_nodes(nodes: Mapping[str, str]) -> dict[str, str]:
 
 def frame_points(ports: Iterable[str]) -> tuple[str, ...]:
     """Points of the central body's frame: its own, then those that the parameter file adds."""
-    return (*BODY_POINTS, *(name for name in ports if name not in BODY_POINTS))
+    return (*BodyTable.POINTS, *(name for name in ports if name not in BodyTable.POINTS))
 
 
 def read_source_tables(tables: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

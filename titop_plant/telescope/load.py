@@ -16,9 +16,10 @@ from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import parse
 from titop_plant.telescope.guide_camera import with_guide_camera
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS, MountedBody
-from titop_plant.telescope.plant_file import PLANT, take_plant
+from titop_plant.telescope.plant_file import FILE, PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
-from titop_plant.telescope.tables.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import BASE, ParameterFile
+from titop_plant.telescope.tables.parameter_check import REFERENCE as REFERENCE_NAME
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_entries
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
 
@@ -38,29 +39,34 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     Parameters
     ----------
     path : str or Path, optional
-        TOML file of the form of ``reference.toml``, which stands where none is given; tables that are missing are taken
-        from it, so that a user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and
-        ``[[requirement]]``, change those of the same name and are added to the others; ``replace = ["equipment"]`` in
-        ``[payload]``, or ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of tables
-        without names are replaced. A relative ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or
-        ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
-        its table, see :mod:`titop_plant.telescope.guide_camera`. Tables ``[[solar_array]]``,
-        ``[[reaction_wheel]]`` and ``[[appendage]]`` define the layout, see :mod:`titop_plant.telescope.layout`,
-        ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`,
-        ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`, ``[plant]`` a
-        system from a file in place of the assembly, :mod:`titop_plant.telescope.plant_file`.
-        Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
+        TOML file; the reference telescope where none is given. With ``base = "reference"``, or the name of another
+        parameter file, relative to its folder, a file holds only what differs from that one; without, all that a
+        telescope needs. Tables with a name, ``[[payload.equipment]]`` and ``[[requirement]]``, change those of the same
+        name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or ``replace = ["requirement"]``
+        at the head of the file, replaces all of them. Other lists of tables are replaced. A relative
+        ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or ``camera.noise_curve`` is looked for beside the
+        file. Low-pass and noise of a camera that is no vector are those of its table, see
+        :mod:`titop_plant.telescope.guide_camera`. Tables ``[[solar_array]]``, ``[[reaction_wheel]]`` and
+        ``[[appendage]]`` define the layout, see :mod:`titop_plant.telescope.layout`, ``[[sensor]]`` and
+        ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`, ``[uncertain]`` what varies
+        beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`, ``[plant]`` a system from a file in place of
+        the assembly, :mod:`titop_plant.telescope.plant_file`. Tables ``[[disturbance]]`` are kept as they are, each
+        with the folder of the file.
 
     Raises
     ------
     ValueError
-        File missing or not TOML; a key that the reference does not have, or a value of another kind, length or
-        sign than the reference's; requirements that :func:`titop_plant.telescope.requirements.with_limits` refuses.
-        The message names the file, the line and the key.
+        File missing or not TOML; a key that is not known, or all that are missing; a value of another kind, length or
+        sign; requirements that :func:`titop_plant.telescope.requirements.with_limits` refuses. The message names the
+        file, the line and the key.
     """
-    path = path or REFERENCE
-    reference, text = _read(REFERENCE)
-    if Path(path) == REFERENCE:
+    return _loaded(Path(path or REFERENCE), ())
+
+
+def _loaded(path: Path, above: tuple[Path, ...]) -> Telescope:
+    """The telescope of a file that these files, resolved, build on."""
+    content, text = _read(path)
+    if path == REFERENCE:
         return _reference(text)
     from titop_plant.telescope.tables.mounted import (  # loads scipy
         check_modal_file,
@@ -69,30 +75,35 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         take_mounted,
     )
 
-    content, text = _read(Path(path))
     file = ParameterFile(str(path), text)
-    plant = take_plant(content, file, Path(path).parent)
-    limits, sources, mounted = take_limits(content, file), content.pop(SOURCES, []), take_mounted(content)
+    base = _base(content, file, (*above, path.resolve()))
+    if PLANT in base:
+        content.setdefault(PLANT, {FILE: str(Path(base[PLANT][FILE]).absolute())})
+    plant = take_plant(content, file, path.parent)
+    limits, sources, mounted = take_limits(content, file), content.pop(SOURCES, None), take_mounted(content)
     spreads = content.pop(UNCERTAIN, {})
-    if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
+    if sources is not None and not (isinstance(sources, list) and all(isinstance(table, dict) for table in sources)):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
-    merged = file.merged(reference, content)
+    merged = file.merged(base, content)
     note_unknown_keys(mounted, file)
     file.refuse_unknown()
+    file.require_all({**merged, **mounted})
     merged = with_limits(merged, content, limits, file)
-    file.check_tables(merged)
+    file.check_tables({**merged, **mounted})
     for name, key in (("optics", "pupil"), ("camera", "noise_curve"), *((body, "modal_data") for body in OWN_BODIES)):
-        if beside := merged[name][key]:
-            merged[name] = {**merged[name], key: str(Path(path).parent / beside)}
+        if beside := content.get(name, {}).get(key):
+            merged[name] = {**merged[name], key: str(path.parent / beside)}
     merged = with_guide_camera(merged, content, file)
-    merged |= checked_layout(mounted, merged, reference, file)
+    merged |= checked_layout(mounted, merged, base, file)
+    if isinstance(spreads, dict):
+        spreads = {**base.get(UNCERTAIN, {}), **spreads}
     if spreads:
         merged[UNCERTAIN] = checked_entries(spreads, file, merged)
     for name in OWN_BODIES:
-        if merged[name]["modal_data"]:
+        if merged[name].get("modal_data"):
             check_modal_file(name, merged[name], file)
-    if sources:
-        merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
+    if sources is not None:
+        merged[SOURCES] = [{**table, FOLDER: str(path.parent)} for table in sources]
     telescope = Telescope({**merged, **plant})
     for kind, bodies in ((ARRAYS, telescope.solar_arrays), (APPENDAGES, telescope.appendages)):
         for i, body in enumerate(bodies):
@@ -103,6 +114,43 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
         except ValueError as error:
             raise file.error(PLANT, f"must name a plant that fits: {error}") from None
     return telescope
+
+
+def _base(content: dict[str, Any], file: ParameterFile, above: tuple[Path, ...]) -> dict[str, Any]:
+    """Take the name of what a file builds on out of it: the tables of that; none where the file stands alone."""
+    name = content.pop(BASE, None)
+    if name is None:
+        return {}
+    if not isinstance(name, str) or not name:
+        raise file.error(BASE, f'must be "{REFERENCE_NAME}" or the name of a parameter file, got {name!r}')
+    if name == REFERENCE_NAME:
+        return _read(REFERENCE)[0]
+    path = Path(file.path).parent / name
+    if path.resolve() in above:
+        raise file.error(BASE, f"must be a file that does not build on this one, got {name!r}")
+    try:
+        return _loaded(path, above).to_mapping()
+    except InputError as error:
+        raise file.error(BASE, f"must be a telescope: {error}") from None
+
+
+def base_of(path: str | Path) -> Path | None:
+    """Parameter file that another one builds on; None where that one stands alone.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read, or is not TOML.
+
+    Examples
+    --------
+    >>> base_of(REFERENCE) is None
+    True
+    """
+    name = _read(Path(path))[0].get(BASE)
+    if name is None:
+        return None
+    return REFERENCE if name == REFERENCE_NAME else Path(path).parent / str(name)
 
 
 def _check_body(body: MountedBody, name: str, file: ParameterFile) -> None:
@@ -116,7 +164,9 @@ def _check_body(body: MountedBody, name: str, file: ParameterFile) -> None:
 
 
 def differences(path: str | Path) -> list[str]:
-    """Values of a parameter file that differ from the reference, one line each, both values in it.
+    """Values of a parameter file that differ from what it builds on, one line each, both values in it.
+
+    A file that stands alone has none.
 
     Raises
     ------
@@ -132,7 +182,7 @@ def differences(path: str | Path) -> list[str]:
 
 
 class DifferenceCounts(NamedTuple):
-    """Values of a table that differ from the reference, that it adds, and that it lacks."""
+    """Values of a table that differ from the base, that it adds, and that it lacks."""
 
     changed: int
     added: int
@@ -143,7 +193,7 @@ class DifferenceCounts(NamedTuple):
 
 
 def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:
-    """How many values of each table of a parameter file differ from the reference; tables without any are left out.
+    """How many values of each table of a parameter file differ from what it builds on; tables without any are left out.
 
     Raises
     ------
@@ -167,19 +217,27 @@ def difference_summary(path: str | Path, most: int = 4) -> list[str]:
     if len(lines) <= most:
         return lines
     tables = ", ".join(f"{table} ({counts})" for table, counts in difference_counts(path).items())
-    return [f"differs from the reference in {tables}"]
+    return [f"differs from {_name(base_of(path))} in {tables}"]
 
 
 def _compared(path: str | Path) -> list[tuple[str, str, str]]:
-    """Name, kind (changed, added or removed) and text of each value that differs from the reference."""
-    values, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
+    """Name, kind (changed, added or removed) and text of each value that differs from the base."""
+    base = base_of(path)
+    if base is None:
+        return []
+    values, before = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, base))
+    shown = _name(base).removeprefix("the ")
     rows = []
     for name, value in values.items():
-        if name not in reference:
+        if name not in before:
             rows.append((name, "added", f"{name} = {_shown(value)}, added"))
-        elif value != reference[name]:
-            rows.append((name, "changed", f"{name} = {_shown(value)}, reference {_shown(reference[name])}"))
-    return rows + [(name, "removed", f"{name} removed") for name in reference if name not in values]
+        elif value != before[name]:
+            rows.append((name, "changed", f"{name} = {_shown(value)}, {shown} {_shown(before[name])}"))
+    return rows + [(name, "removed", f"{name} removed") for name in before if name not in values]
+
+
+def _name(base: Path | None) -> str:
+    return "the reference" if base in (None, REFERENCE) else f"{base}"
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:

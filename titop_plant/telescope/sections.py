@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -33,6 +33,7 @@ from titop_plant.blocks.stepper import Stepper
 from titop_plant.blocks.wheel_bearing import ReactionWheel
 from titop_plant.interface import DT
 from titop_plant.ports import AXES
+from titop_plant.sensors import TICKS_PER_SECOND, whole_ticks
 from titop_plant.telescope.optics import TwoMirrorTelescope
 
 Vector = tuple[float, ...]
@@ -90,16 +91,39 @@ class Equipment(CheckedTable):
             raise Refused("", "needs a 'position' or a 'node'")
 
 
+def _missing_names(table: Mapping[str, Any], key: str, needed: Sequence[str]) -> list[str]:
+    """Names that a table in a table lacks, where it is there."""
+    inner = table.get(key)
+    return [f"{key}.{name}" for name in needed if name not in inner] if isinstance(inner, Mapping) else []
+
+
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class StructureTable(CheckedTable):
     """Keys of both structures, see :mod:`titop_plant.telescope.bodies`."""
 
-    modal_data: str = setting(..., "file of modal data in place of the frame")
+    SECTIONS: ClassVar[tuple[str, ...]]
+    """Names of the cross sections that the frame has."""
+
+    modal_data: str = setting("", "file of modal data in place of the frame")
     modes: int = setting(..., "modes of the clamped structure", "", 0)
     damping: float = setting(..., "damping ratio", "", 0.0)
     sections: Mapping[str, SectionTable] = setting(..., "cross sections by name")
     equipment: tuple[Equipment, ...] = setting(..., "units on the structure")
+
+    @classmethod
+    def is_section(cls, name: str) -> bool:
+        """Whether the frame has a cross section of this name."""
+        return name in cls.SECTIONS
+
+    @classmethod
+    def missing(cls, table: Mapping[str, Any]) -> list[str]:
+        """Keys of the frame that the table lacks; a file of modal data needs none."""
+        return (
+            []
+            if table.get("modal_data")
+            else [*super().missing(table), *_missing_names(table, "sections", cls.SECTIONS)]
+        )
 
 
 @settings_class
@@ -107,17 +131,38 @@ class StructureTable(CheckedTable):
 class BodyTable(StructureTable):
     """The central body."""
 
+    POINTS: ClassVar = ("A1", "A2", "I_w", "I_p")
+    SECTIONS: ClassVar = (
+        *("thrust_tube", "web", "deck_brace", "wall_brace", "edge", "longeron"),
+        *(f"bracket_{point}" for point in POINTS),
+    )
+
     width_x: float = setting(..., "width along x", "m")
     width_y: float = setting(..., "width along y", "m")
     deck_heights: Vector = setting(..., "heights of the decks", "m", length=3)
     longeron_factors: Vector = setting(..., "walls of the longerons over their thickness", "", length=4)
     ports: Mapping[str, Vector] = setting(..., "points by name", "m", length=3)
 
+    @classmethod
+    def is_section(cls, name: str) -> bool:
+        """Whether the frame has a cross section of this name: brackets of further points, too."""
+        return super().is_section(name) or name.startswith("bracket_")
+
+    @classmethod
+    def missing(cls, table: Mapping[str, Any]) -> list[str]:
+        """Keys of the frame that the table lacks; a file of modal data needs none."""
+        points = [] if table.get("modal_data") else _missing_names(table, "ports", cls.POINTS)
+        return [*super().missing(table), *points]
+
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class PayloadTable(StructureTable):
     """The telescope payload."""
+
+    SECTIONS: ClassVar = (
+        *("foot", "spoke", "ring", "bipod", "m1_blank", "strut", "top_ring", "vane", "bracket_I_f", "bracket_DET"),
+    )
 
     bench_height: float = setting(..., "height of the bench", "m")
     bench_radius: float = setting(..., "radius of the bench", "m")
@@ -431,6 +476,27 @@ class DesignScenarioTable(CheckedTable):
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class SensorsTable(CheckedTable):
+    """Sensors of the loop: standard deviations are those of a sample."""
+
+    accelerometer_noise: Vector = setting(..., "noise of the accelerometers", "m/s2, rad/s2", 0.0, length=6)
+    accelerometer_bias: Vector = setting(..., "their bias", "m/s2, rad/s2", length=6)
+    camera_rate: float = setting(..., "frames per second", "Hz", 1.0)
+    camera_noise: float = setting(..., "noise of a frame", "rad", 0.0)
+    strain_gauge_noise: float = setting(..., "noise of the mirror's gauges", "rad", 0.0)
+    camera_filter: Vector = setting(..., "c0, c1, c2 of the camera's low-pass c0 / (s^2 + c1 s + c2)", length=3)
+    washout: float = setting(..., "corner of the high-pass of accelerations", "rad/s", POSITIVE)
+    camera: str = setting(..., "kind of camera")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if whole_ticks(self.camera_rate) is None:
+            expected = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...)"
+            raise Refused("camera_rate", f"{expected}, got {self.camera_rate!r} Hz")
+
+
+@settings_class
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class DeviceLimits(CheckedTable):
     """Limits of real actuators and sensors, which act in runs with ``nonlinear``; 0: no such limit."""
 
@@ -491,6 +557,7 @@ TABLES: Mapping[str, tuple[type[CheckedTable], ...]] = {
     "fsm": (MirrorTable,),
     "pma": (ProofMassTable,),
     "attitude_control": (AttitudeTable,),
+    "sensors": (SensorsTable,),
     "camera": (GuideCamera,),
     "imbalance": (ImbalanceTable,),
     "design_scenario": (DesignScenarioTable,),

@@ -155,6 +155,10 @@ class Telescope:
         """The telescope payload."""
         return PayloadTable.of_part(self._tables["payload"])
 
+    def modal_file(self, structure: str) -> str:
+        """File of modal data of ``body`` or ``payload``; empty where it is a frame, whose table has all keys."""
+        return str(self._tables[structure].get("modal_data", ""))
+
     @cached_property
     def optics(self) -> TwoMirrorTelescope:
         """Paraxial data of the optics."""

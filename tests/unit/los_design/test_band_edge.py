@@ -35,7 +35,7 @@ EDGE, STAGE = 40.0, "fsm+pma"
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("edge") / "mission.toml"
-    file.write_text(f"[weights]\nband_edge = {EDGE}\n")
+    file.write_text(f"base = 'reference'\n[weights]\nband_edge = {EDGE}\n")
     return file
 
 
@@ -53,7 +53,7 @@ def test_it_is_in_the_name_unless_it_is_that_of_before(own: Telescope) -> None:
 
 @pytest.mark.parametrize("edge", [-1.0, 0.001, 5000.0])
 def test_an_edge_beyond_the_frequencies_of_the_loop_is_refused(tmp_path: Path, edge: float) -> None:
-    (tmp_path / "mission.toml").write_text(f"[weights]\nband_edge = {edge}\n")
+    (tmp_path / "mission.toml").write_text(f"base = 'reference'\n[weights]\nband_edge = {edge}\n")
     with pytest.raises(ValueError, match=rf"weights.band_edge. must be between 0.01 and 3000 rad/s, got {edge:.12g}"):
         load_telescope(tmp_path / "mission.toml")
 

@@ -230,7 +230,7 @@ def test_a_case_is_read_from_a_folder(tmp_path: Path) -> None:
         shutil.copy(PAPER / "designs" / f"{name}.json", tmp_path / "designs")
     with pytest.raises(ValueError, match=r"telescope\.toml"):
         PaperCase.of(tmp_path)
-    (tmp_path / "telescope.toml").write_text("[weights]\n")
+    (tmp_path / "telescope.toml").write_text('base = "reference"\n')
     found = PaperCase.of(tmp_path, samples=2)
     assert found.pairs["nominal"][1].name == stored("k_pma_nominal").name and found.alone is None
     assert len(found.members) == 1 + 128 + 2 + len(found.worst_members) and found.members[0] == {}

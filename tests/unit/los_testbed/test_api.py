@@ -54,7 +54,7 @@ def test_a_campaign_says_of_its_controllers_what_its_command_says(
 
     still = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     (tmp_path / "k_pma.json").write_text(still.to_json())
-    (tmp_path / "mine.toml").write_text("[isolator]\nmass = 1.6\n")
+    (tmp_path / "mine.toml").write_text("base = 'reference'\n[isolator]\nmass = 1.6\n")
     monkeypatch.setattr("los_testbed.campaign.execution.check_cluster", work)
     files = {"parameters": str(tmp_path / "mine.toml"), "k_pma": str(tmp_path / "k_pma.json")}
     if by == "api":

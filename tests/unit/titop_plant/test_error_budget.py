@@ -42,7 +42,7 @@ def test_the_parts_are_those_of_the_requirements(tmp_path: Path) -> None:
         quantity = "|APE| < 10 arcsec" if name == "APE" else "rms RPE(20 ms) < 40 mas"
         stages = "" if name == "APE" else 'loop = ["fsm+pma"]'
         text = f"prob({quantity}) >= {texts[name]} at 95 % confidence"
-        paths[name].write_text(f'[[requirement]]\nname = "{entry}"\ntext = "{text}"\n{stages}\n')
+        paths[name].write_text(f'base = "reference"\n[[requirement]]\nname = "{entry}"\ntext = "{text}"\n{stages}\n')
     reference, finest, ape = load_telescope(), load_telescope(paths["finest"]), load_telescope(paths["APE"])
     parts = [window_probability(p.requirements) for p in (reference, finest, ape)]
     assert parts == [PROBABILITY, 0.95, PROBABILITY]

@@ -106,7 +106,9 @@ def test_the_mass_matrix_is_that_of_a_rigid_body(file: str) -> None:
 
 
 def test_differences_from_the_reference_are_counted_by_table(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text("[isolator]\nmass = 2.0\n[fsm]\nauthority = 1e-3\nstiffness = 70.0\n", "utf-8")
+    (tmp_path / "mine.toml").write_text(
+        "base = 'reference'\n[isolator]\nmass = 2.0\n[fsm]\nauthority = 1e-3\nstiffness = 70.0\n", "utf-8"
+    )
     assert difference_counts(tmp_path / "mine.toml") == {"isolator": (1, 0, 0), "fsm": (2, 0, 0)}
     assert difference_summary(tmp_path / "mine.toml", most=3) == differences(tmp_path / "mine.toml")
     assert difference_summary(tmp_path / "mine.toml", most=2) == [

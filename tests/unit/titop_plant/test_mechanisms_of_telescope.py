@@ -48,7 +48,7 @@ gear_errors = [[100.0, 2e-6], [6000.0, 1e-7]]
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("mechanisms") / "mine.toml"
-    found.write_text(FILE, encoding="utf-8")
+    found.write_text('base = "reference"\n' + FILE, encoding="utf-8")
     return found
 
 
@@ -137,5 +137,5 @@ def test_wheels_and_arrays_of_a_list_have_their_own(tmp_path: Path) -> None:
     bearing = "bearing = {rotor_mass = 0.5, rotor_radial_inertia = 0.01, axial_stiffness = 1e6}"
     text = text.replace('name = "b"', f'name = "b"\n{bearing}')
     path = tmp_path / "list.toml"
-    path.write_text(text)
+    path.write_text('base = "reference"\n' + text)
     assert [wheel.bearing is not None for wheel in load_telescope(path).wheels] == [False, True, False]

@@ -28,7 +28,7 @@ payload.damping_2 = 0.4
 def test_all_parameters_are_listed_with_range_and_role(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Those of sensors' gains, too, which are behind the sensors and not in the structure."""
     file = tmp_path / "many.toml"
-    file.write_text(MANY)
+    file.write_text('base = "reference"\n' + MANY)
     telescope = load_telescope(file)
     found = summarise(telescope)
     assert [p.name for p in found.parameters] == list(telescope.uncertain) == list(found.roles)
@@ -51,7 +51,7 @@ def test_a_stated_constant_is_the_number_alone(tmp_path: Path) -> None:
     for form in ("isolator.stiffness", '"isolator.stiffness"'):
         for i, text in enumerate(texts):
             file = tmp_path / f"{i}.toml"
-            file.write_text(f"[uncertain]\n{form} = {text}\n")
+            file.write_text(f"base = 'reference'\n[uncertain]\n{form} = {text}\n")
             hashes.append(load_telescope(file).parameters_hash)
     assert hashes[0] == hashes[1] != hashes[2] and hashes[:3] == hashes[3:]
     given = load_telescope(tmp_path / "2.toml").with_uncertain(["isolator.stiffness=20%", "camera_los.gain=3%"])
@@ -73,6 +73,6 @@ def test_a_stated_constant_is_the_number_alone(tmp_path: Path) -> None:
 )
 def test_other_entries_are_refused(entry: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text(f"[uncertain]\nisolator.stiffness = {entry}\n")
+    file.write_text(f"base = 'reference'\n[uncertain]\nisolator.stiffness = {entry}\n")
     with pytest.raises(ValueError, match=rf"mine\.toml.*{message}"):
         load_telescope(file)

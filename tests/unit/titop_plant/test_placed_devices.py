@@ -66,7 +66,7 @@ OMEGA = np.array([0.3, 2.0, 5.3, 40.0, 170.0, 430.0, 900.0, 3000.0])
 def read(folder: Path, text: str) -> Telescope:
     """Parameters of a file with this text."""
     path = folder / "own.toml"
-    path.write_text(text)
+    path.write_text('base = "reference"\n' + text)
     return load_telescope(path)
 
 

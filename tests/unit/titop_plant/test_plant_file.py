@@ -84,7 +84,7 @@ def written(tmp_path: Path) -> Callable[..., Path]:
             write_mat(file, P=plant)
         else:
             io.savemat(file, {"P": plant})
-        (tmp_path / "mine.toml").write_text(tables)
+        (tmp_path / "mine.toml").write_text('base = "reference"\n' + tables)
         return tmp_path / "mine.toml"
 
     return write
@@ -99,7 +99,7 @@ def test_the_reference_as_a_file_is_the_reference(tmp_path: Path, ending: str) -
         write_mat(tmp_path / "p.mat", P=system)
     else:
         write_system(tmp_path / "p.json", system)
-    (tmp_path / "mine.toml").write_text(f'[plant]\nfile = "p.{ending}"\n')
+    (tmp_path / "mine.toml").write_text(f'base = "reference"\n[plant]\nfile = "p.{ending}"\n')
     found = load_telescope(tmp_path / "mine.toml")
     assert found.stages == reference.stages[1:] and dict(found.uncertain) == {
         name: replace(p, description=found.uncertain[name].description) for name, p in reference.uncertain.items()

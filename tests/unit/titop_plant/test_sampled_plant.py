@@ -12,13 +12,14 @@ from support.loop_rows import COMMANDS, MEASUREMENTS
 from lftkit import Port
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
+from lftkit.systems.ports import total_size
 from titop_plant.disturbances.wheel_and_drive_tones import imbalance_tones, sadm_tones
 from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.build import _tones, build_plant
 from titop_plant.simulation.driven_plant import (
-    DISTURBANCE_SIZE,
     DisturbanceInput,
+    driven_ports,
     held_disturbance,
 )
 from titop_plant.simulation.plant import Plant
@@ -173,7 +174,7 @@ def test_it_is_the_simulation_of_the_continuous_plant_in_tenths_of_a_tick() -> N
     """Commands and disturbance held, ten steps a tick, from the assembled model itself."""
     rng = np.random.default_rng(1)
     ticks = 12
-    rows = rng.standard_normal((ticks, DISTURBANCE_SIZE)) * 1e-2
+    rows = rng.standard_normal((ticks, total_size(driven_ports(load_telescope())))) * 1e-2
     commands = rng.standard_normal((ticks, COMMANDS)) * np.r_[[1e-6] * 2, [1e-3] * 6]
     measured, truth = driven_response(driven(rows), commands)
 

@@ -47,7 +47,7 @@ axis = [1.0, 0.0, 0.0]
 def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
     """Rows of a telescope with sensors and actuators of a file."""
     file = tmp_path_factory.mktemp("telescope") / "own.toml"
-    file.write_text(OWN)
+    file.write_text('base = "reference"\n' + OWN)
     return load_telescope(file).loop_ports
 
 
@@ -79,7 +79,7 @@ def test_every_other_port_of_a_telescope_is_a_reserved_name(file: Path | None, t
     assert {"attitude", "los", "load_M1"} < names
     for name in sorted(names):
         table = f'\n[[actuator]]\nname = "{name}"\nplace = "M1"\naxis = [1.0, 0.0, 0.0]\n'
-        (tmp_path / "mine.toml").write_text(text + table)
+        (tmp_path / "mine.toml").write_text((text or 'base = "reference"\n') + table)
         with pytest.raises(ValueError, match=r"actuator\[\d\].name' must not be one of .*, nor begin with load_, got"):
             load_telescope(tmp_path / "mine.toml")
 
@@ -146,7 +146,7 @@ REFERENCE = load_telescope()
 
 def user(folder: Path, text: str) -> str:
     file = folder / "user.toml"
-    file.write_text(text, "utf-8")
+    file.write_text('base = "reference"\n' + text, "utf-8")
     return str(file)
 
 

@@ -186,7 +186,7 @@ def test_a_list_of_the_reference_arrays_is_the_reference(tmp_path: Path) -> None
     text = '[[solar_array]]\nname = "array_1"\nlike = "reference"\npoint = "A1"\nparameters = "solar_array"\n'
     text += '[[solar_array]]\nname = "array_2"\nlike = "reference"\npoint = "A2"\nparameters = "solar_array"\n'
     path = tmp_path / "same.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text('base = "reference"\n' + text, encoding="utf-8")
     one, two = build_telescope(load_telescope(path)).system, build_telescope().system
     assert one.parameters == two.parameters and one.inputs == two.inputs
     for name in "ABCD":

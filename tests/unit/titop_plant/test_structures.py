@@ -378,7 +378,7 @@ def test_modal_files_of_both_bodies_reproduce_the_telescope(
     for data in (body, payload):
         write_modal_data(data, tmp_path / f"{data.name}.toml")
     mine = tmp_path / "mine.toml"
-    mine.write_text('[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n')
+    mine.write_text('base = "reference"\n[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n')
     again, reference = build_telescope(load_telescope(mine)).system, build_telescope().system
     assert again.occurrences() == reference.occurrences()
     for key in "ABCD":
@@ -391,7 +391,7 @@ def test_the_hash_of_the_parameters_follows_the_content_of_a_modal_file(payload:
         (tmp_path / folder).mkdir()
         write_modal_data(payload.truncate(modes), tmp_path / folder / "payload.toml")
         mine = tmp_path / folder / "mine.toml"
-        mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
+        mine.write_text('base = "reference"\n[payload]\nmodal_data = "payload.toml"\n')
         hashes.append(load_telescope(mine).parameters_hash)
     assert hashes[0] == hashes[1] != hashes[2]
     (tmp_path / "c" / "payload.toml").unlink()

@@ -141,7 +141,7 @@ def test_template_weight_values() -> None:
 
 def test_a_users_file_contains_only_the_changed_values(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text("[pma]\nstiffness = 90.0\n")
+    path.write_text("base = 'reference'\n[pma]\nstiffness = 90.0\n")
     mine, reference = load_telescope(path), load_telescope()
     assert mine.pma.stiffness == 90.0 and mine.pma.damping == reference.pma.damping
     assert mine.parameters_hash != reference.parameters_hash

@@ -21,7 +21,7 @@ SHIPPED_HASH = "9449a3d3599c"
 
 def own(tmp_path: Path, text: str) -> Telescope:
     file = tmp_path / "mine.toml"
-    file.write_text(text, "utf-8")
+    file.write_text('base = "reference"\n' + text, "utf-8")
     return load_telescope(file)
 
 
@@ -60,7 +60,7 @@ def test_both_forms_must_agree(tmp_path: Path) -> None:
     assert own(tmp_path, text.format(2)).weights.ape_limit == 9.69627362219072e-06
     with pytest.raises(
         ValueError,
-        match=r"line 5: 'weights.ape_limit' must agree with the requirement 'APE', prob\(\|APE\| < 3.0 arcsec\)",
+        match=r"line 6: 'weights.ape_limit' must agree with the requirement 'APE', prob\(\|APE\| < 3.0 arcsec\)",
     ):
         own(tmp_path, text.format("3.0"))
 
@@ -82,7 +82,7 @@ def test_the_whole_list_is_replaced_where_asked(tmp_path: Path) -> None:
     assert list(limits(found)) == ["A", "B"]
     assert found.weights.rpe_window == 0.05 and found.weights.rpe_limit == 30 * MAS
     again = text + '[[requirement]]\nname = "B"\ntext = "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"\n'
-    with pytest.raises(ValueError, match=r"line 9: 'requirement\[2\].name' must be given once, got 'B' twice"):
+    with pytest.raises(ValueError, match=r"line 10: 'requirement\[2\].name' must be given once, got 'B' twice"):
         own(tmp_path, again)
 
 
@@ -107,7 +107,7 @@ def test_the_strictest_of_the_stage_counts() -> None:
 
 def equipment(tmp_path: Path, text: str) -> dict[str, Equipment]:
     file = tmp_path / "own.toml"
-    file.write_text(text, "utf-8")
+    file.write_text('base = "reference"\n' + text, "utf-8")
     return {item.name: item for item in load_telescope(file).payload.equipment}
 
 
@@ -128,6 +128,7 @@ def test_the_whole_list_is_replaced_only_when_asked(tmp_path: Path) -> None:
 def test_the_differences_are_those_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text(
+        'base = "reference"\n'
         '[isolator]\nmass = 2.0\n[fsm]\nlos_sensitivity = 0.1\n[[payload.equipment]]\nname = "FSM mount"\nmass = 1.5\n'
     )
     assert differences(file) == [
@@ -135,7 +136,7 @@ def test_the_differences_are_those_of_the_file(tmp_path: Path) -> None:
         "isolator.mass = 2, reference 1.5",
     ]
     file.write_text(
-        '[body]\nreplace = ["equipment"]\n[[body.equipment]]\n'
+        'base = "reference"\n[body]\nreplace = ["equipment"]\n[[body.equipment]]\n'
         'name = "battery"\nmass = 1.0\nsize = [1, 1, 1]\nnode = "G"\n'
     )
     lines = differences(file)

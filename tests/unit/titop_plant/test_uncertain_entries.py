@@ -111,7 +111,7 @@ def test_modes_that_are_none_or_counted_twice_are_refused(texts: list[str], mess
     with pytest.raises(ValueError, match=message):
         load_telescope().with_uncertain(texts)
     file = tmp_path / "mine.toml"
-    file.write_text("[uncertain]\n" + "".join(text.replace("%", "e-2\n") for text in texts))
+    file.write_text("base = 'reference'\n[uncertain]\n" + "".join(text.replace("%", "e-2\n") for text in texts))
     with pytest.raises(ValueError, match=rf"mine\.toml.*{message}"):
         load_telescope(file)
 

@@ -94,7 +94,7 @@ def test_a_run_has_the_rms_of_the_record(waterfall: Measured, tmp_path) -> None:
     columns = dict(zip(("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), waterfall.amplitude.reshape(-1, 6).T))
     np.savez(file, **{"speed (rpm)": grid[0].ravel(), "frequency (Hz)": grid[1].ravel()}, **columns)
     text = f'file = "a.npz"\nspeed = {2 * np.pi * speed}\nbandwidth = {waterfall.bandwidth}\n'
-    (tmp_path / "a.toml").write_text(f'[[disturbance]]\nname = "a"\nkind = "waterfall"\n{text}')
+    (tmp_path / "a.toml").write_text(f'base = "reference"\n[[disturbance]]\nname = "a"\nkind = "waterfall"\n{text}')
     run = RunConditions((200.0,) * 4, 40.0, 1)
     (found,) = make_sources(entries_of([str(tmp_path / "a.toml")]), load_telescope(), run)
     values = np.vstack([found.signal.tick(k, np.array([0.0, 0.5])) for k in range(16_000)])

@@ -121,7 +121,7 @@ def test_tones_places_and_resonant_speeds_are_those_of_the_turning_wheels(tmp_pa
 
 
 def test_both_forms_of_a_symmetric_range_are_one_telescope(tmp_path: Path) -> None:
-    (tmp_path / "range.toml").write_text("[reaction_wheel]\nspeed_range = [-1047.2, 1047.2]\n")
+    (tmp_path / "range.toml").write_text("base = 'reference'\n[reaction_wheel]\nspeed_range = [-1047.2, 1047.2]\n")
     one, two = load_telescope(tmp_path / "range.toml"), load_telescope()
     assert one.uncertain == two.uncertain and one.wheels[0].speed_range == two.wheels[0].speed_range
     assert two.parameters_hash == "9449a3d3599c" and one.parameters_hash != two.parameters_hash
@@ -138,7 +138,7 @@ def test_both_forms_of_a_symmetric_range_are_one_telescope(tmp_path: Path) -> No
     ],
 )
 def test_other_ranges_are_refused(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(f"[reaction_wheel]\n{text}\n")
+    (tmp_path / "mine.toml").write_text(f"base = 'reference'\n[reaction_wheel]\n{text}\n")
     with pytest.raises(ValueError, match=message):
         load_telescope(tmp_path / "mine.toml")
 

@@ -13,7 +13,14 @@ from scipy import linalg
 from pointing_analysis.files.settings import CheckedTable
 from titop_plant.structures.kinematics import check_rotation
 from titop_plant.structures.modal_file import read_modal_data
-from titop_plant.telescope.devices import ACTUATOR, PROOF_MASSES, SENSOR, usual_values
+from titop_plant.telescope.devices import (
+    ACTUATOR,
+    PROOF_MASSES,
+    SENSOR,
+    ActuatorTable,
+    SensorTable,
+    usual_values,
+)
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVES, WHEELS, read_appendages, read_arrays, read_wheels
 from titop_plant.telescope.sections import (
     ArrayTable,
@@ -24,8 +31,8 @@ from titop_plant.telescope.sections import (
     WheelKind,
     WheelTable,
 )
-from titop_plant.telescope.tables.parameter_check import ParameterFile, without_alternatives
-from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_device_keys, check_devices
+from titop_plant.telescope.tables.parameter_check import REFERENCE, ParameterFile, without_alternatives
+from titop_plant.telescope.tables.placed_devices import DEVICES, check_devices
 
 Table = dict[str, Any]
 
@@ -37,10 +44,20 @@ RESERVED = frozenset(
 )
 """Names of other bodies and places."""
 
-KINDS: Mapping[str, type[CheckedTable]] = {ARRAYS: ArrayTable, APPENDAGES: BodyOnBoardTable, WHEELS: WheelTable}
+KINDS: Mapping[str, type[CheckedTable]] = {
+    ARRAYS: ArrayTable,
+    APPENDAGES: BodyOnBoardTable,
+    WHEELS: WheelTable,
+    SENSOR: SensorTable,
+    ACTUATOR: ActuatorTable,
+}
 """Class of each kind of table."""
-REFERENCE_KIND = "reference"
-"""Values of ``like`` besides an earlier body: the array of the reference telescope."""
+
+
+def _kind(base: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Table of the one kind of array or wheel of the base; empty where it has a list, or none."""
+    table = base.get(name)
+    return table if isinstance(table, Mapping) else {}
 
 
 def take_mounted(content: Table) -> dict[str, Any]:
@@ -55,13 +72,12 @@ def take_mounted(content: Table) -> dict[str, Any]:
 def note_unknown_keys(listed: Mapping[str, Any], file: ParameterFile) -> None:
     """Note the keys of the tables of `take_mounted` that are not known, see `ParameterFile.refuse_unknown`."""
     for kind, tables in listed.items():
-        known = DEVICE_KEYS[kind] if kind in DEVICES else KINDS[kind].SETTINGS
         for i, table in enumerate(tables if isinstance(tables, list) else ()):
-            file.note_unknown(f"{kind}[{i}]", table if isinstance(table, dict) else {}, known)
+            file.note_unknown(f"{kind}[{i}]", table if isinstance(table, dict) else {}, KINDS[kind].SETTINGS)
 
 
 def checked_layout(
-    listed: Mapping[str, Any], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+    listed: Mapping[str, Any], merged: Mapping[str, Any], base: Mapping[str, Any], file: ParameterFile
 ) -> Table:
     """The lists of a user's file, complete.
 
@@ -70,9 +86,9 @@ def checked_layout(
     listed : mapping
         What `take_mounted` found.
     merged : mapping
-        The other tables of the file, merged with the reference.
-    reference : mapping
-        Content of the reference file: kind of array and of wheel that entries may take values from.
+        The other tables of the file, merged with the base.
+    base : mapping
+        Tables of what the file builds on: kind of array and of wheel that entries may take values from.
     file : ParameterFile
         For the messages.
 
@@ -88,28 +104,29 @@ def checked_layout(
     for kind, tables in listed.items():
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise file.error(kind, f"must be tables [[{kind}]], got {tables!r}")
-        complete[kind] = _complete(kind, tables, merged, reference, file)
+        complete[kind] = _complete(kind, tables, merged, base, file)
     whole = {**merged, **complete}
     _check_names(whole, file)
     _check_points(whole, file)
     _check_shared(whole, file)
     _check_wheels(whole, file)
-    _check_drives(whole, file)
     check_devices(whole, file)
-    _check_proof_masses(whole, file)
+    if base:  # a file without one has whole tables
+        _check_drives(whole, file)
+        _check_proof_masses(whole, file)
     return complete
 
 
 def _complete(
-    kind: str, tables: list[Table], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+    kind: str, tables: list[Table], merged: Mapping[str, Any], base: Mapping[str, Any], file: ParameterFile
 ) -> list[Table]:
     """Tables of one kind with what they leave out."""
     for i, table in enumerate(tables):
         name = f"{kind}[{i}]"
-        if kind in DEVICES:
-            check_device_keys(kind, name, table, file)
-        else:
-            with file.refusals(name):
+        with file.refusals(name):
+            if kind in DEVICES:
+                KINDS[kind].of_table(table)
+            else:
                 KINDS[kind].check_given(table)
         stated = table.get("name")
         if not stated:
@@ -118,11 +135,11 @@ def _complete(
             raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {stated!r}")
     if kind in DEVICES:
         return tables
-    return _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, merged, reference, file)
+    return _wheels(tables, base, file) if kind == WHEELS else _bodies(kind, tables, merged, base, file)
 
 
 def _bodies(
-    kind: str, tables: list[Table], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+    kind: str, tables: list[Table], merged: Mapping[str, Any], base: Mapping[str, Any], file: ParameterFile
 ) -> list[Table]:
     """Tables of arrays or appendages with what ``like`` names, and files beside the parameter file."""
     by_name: dict[str, Table] = {}
@@ -132,7 +149,7 @@ def _bodies(
             raise file.error(f"{name}.name", f"must be given once, got {table['name']!r} twice")
         if not table.get("point"):
             raise file.error(name, "has no 'point'")
-        full = {**_model(kind, name, table, by_name, reference, file), **table}
+        full = {**_model(kind, name, table, by_name, base, file), **table}
         full.pop("like", None)
         parts: list[type[CheckedTable]] = []
         if not full.get("modal_data"):
@@ -141,7 +158,10 @@ def _bodies(
                 raise file.error(name, f"must have modes, {needed}, got none")
             parts.append(PrintedModes)
         if kind == ARRAYS:
-            full = {**{key: reference[ARRAYS][key] for key in TurningTable.SETTINGS}, **full}
+            full = {
+                **{key: value for key, value in _kind(base, ARRAYS).items() if key in TurningTable.SETTINGS},
+                **full,
+            }
             parts += [TurningTable, *([Drive] if full.get("driven", True) else [])]
         for part in parts:
             with file.refusals(name):
@@ -159,7 +179,7 @@ def _bodies(
 
 
 def _model(
-    kind: str, name: str, table: Table, known: Mapping[str, Table], reference: Mapping[str, Any], file: ParameterFile
+    kind: str, name: str, table: Table, known: Mapping[str, Table], base: Mapping[str, Any], file: ParameterFile
 ) -> Table:
     """Values that the body takes from the one it is like."""
     if "like" not in table:
@@ -167,11 +187,12 @@ def _model(
     like = table["like"]
     if like in known:
         return {key: value for key, value in known[like].items() if key not in ("name", "parameters")}
-    choices = [*known, *([REFERENCE_KIND] if kind == ARRAYS else [])]
+    of_base = _kind(base, ARRAYS) if kind == ARRAYS else {}
+    choices = [*known, *([REFERENCE] if of_base else [])]
     if like not in choices:
         raise file.error(f"{name}.like", f"must be one of {', '.join(choices) or 'the bodies before it'}, got {like!r}")
-    values = {key: value for key, value in reference[ARRAYS].items() if not key.startswith("dcm_")}
-    dcm = reference[ARRAYS].get(f"dcm_{table['point']}")
+    values = {key: value for key, value in of_base.items() if not key.startswith("dcm_")}
+    dcm = of_base.get(f"dcm_{table['point']}")
     return {**values, **({"dcm": dcm} if dcm else {})}
 
 
@@ -193,9 +214,9 @@ def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
         raise file.error(f"{name}.modal_data", f"must be modal data: {error}") from None
 
 
-def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
-    """Tables of wheels; what they leave out is that of the reference's wheels."""
-    kind = {key: value for key, value in reference[WHEELS].items() if key in WheelKind.SETTINGS}
+def _wheels(tables: list[Table], base: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+    """Tables of wheels; what they leave out is that of the wheels of the base."""
+    kind = {key: value for key, value in _kind(base, WHEELS).items() if key in WheelKind.SETTINGS}
     wheels = [without_alternatives({**kind, "position": [0.0, 0.0, 0.0], **table}, table) for table in tables]
     for i, table in enumerate(wheels):
         with file.refusals(f"{WHEELS}[{i}]"):
@@ -220,7 +241,7 @@ def _check_names(whole: Mapping[str, Any], file: ParameterFile) -> None:
 
 def _check_points(whole: Mapping[str, Any], file: ParameterFile) -> None:
     """Arrays and appendages are at points of the central body; a body from a file is checked when it is built."""
-    if whole["body"]["modal_data"]:
+    if whole["body"].get("modal_data"):
         return
     known = list(whole["body"]["ports"])
     for kind, read in ((ARRAYS, read_arrays), (APPENDAGES, read_appendages)):

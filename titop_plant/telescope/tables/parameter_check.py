@@ -1,35 +1,42 @@
-"""Checks of a user's parameter file against the reference file: names, kinds, lengths, signs."""
+"""Checks of a parameter file: names of its keys, what it lacks, and its values, merged with those of its base."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from lftkit.errors import InputError
 from pointing_analysis.files.settings import CheckedTable, Refused, unknown
-from titop_plant.sensors import SENSORS, TICKS_PER_SECOND, whole_ticks
-from titop_plant.telescope.sections import TABLES, Equipment, Material, RequirementTable
+from titop_plant.telescope.sections import (
+    TABLES,
+    Equipment,
+    LimitsTable,
+    Material,
+    RequirementTable,
+    StructureTable,
+)
 
-NOT_NEGATIVE = {entry.noise for entry in SENSORS}
-"""Keys of the table of the sensors whose numbers must not be negative."""
+MATERIALS, REQUIREMENT = "materials", "requirement"
+"""Tables of materials by name, and list of requirements."""
 
-RATES = {entry.rate for entry in SENSORS if entry.framed}
-"""Keys of its rates, which divide the tick rate."""
+FURTHER = ("appendage", "sensor", "actuator", "uncertain", "disturbance", "plant")
+"""Tables that a file may have beside those of `TABLES`."""
 
-OPEN: Mapping[str, str] = {"body.ports.": "", "body.sections.": "bracket_"}
-"""Tables in which a user may add names of this beginning, with values like those of the first such name there."""
+BASE, REFERENCE = "base", "reference"
+"""Key at the head of a file: what it builds on, the reference or another parameter file by its name."""
 
 REPLACE = "replace"
-"""Key of a user's table: the lists of named tables, for instance equipment, that replace those of the reference."""
+"""Key of a table: the lists of named tables, for instance equipment, that replace those of the base."""
 
 ALTERNATIVES = (("position", "node"), ("speed_range", "maximum_speed"))
 """Keys of which a table has one, so that the one of the user's table takes the place of the other."""
-LISTS: Mapping[str, type[CheckedTable]] = {"equipment": Equipment, "requirement": RequirementTable}
-"""Classes of the tables of lists in which a name is given once."""
+EQUIPMENT = "equipment"
+"""List of named tables in those of the structures."""
+LIMITS = LimitsTable.SETTINGS
+"""Keys of the weights that are made of the requirements."""
 
 
 class ParameterFile:
@@ -91,8 +98,28 @@ class ParameterFile:
                 self.refuse_unknown()
             raise self.error(refused.key, refused.problem) from None
 
+    def require_all(self, tables: Mapping[str, Any]) -> None:
+        """Refuse a file that lacks tables or keys and has no base to take them from.
+
+        Raises
+        ------
+        ValueError
+            With all of them.
+        """
+        lacks = [f"[{name}]" for name in (*TABLES, MATERIALS) if name not in tables]
+        lacks += [] if REQUIREMENT in tables else [f"[[{REQUIREMENT}]]"]
+        for name, kinds in TABLES.items():
+            table = tables.get(name)
+            if isinstance(table, dict):
+                lacks += [f"{name}.{key}" for kind in kinds for key in kind.missing(table) if key not in LIMITS]
+        if lacks:
+            raise InputError(
+                f'{self.path}: must have a base, or all that a telescope needs: {BASE} = "{REFERENCE}" takes from the '
+                f"reference what los-testbed plant rows writes, got no {', '.join(lacks)}"
+            )
+
     def check_tables(self, tables: Mapping[str, Any]) -> None:
-        """Refuse values that the classes of the tables do not take.
+        """Refuse values that the classes of the tables do not take; lists of tables are left to the layout.
 
         Raises
         ------
@@ -100,67 +127,94 @@ class ParameterFile:
             A value of another kind, length or range.
         """
         for name, kinds in TABLES.items():
-            for kind in kinds:
+            table = tables[name]
+            for kind in kinds if isinstance(table, dict) else ():
                 with self.refusals(name):
-                    kind.of_part(tables[name])
-        for name, table in tables["materials"].items():
-            with self.refusals(f"materials.{name}"):
-                Material.of_part(table)
+                    if table.get("modal_data"):  # the keys of a frame need not be there
+                        kind.check_given(table)
+                    else:
+                        kind.of_part(table)
+        for name, table in tables[MATERIALS].items():
+            with self.refusals(f"{MATERIALS}.{name}"):
+                Material.of_table(table)
 
-    def merged(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-        """The reference's table, its values replaced by the user's; unknown keys are left to `refuse_unknown`.
+    def merged(self, base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+        """The tables of what a file builds on, with the values of the file.
+
+        Unknown keys are left to `refuse_unknown`, what the classes of the tables check to `check_tables`.
 
         Raises
         ------
         ValueError
-            No table where one is needed, a table of a list that cannot be; what the classes of the
-        tables check is left to `check_tables`.
+            No table where one is needed, a table of a list that cannot be.
         """
         result = dict(base)
-        replaced = self._replaced(base, over, prefix)
-        added = {name for kind in TABLES.get(prefix.removesuffix("."), ()) for name in kind.SETTINGS}
-        for key, value in over.items():
-            name = f"{prefix}{key}"
-            if key == REPLACE and _named(base):
-                continue
-            like = base[key] if key in base else self._model(name, key, prefix, base)
-            if like is None and key not in added:
-                known = dict.fromkeys([*base, *sorted(added), *([REPLACE] if _named(base) else [])])
-                self._unknown[name] = known
-            elif isinstance(like, dict):
+        replaced = self._replaced(over, (REQUIREMENT,), "")
+        for name, value in over.items():
+            if name == REQUIREMENT:
+                before = base.get(name, [])
+                result[name] = self._merged_tables(name, RequirementTable, before, value, name in replaced)
+            elif name in TABLES or name == MATERIALS:
                 if not isinstance(value, dict):
                     raise self.error(name, f"must be a table, got {value!r}")
-                result[key] = self.merged(like, value, f"{name}.")
-            elif key in _named(base):
-                result[key] = self._merged_tables(name, LISTS[key], base[key], value, key in replaced)
+                before = base.get(name)
+                result[name] = self._merged_table(name, before if isinstance(before, dict) else {}, value)
+            elif name != REPLACE:
+                self._unknown[name] = (*TABLES, MATERIALS, REQUIREMENT, *FURTHER, BASE, REPLACE)
+        return result
+
+    def _merged_table(self, name: str, base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+        """A table of `TABLES`, or that of the materials, with the values of the file."""
+        result, known = dict(base), [key for kind in TABLES.get(name, ()) for key in kind.SETTINGS]
+        lists = [EQUIPMENT] if EQUIPMENT in known else []
+        replaced = self._replaced(over, lists, f"{name}.")
+        for key, value in over.items():
+            inner = f"{name}.{key}"
+            if key == REPLACE and lists:
+                continue
+            if key in lists:
+                result[key] = self._merged_tables(inner, Equipment, base.get(key, []), value, key in replaced)
+            elif known and key not in known:
+                self._unknown[inner] = [*known, *([REPLACE] if lists else [])]
             else:
-                if prefix == "sensors.":
-                    self.check(name, key, like, value)
-                result[key] = value
+                self._check_names(inner, value)
+                result[key] = self._with_values(inner, base.get(key), value)
         return without_alternatives(result, over)
 
-    def _model(self, name: str, key: str, prefix: str, base: Mapping[str, Any]) -> Any:
-        """Value of the reference that one with a name of the user must be like; None where none may be added."""
-        if prefix not in OPEN or not key.startswith(OPEN[prefix]):
-            return None
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", key):
-            raise self.error(name, "must have a name of letters, digits and _")
-        return next(value for known, value in base.items() if known.startswith(OPEN[prefix]))
+    def _with_values(self, name: str, base: Any, value: Any) -> Any:
+        """A value of the file, of a table with those of the base that it leaves."""
+        if not isinstance(base, dict):
+            return value
+        if not isinstance(value, dict):
+            raise self.error(name, f"must be a table, got {value!r}")
+        return {**base, **{key: self._with_values(f"{name}.{key}", base.get(key), one) for key, one in value.items()}}
 
-    def _replaced(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str) -> list[str]:
-        """Lists of named tables that the user's file replaces as a whole."""
-        asked = over.get(REPLACE, []) if _named(base) else []
-        if not isinstance(asked, list) or any(key not in _named(base) for key in asked):
-            raise self.error(f"{prefix}{REPLACE}", f"must be a list of {', '.join(_named(base))}, got {asked!r}")
+    def _check_names(self, name: str, value: Any) -> None:
+        """Note cross sections that a structure does not have; refuse points and sections whose name is none."""
+        outer, _, inner = name.partition(".")
+        kind = next(iter(TABLES.get(outer, ())), None)
+        if inner not in ("ports", "sections") or kind is None or not isinstance(value, dict):
+            return
+        for key in value:
+            if inner == "sections" and issubclass(kind, StructureTable) and not kind.is_section(key):
+                self._unknown[f"{name}.{key}"] = kind.SECTIONS
+            elif not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", key):
+                raise self.error(f"{name}.{key}", "must have a name of letters, digits and _")
+
+    def _replaced(self, over: Mapping[str, Any], lists: Sequence[str], prefix: str) -> list[str]:
+        """Lists of named tables that the file replaces as a whole."""
+        asked = over.get(REPLACE, []) if lists else []
+        if not isinstance(asked, list) or any(key not in lists for key in asked):
+            raise self.error(f"{prefix}{REPLACE}", f"must be a list of {', '.join(lists)}, got {asked!r}")
         for key in asked:
             if key not in over:
                 raise self.error(f"{prefix}{REPLACE}", f"must name lists that this file holds, got {key!r}")
-        return asked
+        return list(asked)
 
     def _merged_tables(
         self, name: str, kind: type[CheckedTable], base: list[dict[str, Any]], value: Any, replaced: bool
     ) -> list[dict[str, Any]]:
-        """Tables of the reference, those of the same name changed and others added by the user's, or the user's."""
+        """Tables of the base, those of the same name changed and others added by the file's, or the file's."""
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(name, f"must be tables [[{name}]], got {value!r}")
         by_name: dict[str, dict[str, Any]] = {item["name"]: item for item in base}
@@ -179,34 +233,6 @@ class ParameterFile:
             by_name[stated] = merged
         return value if replaced else list(by_name.values())
 
-    def check_rate(self, name: str, rate: float) -> None:
-        """Refuse a rate of samples [Hz] that does not divide that of the ticks, or that is below 1 Hz."""
-        if not rate >= 1.0 or whole_ticks(rate) is None:
-            text = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...) and be 1 Hz at least, got {rate!r} Hz"
-            raise self.error(name, text)
-
-    def check(self, name: str, key: str, base: Any, value: Any) -> None:
-        """Refuse a value of another kind, length or sign than that of a table without a class."""
-        if isinstance(base, str):
-            if not isinstance(value, str):
-                raise self.error(name, f"must be a text in quotes, got {value!r}")
-        elif isinstance(base, list):
-            if not isinstance(value, list):
-                raise self.error(name, f"must be a list of {len(base)}, got {value!r}")
-            if len(value) != len(base):
-                raise self.error(name, f"must have {len(base)} entries, got {len(value)}")
-            for i, (like, item) in enumerate(zip(base, value)):
-                self.check(f"{name}[{i}]", key, like, item)
-        else:
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise self.error(name, f"must be a number, got {value!r}")
-            if key == "washout" and not value > 0:
-                raise self.error(name, f"must be positive, got {value!r}")
-            if key in NOT_NEGATIVE and not value >= 0:
-                raise self.error(name, f"must not be negative, got {value!r}")
-            if key in RATES:
-                self.check_rate(name, value)
-
 
 def without_alternatives(merged: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """A merged table without the keys in place of which the user's table has others."""
@@ -214,11 +240,6 @@ def without_alternatives(merged: dict[str, Any], over: Mapping[str, Any]) -> dic
         other for pair in ALTERNATIVES for one, other in (pair, pair[::-1]) if one in over and other not in over
     }
     return {key: value for key, value in merged.items() if key not in replaced}
-
-
-def _named(base: Mapping[str, Any]) -> list[str]:
-    """Keys of the lists whose tables have names."""
-    return [key for key in base if key in LISTS]
 
 
 def _keys(text: str) -> Iterator[tuple[str, int]]:

@@ -60,7 +60,7 @@ OTHERS = {
 def telescope(path: Path, requirements: dict[str, str], text: str = "") -> str:
     """Parameter file of a telescope with more requirements than the reference."""
     entries = "".join(f'[[requirement]]\nname = "{name}"\ntext = "{r}"\n' for name, r in requirements.items())
-    path.write_text(entries + text, "utf-8")
+    path.write_text('base = "reference"\n' + entries + text, "utf-8")
     return str(path)
 
 

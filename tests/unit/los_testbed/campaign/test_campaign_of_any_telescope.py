@@ -41,7 +41,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     )
     texts = {"no arrays": "solar_array = []\n", "eight wheels": wheels}
     for name, text in texts.items():
-        (folder / f"{name.replace(' ', '_')}.toml").write_text(text, "utf-8")
+        (folder / f"{name.replace(' ', '_')}.toml").write_text('base = "reference"\n' + text, "utf-8")
     made = {name: str(folder / f"{name.replace(' ', '_')}.toml") for name in texts}
     return {"small": str(SMALL), **made}
 

@@ -122,12 +122,12 @@ def test_controllers_for_other_values_are_refused_before_the_work(
     designs.mkdir()
     for kind, name in (("k-fsm", "k_fsm.json"), ("k-pma", "k_pma.json")):
         shutil.copyfile(design_file(kind), designs / name)
-    (designs / "telescope.toml").write_text("[isolator]\nmass = 1.6\n")
+    (designs / "telescope.toml").write_text("base = 'reference'\n[isolator]\nmass = 1.6\n")
     shutil.copy(Path(los_design.__file__).parent / "search" / "worst_points.json", designs)
     options = ["--figure=slow", "--stage=fsm", "--time-limit=1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
     line = refused(capsys, "design", "certify", f"--designs={designs}", f"--output={output}", *options)
     assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
-    (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
+    (designs / "telescope.toml").write_text('base = "reference"\n[uncertain]\n"isolator.stiffness" = 0.1\n')
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", "--designs", str(designs), f"--output={output}", *options[:-1]])
     assert stopped.value.code == 8, "the table is the same as the option"

@@ -40,7 +40,7 @@ SOFT = "[isolator]\nstiffness = [1.33e6, 1.33e6, 1.33e6, 0.365e6, 0.52e6, 0.8825
 @pytest.fixture
 def soft(tmp_path: Path) -> Path:
     file = tmp_path / "soft.toml"
-    file.write_text(SOFT, "utf-8")
+    file.write_text('base = "reference"\n' + SOFT, "utf-8")
     return file
 
 
@@ -84,7 +84,7 @@ def test_a_folder_without_a_controller_is_refused(folder: Path) -> None:
 def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path) -> None:
     assert not unseen_requirements(load_telescope())
     table = '[[requirement]]\nname = "slow"\ntext = "prob(rms RPE(250 ms) < 100 mas) >= 0.99 at 90 % confidence"\n'
-    (tmp_path / "mission.toml").write_text(table)
+    (tmp_path / "mission.toml").write_text('base = "reference"\n' + table)
     (line,) = unseen_requirements(load_telescope(tmp_path / "mission.toml"))
     assert "the design does not consider slow (prob(rms RPE(250 ms) < 100 mas)" in line
 
@@ -133,7 +133,7 @@ def mine(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     (tmp_path / "mine").mkdir()
     make: Callable[[Path], str] = request.param
     file = tmp_path / "mine" / "mine.toml"
-    file.write_text(make(file.parent), "utf-8")
+    file.write_text('base = "reference"\n' + make(file.parent), "utf-8")
     return file
 
 
@@ -164,7 +164,7 @@ def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, 
 def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     """They were refused beside a file with files of its own."""
     mine = tmp_path / "mine.toml"
-    mine.write_text(payload(tmp_path), "utf-8")
+    mine.write_text('base = "reference"\n' + payload(tmp_path), "utf-8")
     store_telescope(tmp_path / "designs", mine, ["isolator.stiffness=10%"])
     found = load_telescope(tmp_path / "designs" / TELESCOPE)
     assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
@@ -225,7 +225,7 @@ def proven(telescope: Telescope, folder: Path) -> None:
 def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any]) -> None:
     """The loop has the poles of the telescope of the file, not of the reference."""
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
-    mine.write_text(appendage(tmp_path), "utf-8")
+    mine.write_text('base = "reference"\n' + appendage(tmp_path), "utf-8")
     store_telescope(folder, mine)
     with_controllers(folder, load_telescope(mine))
     proven(load_telescope(mine), folder)
@@ -238,7 +238,7 @@ def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any])
 
 def test_another_telescope_or_controllers_of_another_are_not_proven(tmp_path: Path, loops: list[Any]) -> None:
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
-    mine.write_text(payload(tmp_path) + "[body]\ndamping = 0.004\n", "utf-8")
+    mine.write_text('base = "reference"\n' + payload(tmp_path) + "[body]\ndamping = 0.004\n", "utf-8")
     own = load_telescope(mine)
     store_telescope(folder, mine)
     with_controllers(folder, load_telescope())

@@ -181,7 +181,9 @@ STAR = star_camera(REFERENCE.image_optics, REFERENCE.camera, "reference.toml")
 
 def user(folder: Path, camera: str = "", optics: str = "") -> Path:
     file = folder / "user.toml"
-    file.write_text(f'[sensors]\ncamera = "magnitude"\n[camera]\n{camera}\n[optics]\n{optics}\n', "utf-8")
+    file.write_text(
+        f'base = "reference"\n[sensors]\ncamera = "magnitude"\n[camera]\n{camera}\n[optics]\n{optics}\n', "utf-8"
+    )
     return file
 
 

@@ -262,7 +262,7 @@ def test_a_path_that_cannot_exist_is_a_mistake(call: Call, bag: Path, line: str,
 
 def test_a_requirement_of_a_stage_that_does_not_exist_is_refused(call: Call, bag: Path, tmp_path: Path) -> None:
     text = "prob(|APE| < 1 mas) >= 0.5 at 95 % confidence"
-    (tmp_path / "mine.toml").write_text(f'[[requirement]]\ntext = "{text}"\nloop = ["fsm_pma"]\n')
+    (tmp_path / "mine.toml").write_text(f'base = "reference"\n[[requirement]]\ntext = "{text}"\nloop = ["fsm_pma"]\n')
     code, _, err = call("analyse", bag, "--requirements", "mine.toml")
     assert code == 2 and one_line(err)
     assert "mine.toml: requirement[0]: loop must be one of none, isolator, fsm, fsm+pma, got 'fsm_pma'" in err

@@ -139,7 +139,7 @@ def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch
     words = with_lone_options(words)
     if name == "parameters":
         words[1] = str(tmp_path / "mine.toml")
-        (tmp_path / "mine.toml").write_text("")
+        (tmp_path / "mine.toml").write_text("base = 'reference'\n")
     try:
         command = ["run", "--output", str(tmp_path / "bag"), "--scenario", "design", *words]
         command_line().main(command, standalone_mode=False)
@@ -206,9 +206,9 @@ def test_the_digest_of_the_plant_depends_on_physics_only(tmp_path):
     ]
     assert len({digests(**{**still, **c})["plant"] for c in [{}, *changed]}) == 7
     copied = tmp_path / "copy.toml"
-    copied.write_text("")
+    copied.write_text("base = 'reference'\n")
     assert digests(**still, parameters=str(copied)) == base  # wherever the file of the same values is
-    copied.write_text("[sensors]\naccelerometer_noise = [2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4]\n")
+    copied.write_text("base = 'reference'\n[sensors]\naccelerometer_noise = [2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4]\n")
     other = digests(**still, parameters=str(copied))
     assert other["plant"] != base["plant"] and other["estimator"] == base["estimator"]
 

@@ -34,7 +34,7 @@ def test_a_parameter_file_of_ones_own_changes_the_figures(run) -> None:
     payload = assembled_telescope().bodies[1]
     write_modal_data(payload.truncate(6), run.files / "payload.toml")
     mine = run.files / "mine.toml"
-    mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
+    mine.write_text('base = "reference"\n[payload]\nmodal_data = "payload.toml"\n')
     code, out, _ = run("plant", "--json", "--parameters", mine)
     found = json.loads(out)
     assert (code, found["order"]) == (0, 204 - 2 * (payload.n_modes - 6))

@@ -53,8 +53,10 @@ INPUTS = [
 def test_a_pipe_or_a_circle_of_links_as_input_is_told_and_not_waited_for(call: Call, bag: Path, line: str) -> None:
     for name in ("pipe", "pipe.mcap", "pipe.csv", "pipe.npy", "pipe.so"):
         os.mkfifo(bag.parent / name)
-    (bag.parent / "body.toml").write_text('[payload]\nmodal_data = "pipe"\n')
-    (bag.parent / "source.toml").write_text('[[disturbance]]\nname = "x"\nkind = "series"\nfile = "pipe"\n')
+    (bag.parent / "body.toml").write_text('base = "reference"\n[payload]\nmodal_data = "pipe"\n')
+    (bag.parent / "source.toml").write_text(
+        'base = "reference"\n[[disturbance]]\nname = "x"\nkind = "series"\nfile = "pipe"\n'
+    )
     (bag.parent / "loop").symlink_to(bag.parent / "loop")
     before = sorted(bag.parent.rglob("*"))
     code, out, err = call(*line.split())

@@ -92,7 +92,7 @@ def test_wheels_that_do_not_pass_through_rest_have_no_zero_crossing(tmp_path: Pa
         f"speed_range = [100.0, 400.0]\n"
         for k, axis in enumerate(([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]))
     )
-    file.write_text(wheels)
+    file.write_text('base = "reference"\n' + wheels)
     cases = telescope_cases(load_telescope(file))
     refused = ("wheels_at_rest", "zero_crossing", "spin_up")
     assert all(cases[name] == "the wheel w0 is not driven through these speeds" for name in refused)

@@ -14,7 +14,7 @@ from titop_plant.telescope.load import load_telescope
 def test_a_run_has_the_limits_of_its_telescope(tmp_path: Path) -> None:
     """The mirror follows a step no faster than its rate, and its gauges round; without `nonlinear` neither."""
     file = tmp_path / "slow.toml"
-    file.write_text("[device_limits]\nmirror_rate = 0.01\ngauge_step = 1e-6\n")
+    file.write_text("base = 'reference'\n[device_limits]\nmirror_rate = 0.01\ngauge_step = 1e-6\n")
     angles: dict[bool, list[float]] = {}
     for nonlinear in (True, False):
         parts = RunParts(RunConfig(parameters=str(file), nonlinear=nonlinear, noise=False, loop="fsm"))
@@ -33,7 +33,7 @@ def test_a_run_has_the_limits_of_its_telescope(tmp_path: Path) -> None:
 
 def test_the_plant_of_a_run_is_told_apart_by_limits_that_act(tmp_path: Path) -> None:
     file = tmp_path / "slow.toml"
-    file.write_text("[device_limits]\nmirror_rate = 0.01\n")
+    file.write_text("base = 'reference'\n[device_limits]\nmirror_rate = 0.01\n")
     for nonlinear in (True, False):
         plants = [announced(RunParts(RunConfig(parameters=p, nonlinear=nonlinear)))["plant"] for p in (None, str(file))]
         assert (plants[0] != plants[1]) == nonlinear

@@ -141,7 +141,7 @@ def waterfall(path: Path, *changed: tuple[int, str]) -> None:
 
 
 def source(folder: Path, text: str, duration: float = 2.0) -> Any:
-    (folder / "a.toml").write_text(f'[[disturbance]]\nname = "a"\n{text}\n')
+    (folder / "a.toml").write_text(f'base = "reference"\n[[disturbance]]\nname = "a"\n{text}\n')
     run = RunConditions(RUN.speeds, duration, 1)
     (found,) = make_sources(entries_of([str(folder / "a.toml")]), load_telescope(), run)
     return found
@@ -197,7 +197,7 @@ def test_mistakes_and_what_would_be_ignored_are_one_line(folder: Path, text: str
 
 
 def test_an_empty_name_is_refused(folder: Path) -> None:
-    (folder / "a.toml").write_text(f'[[disturbance]]\nname = ""\n{PULSES}')
+    (folder / "a.toml").write_text(f'base = "reference"\n[[disturbance]]\nname = ""\n{PULSES}')
     with pytest.raises(ValueError, match="disturbance '': name must be a text that is not empty, got ''"):
         make_sources(entries_of([str(folder / "a.toml")]), load_telescope(), RunConditions(RUN.speeds, 2.0, 1))
 

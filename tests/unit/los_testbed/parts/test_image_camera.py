@@ -57,7 +57,7 @@ def angles(made: Drift, ticks: int) -> FloatArray:
 
 def user(folder: Path, text: str = '[sensors]\ncamera = "image"\n') -> str:
     file = folder / "user.toml"
-    file.write_text(text, "utf-8")
+    file.write_text('base = "reference"\n' + text, "utf-8")
     return str(file)
 
 

@@ -61,7 +61,9 @@ def toml(text: str, header: str = "", rows: FloatArray | None = None) -> Callabl
     def write(folder: Path, factor: float, prefix: str) -> str:
         if rows is not None:
             table(header, rows, slice(1, None))(folder, factor, prefix)
-        (folder / "a.toml").write_text(f'[[disturbance]]\nname = "a"\n{text}'.replace("FACTOR", repr(factor)))
+        (folder / "a.toml").write_text(
+            f'base = "reference"\n[[disturbance]]\nname = "a"\n{text}'.replace("FACTOR", repr(factor))
+        )
         return str(folder / "a.toml")
 
     return write

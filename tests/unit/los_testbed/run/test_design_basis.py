@@ -65,7 +65,7 @@ def user_file(path: Path, number: tuple[Any, ...]) -> Path:
         value = value[key]
     # a frame rate divides that of the ticks
     other = 0.5 * value if number == ("sensors", "camera_rate") else changed(value, number[depth:])
-    path.write_text(f"{'.'.join(number[:depth])} = {toml(other)}\n")
+    path.write_text(f"base = 'reference'\n{'.'.join(number[:depth])} = {toml(other)}\n")
     return path
 
 
@@ -79,7 +79,7 @@ def refused(file: Path) -> bool:
 
 
 def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") -> Path:
-    path.write_text(f"[fsm]\n{table} = {value}\n")
+    path.write_text(f"base = 'reference'\n[fsm]\n{table} = {value}\n")
     return path
 
 
@@ -146,7 +146,7 @@ def test_the_mirror_law_takes_its_gain_from_the_observer(tmp_path: Path) -> None
 
 def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path) -> None:
     user = tmp_path / "user.toml"
-    user.write_text("[fsm]\nauthority = 2e-3\n[pma]\nauthority = 12.0\n")
+    user.write_text("base = 'reference'\n[fsm]\nauthority = 2e-3\n[pma]\nauthority = 12.0\n")
     config = RunConfig(parameters=str(user), **write_controllers(tmp_path))
     assert RunParts(config).basis.authority == (2e-3, 12.0)
     out = np.zeros(COMMANDS)

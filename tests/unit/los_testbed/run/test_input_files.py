@@ -41,7 +41,7 @@ BROAD = "[reaction_wheel.broadband]\nfrequency = [1.0, 200.0]\nradial_force = [{
 def written(path: Path, text: str) -> str:
     """A parameter file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, "utf-8")
+    path.write_text('base = "reference"\n' + text, "utf-8")
     return str(path)
 
 
@@ -112,7 +112,7 @@ def test_a_copy_with_its_files_is_the_same_telescope_anywhere(tmp_path: Path) ->
     file = Path(shaken(tmp_path / "t", 0.1))
     shaken(tmp_path / "t" / "below", 0.3)
     one, two = (SHAKER.replace('"shaker"', f'"{name}"') for name in ("first", "second"))
-    file.write_text(SHAKER + one.replace("shake.csv", "below/shake.csv") + two, "utf-8")
+    file.write_text('base = "reference"\n' + SHAKER + one.replace("shake.csv", "below/shake.csv") + two, "utf-8")
     text, beside = with_files_beside(file)
     assert sorted(beside) == ["telescope_files/2-shake.csv", "telescope_files/shake.csv"]
     for name, content in itertools.chain([("telescope.toml", text.encode())], beside.items()):
@@ -148,7 +148,7 @@ ROWS = ("cooler", "thruster pair")
 
 @pytest.fixture
 def base(tmp_path: Path) -> RunConfig:
-    (tmp_path / "telescope.toml").write_text(SOURCES)
+    (tmp_path / "telescope.toml").write_text('base = "reference"\n' + SOURCES)
     parameters = str(tmp_path / "telescope.toml")
     return RunConfig(mode="inprocess", duration=1.2, loop="fsm", scenario="design", parameters=parameters)
 

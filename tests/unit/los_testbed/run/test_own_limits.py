@@ -52,7 +52,7 @@ def test_allowances_of_the_bag_are_no_part_of_other_limits(tmp_path: Path, capsy
 def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two seconds of a telescope with limits of its own; its bag, page and parameter file."""
     folder = tmp_path_factory.mktemp("own")
-    (folder / "mine.toml").write_text(MINE)
+    (folder / "mine.toml").write_text('base = "reference"\n' + MINE)
     given = ["--mode=inprocess", "--duration=2", f"--parameters={folder / 'mine.toml'}", f"--output={folder / 'bag'}"]
     with pytest.MonkeyPatch.context() as patch:  # as `without_pictures`, which is made after this
         patch.setattr("pointing_analysis.report.report.PICTURES", ())
@@ -125,7 +125,7 @@ def test_run_star_replay_and_campaign_have_the_window_of_the_mission(
     tmp_path: Path, call: Callable[..., tuple[int, str, str]]
 ) -> None:
     file = tmp_path / "mission.toml"
-    file.write_text(MISSION)
+    file.write_text('base = "reference"\n' + MISSION)
     settings = ("--parameters", file, "--loop", "fsm+pma", "--scenario", "none", "--duration", 3)
     code, out, err = call("run", "--mode", "inprocess", *settings, "--output", "bag", "--no-report")
     assert code == 0, err

@@ -100,7 +100,7 @@ def test_every_setting_is_admitted_judged_or_fixed() -> None:
 def test_disturbances_of_the_telescope_have_none(tmp_path: Path) -> None:
     """The hash of the parameters, which names the telescope of a proof, has no sources."""
     own = tmp_path / "own.toml"
-    own.write_text(SOURCE, "utf-8")
+    own.write_text('base = "reference"\n' + SOURCE, "utf-8")
     found = [reasons_against(RunParts(RunConfig(parameters=str(own), disturbance=on))) for on in (True, False)]
     assert found == [[SOURCES_ACT], []]
 

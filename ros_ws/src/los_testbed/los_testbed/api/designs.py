@@ -42,7 +42,7 @@ from los_testbed.campaign.cluster_work import versions
 from los_testbed.campaign.proof_parts import prover_of
 from los_testbed.run.identity import telescope_digest
 from los_testbed.run.mission import NO_MISSION, Mission, sources_of_mission, verify_mission
-from titop_plant.interface import MIRROR_STAGES, design_warnings
+from titop_plant.interface import design_warnings
 from titop_plant.telescope.control_plant import control_loop_plant, loop_plant
 from titop_plant.telescope.load import REFERENCE, difference_summary, load_telescope
 from titop_plant.telescope.requirements import unseen_by_design
@@ -297,18 +297,19 @@ def certify(
     InputError
         An unknown stage or figure, controllers made for another telescope, a folder that is not writable.
     """
-    if stage not in (None, *MIRROR_STAGES):
-        raise InputError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
-    stages = MIRROR_STAGES if stage is None else (stage,)
-    chosen = figures_to_prove(load_telescope(), stages, figure)  # for the names alone
+    pair = None if designs is None else Path(designs)
+    telescope = load_telescope() if pair is None else load_folder(pair)[0]
+    if stage not in (None, *telescope.mirror_stages):
+        raise InputError(f"--stage must be one of {', '.join(telescope.mirror_stages)}, got {stage}")
+    stages = telescope.mirror_stages if stage is None else (stage,)
+    chosen = figures_to_prove(telescope, stages, figure)
     folder = Path(output)
     check_output(folder, "--output", folder=True)
     if folder.is_dir():
         check_output(folder / BOUNDS, f"{BOUNDS} in --output")
     load_bounds(folder / BOUNDS)  # another file of that name is refused before the work
     until = time.monotonic() + time_limit
-    pair = None if designs is None else Path(designs)
-    loops = loops_of(pair, MIRROR_STAGES, uncertain, same_telescope=True, warn=warn)
+    loops = loops_of(pair, telescope.mirror_stages, uncertain, same_telescope=True, warn=warn)
     with one_thread(), _workers(workers) as pool:
         return prove_figures(
             chosen,

@@ -49,7 +49,7 @@ def base_of(content: str) -> RunConfig:
         path.write_text(text, "utf-8")
         packed["run"][name] = str(path)
     for name, encoded in packed["beside"].items():
-        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(base64.b64decode(encoded))
     return RunConfig.from_mapping(packed["run"])
 

@@ -35,7 +35,7 @@ PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bo
     los-testbed plant figures --output pictures        # disturbances to line of sight, PNG and SVG
 """
 
-CHECK_EXAMPLES = """Check a parameter file: loop, mass properties, modes, and what differs from the reference.
+CHECK_EXAMPLES = """Check a parameter file: loop, mass properties, modes, and what differs from its base.
 
 **Examples**
 
@@ -56,6 +56,17 @@ CASES_EXAMPLES = """List the named telescopes of `los-testbed run --case NAME`.
 **Example**
 
     los-testbed plant cases
+"""
+
+ROWS_EXAMPLES = """Write tables of a parameter file with all their values, as one that stands alone has them.
+
+**Examples**
+
+    los-testbed plant rows > my_telescope.toml              # the reference, with the sources of its values
+
+    los-testbed plant rows sensors camera >> mine.toml      # what a file lacks
+
+    los-testbed plant rows --parameters my_telescope.toml   # with what it takes from its base
 """
 
 EXPORT_EXAMPLES = """Write the assembled telescope as an uncertain system with named ports.
@@ -129,7 +140,7 @@ def check(
     from los_testbed.config.run_config import RunConfig
     from los_testbed.parts.run_parts import RunParts
     from titop_plant.interface import DT
-    from titop_plant.telescope.load import difference_counts, difference_summary, load_telescope
+    from titop_plant.telescope.load import base_of, difference_counts, difference_summary, load_telescope
     from titop_plant.telescope.summary import summarise
 
     if output is not None:
@@ -158,8 +169,8 @@ def check(
     for name, text in loop.items():
         console.print(f"{name:<14}{text}", highlight=False)
     show(console, summary)
-    for line in difference_summary(file) or ["no value differs"]:
-        console.print(f"{'reference':<14}{line}", highlight=False)
+    for line in difference_summary(file) or ["no value differs" if base_of(file) else "none: the file stands alone"]:
+        console.print(f"{'base':<14}{line}", highlight=False)
     pictures: list[Path] = []
     if output is not None:
         from lftkit.support.progress import Progress
@@ -172,6 +183,19 @@ def check(
     if json_:
         further = {"loop": loop, "changed": {name: counts._asdict() for name, counts in changed.items()}}
         print_json({**summary.to_mapping(), **further, "figures": [str(path) for path in pictures]})
+
+
+@plant_app.command(help=ROWS_EXAMPLES)
+def rows(
+    tables: Annotated[
+        list[str] | None, typer.Argument(metavar="[TABLE]...", help="Names of tables; default: all of them.")
+    ] = None,
+    parameters: TelescopeFile = None,
+) -> None:
+    """See ROWS_EXAMPLES."""
+    from titop_plant.telescope.standalone import standalone
+
+    typer.echo(standalone(parameters, tables or ()), nl=False)
 
 
 @plant_app.command(help=EXPORT_EXAMPLES)

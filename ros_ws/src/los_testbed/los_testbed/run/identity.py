@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.proofs.trusted.digests import digest
-from los_design.copied_files import content_of, map_files
+from los_design.copied_files import content_of
 from los_design.synthesis.provenance import law_digest
 from los_testbed import __version__
 from los_testbed.config.plugins import source_hashes
@@ -23,6 +23,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import needs_tone
 from titop_plant.interface import LAW_PORTS
 from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.telescope.named_files import map_files
 from titop_plant.telescope.telescope import DEVICE_LIMITS, Telescope
 
 DIGITS = 16

@@ -185,7 +185,7 @@ def controllers(
         {"k_fsm": fsm, "k_pma": pma},
         RunConfig(fade_ticks=run.parameters.get("fade_ticks", FADE_TICKS)).fade_ticks,
     )
-    controller = assemble_controller(laws, _completed(telescope), stage, rows["k_pma"], fade_ticks=fade_ticks)
+    controller = assemble_controller(laws, telescope, stage, rows["k_pma"], fade_ticks=fade_ticks)
     files = {_file_name(name, law): data for name, (law, data) in read.items() if data}
     same = (
         run.attachments.get(_file_name(name, law)) == data if data else _is_code_of(run, name, asked[name])
@@ -295,19 +295,20 @@ def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopSt
 
 
 def telescope_of(run: Run) -> DesignBasis:
-    """Telescope and limits stated in a bag."""
+    """Telescope and limits stated in a bag.
+
+    Raises
+    ------
+    BagError
+        It does not state them.
+    """
     names = ("los_sensitivity", "fsm_authority", "pma_authority")
     values: dict[str, Any] = {name: run.parameters[name] for name in names if name in run.parameters}
+    if missing := [name for name in names if name not in values]:
+        raise BagError(f"{run.path}: must state the telescope's {', '.join(missing)}, got a bag without")
     if "parameters_hash" in run.parameters:
         values["parameters_hash"] = str(run.parameters["parameters_hash"])
     return DesignBasis.from_mapping(values, str(run.path))
-
-
-def _completed(telescope: DesignBasis) -> DesignBasis:
-    """The reference telescope's values if none are stated: such bags are of that telescope."""
-    from titop_plant.telescope.load import load_telescope
-
-    return replace(load_telescope().design_basis, **telescope.to_mapping())
 
 
 def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -> replay.Replayed:
