@@ -38,7 +38,7 @@ with tempfile.TemporaryDirectory() as scratch:
             changed = {"sensors": {**own.get("sensors", {}), "camera": "image", "camera_rate": rate}}
             changed["camera"] = {**own.get("camera", {}), **star}
             file, bag = folder / "telescope.toml", folder / "bag"
-            file.write_text(tomli_w.dumps({**own, **changed}), "utf-8")
+            file.write_text(tomli_w.dumps({"base": "reference", **own, **changed}), "utf-8")
             settings = {"parameters": file, "duration": asked.duration}
             if asked.design:
                 design_all(load_telescope(file), folder / "designs", DesignOptions(short=True))

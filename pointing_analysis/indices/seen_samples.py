@@ -9,18 +9,11 @@ import numpy as np
 
 from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.formatting.number_text import digits, percent
-from pointing_analysis.indices.live_rows import (
-    SETTINGS,
-    Hold,
-    LiveRowSettings,
-    coarse_quantum,
-    hold_of,
-    interpolated_rows,
-    samples_behind,
-    saturated_rows,
-    stuck_rows,
-)
+from pointing_analysis.indices.held_rows import Hold, hold_of, samples_behind
+from pointing_analysis.indices.live_rows import coarse_quantum, interpolated_rows, stuck_rows
 from pointing_analysis.indices.metrics import AXES
+from pointing_analysis.indices.row_signs import SETTINGS, LiveRowSettings
+from pointing_analysis.indices.saturation import saturated_rows
 from pointing_analysis.read.mapped_arrays import by_parts, parts
 from pointing_analysis.units import RAD_PER_MAS
 

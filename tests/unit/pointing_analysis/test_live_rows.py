@@ -12,14 +12,9 @@ from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolato
 from scipy.signal import lfilter, resample
 
 from pointing_analysis.arrays import BoolArray, FloatArray
-from pointing_analysis.indices.live_rows import (
-    Hold,
-    hold_of,
-    interpolated_rows,
-    samples_behind,
-    saturated_rows,
-    stuck_rows,
-)
+from pointing_analysis.indices.held_rows import Hold, hold_of, samples_behind
+from pointing_analysis.indices.live_rows import interpolated_rows, stuck_rows
+from pointing_analysis.indices.saturation import saturated_rows
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.series_verdict import judge_series
@@ -536,3 +531,28 @@ def test_single_rows_that_were_filled_are_missing_alone(share: float) -> None:
     kept[[0, -1]] = True
     e = np.column_stack([np.interp(np.arange(N), np.flatnonzero(kept), axis) for axis in white(10.0)[kept].T])
     assert interpolated_rows(e).mean() == pytest.approx(share, rel=0.15)
+
+
+@pytest.mark.parametrize("digits", [1, 3, 12])
+@pytest.mark.parametrize("degrees", [0.1, 5.0, 20.0, 45.0])
+def test_a_sensor_that_is_clipped_along_its_own_axes_is_saturated(degrees: float, digits: int) -> None:
+    """Those of the line of sight are turned against them, so that no value of either comes twice."""
+    turn = np.exp(1j * np.deg2rad(degrees))
+    own = lfilter([1.0], [1.0, -0.5], white(28.0), axis=0)
+    for limit in (30.0, 60.0):
+        clipped = np.clip(own, -limit, limit) @ np.array([1.0, 1j]) * turn
+        seen = np.round(np.column_stack([clipped.real, clipped.imag]), digits)
+        rows = (np.abs(own) > limit).any(axis=1)
+        assert saturated_rows(seen).mean() == pytest.approx(rows.mean(), abs=0.01)
+    free = own @ np.array([1.0, 1j]) * turn
+    assert not saturated_rows(np.round(np.column_stack([free.real, free.imag]), digits)).any()
+
+
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.3])
+def test_rows_that_were_filled_with_a_value_are_missing(share: float) -> None:
+    """One by one, all over the record, and where the motion is above the limit."""
+    motion, rng = white(20.0), np.random.default_rng(3)
+    for filled in (rng.random(N) < share, np.hypot(*motion.T) > np.quantile(np.hypot(*motion.T), 1.0 - share)):
+        record = np.where(filled[:, None], 0.0, motion)
+        assert np.array_equal(stuck_rows(record) | (np.arange(N) < 1), filled | (np.arange(N) < 1))
+    assert not stuck_rows(np.round(motion, 1)).any() and not stuck_rows(np.round(tone(0.37, 900.0), 1)).any()

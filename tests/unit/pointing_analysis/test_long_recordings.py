@@ -18,7 +18,7 @@ from support.call_count import calls
 from support.scripts import script
 
 from pointing_analysis.indices import confidence
-from pointing_analysis.indices.live_rows import hold_of
+from pointing_analysis.indices.held_rows import hold_of
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.arrivals import arrivals
