@@ -39,15 +39,20 @@ def saturated_rows(e: FloatArray, settings: LiveRowSettings = SETTINGS) -> BoolA
         saturated |= _at_top(axis, settings) | _at_top(by_parts(np.negative, axis), settings)
     for normal in _normals(e, max(exact, 0.5 * of_edge), settings) if of_edge <= settings.edge * largest else ():
         along, missed = by_parts(lambda rows, normal=normal: rows @ normal, e), max(exact, of_edge)
-        at_edge = _at_top(along, settings, missed)
-        saturated |= at_edge & (
-            _jump(along, at_edge) > max(settings.clear * missed, settings.rest * typical_step(along))
-        )
+        at_edge, least = _at_top(along, settings, missed), settings.clear * missed
+        # A motion without noise glides to an edge, or rests at a corner of it
+        places = e[at_edge] @ np.array([-normal[1], normal[0]])
+        if (
+            len(places)
+            and np.std(places) > least
+            and _jump(along, at_edge) > max(least, settings.rest * typical_step(along))
+        ):
+            saturated |= at_edge
     return saturated
 
 
 def _jump(values: FloatArray, at_top: BoolArray) -> float:
-    """Typical step by which values (n,) come to the top; 0 where they never do. A motion without noise glides there."""
+    """Typical step by which values (n,) come to the top; 0 where they never do."""
     into = np.abs(np.diff(values))[at_top[1:] & ~at_top[:-1]]
     return float(np.nanmedian(into)) if np.isfinite(into).any() else 0.0
 
