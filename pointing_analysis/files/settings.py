@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin
 from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
 
 from lftkit.errors import InputError
 
@@ -389,8 +388,8 @@ class CheckedTable:
 
     @classmethod
     def missing(cls, table: Mapping[str, Any]) -> list[str]:
-        """Keys that must be given and are not in the table."""
-        return [name for name, one in cls.SETTINGS.items() if one.default is PydanticUndefined and name not in table]
+        """Keys that the table lacks, but for those whose default is none or empty."""
+        return [name for name, one in cls.SETTINGS.items() if one.default not in (None, "", ()) and name not in table]
 
     @classmethod
     def check_given(cls, table: Mapping[str, Any]) -> None:

@@ -76,6 +76,8 @@ def whole_ticks(value: float) -> int | None:
     >>> whole_ticks(0.02), whole_ticks(0.0205)
     (20, None)
     """
+    if not math.isfinite(value * RATE):
+        return None
     ticks = round(value * RATE)
     return ticks if math.isclose(ticks * DT, value, rel_tol=1e-9, abs_tol=1e-12) else None
 
@@ -155,19 +157,19 @@ def with_guide_camera(tables: dict[str, Any], content: Mapping[str, Any], file: 
         raise file.error(f"sensors.{KIND}", f"must be {', '.join(CAMERAS[:-1])} or {CAMERAS[-1]}, got {kind!r}")
     if kind == VECTOR and TABLE not in content:
         return tables
+    table = GuideCamera.of_part(tables[TABLE])
     for key in ("exposure", "readout_delay"):
-        ticks = whole_ticks(value := tables[TABLE][key])
+        ticks = whole_ticks(value := getattr(table, key))
         if ticks is None or ticks < (key == "exposure"):
             raise file.error(f"{TABLE}.{key}", f"must be whole milliseconds, got {value!r} s")
-    camera = star_camera(ImageOptics.of_part(tables["optics"]), GuideCamera.of_part(tables[TABLE]), file.path)
+    camera = star_camera(ImageOptics.of_part(tables["optics"]), table, file.path)
     if kind == VECTOR:
         return tables
     for key in FOLLOWING:
         if key in content.get("sensors", {}):
             raise file.error(f"sensors.{key}", f"must be absent where sensors.{KIND} is {kind}, got a value")
-    table = tables[TABLE]
-    low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))
-    noise = star_noise(camera, table[NOISE_CURVE], file.path)
+    low_pass = list(exposure_low_pass(table.exposure, table.readout_delay))
+    noise = star_noise(camera, table.noise_curve, file.path)
     return {**tables, "sensors": {**tables["sensors"], "camera_filter": low_pass, "camera_noise": noise}}
 
 

@@ -162,6 +162,8 @@ FILES = [
     ("[pma\n", "is not a TOML file"),
     ("[robot]\nx = 1\n", "line 2|unknown parameter 'robot'"),
     ("pma = 3\n", "line 2|'pma' must be a table"),
+    ("[materials]\nwood = [1.0]\n", "line 3: 'materials.wood' must be a table, got [1.0]"),
+    ("[camera]\nexposure = 1e308\n", "line 3: 'camera.exposure' must be whole milliseconds, got 1e+308 s"),
     (
         '[robot]\n[pma]\nmas = 1.0\n[[sensor]]\nplac = "bus"\n[[payload.equipment]]\nname = "x"\nsiz = 1\n',
         "line 2: unknown parameter 'robot'|line 4: unknown parameter 'pma.mas'|; line 6: unknown parameter "

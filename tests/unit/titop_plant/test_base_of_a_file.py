@@ -40,7 +40,7 @@ def test_the_tables_of_a_file_stand_alone(file: Path | None, tmp_path: Path) -> 
 
 def test_a_file_without_a_base_names_all_that_it_lacks(tmp_path: Path) -> None:
     text = standalone()
-    for gone in ("washout = 0.1", "strut = {", "A2 = [0.05", "mass = 0.05 "):
+    for gone in ("washout = 0.1", "strut = {", "A2 = [0.05", "mass = 0.05 ", "exposure = ", "dark = ", "pixel_mas = "):
         text = "\n".join(line for line in text.splitlines() if not line.startswith(gone))
     cut = text.index("[imbalance]"), text.index("[design_scenario]")
     (tmp_path / "mine.toml").write_text(text[: cut[0]] + text[cut[1] :])
@@ -48,7 +48,10 @@ def test_a_file_without_a_base_names_all_that_it_lacks(tmp_path: Path) -> None:
         load_telescope(tmp_path / "mine.toml")
     lacks = str(refused.value).partition("got no ")[2].split(", ")
     assert sorted(lacks) == sorted(
-        ["[imbalance]", "body.ports.A2", "payload.sections.strut", "fsm.mass", "sensors.washout"]
+        [
+            *("[imbalance]", "body.ports.A2", "payload.sections.strut", "fsm.mass", "sensors.washout"),
+            *("camera.exposure", "camera.dark", "optics.pixel_mas"),
+        ]
     )
 
 
@@ -110,7 +113,7 @@ def test_a_structure_from_a_file_needs_no_frame(tmp_path: Path) -> None:
     write_modal_data(build_body(reference), tmp_path / "body.toml")
     write_modal_data(build_payload(reference), tmp_path / "payload.toml")
     tables = [name for name in reference.to_mapping() if name not in ("body", "payload", "materials")]
-    own = '[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n[materials]\n'
+    own = '[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n'
     (tmp_path / "mine.toml").write_text(own + standalone(names=tables))
     telescope = load_telescope(tmp_path / "mine.toml")
     for build in (build_body, build_payload):

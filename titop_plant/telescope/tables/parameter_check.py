@@ -106,7 +106,8 @@ class ParameterFile:
         ValueError
             With all of them.
         """
-        lacks = [f"[{name}]" for name in (*TABLES, MATERIALS) if name not in tables]
+        frames = any(not tables.get(name, {}).get("modal_data") for name in ("body", "payload"))
+        lacks = [f"[{name}]" for name in (*TABLES, *([MATERIALS] if frames else [])) if name not in tables]
         lacks += [] if REQUIREMENT in tables else [f"[[{REQUIREMENT}]]"]
         for name, kinds in TABLES.items():
             table = tables.get(name)
@@ -134,7 +135,9 @@ class ParameterFile:
                         kind.check_given(table)
                     else:
                         kind.of_part(table)
-        for name, table in tables[MATERIALS].items():
+        for name, table in tables.get(MATERIALS, {}).items():
+            if not isinstance(table, dict):
+                raise self.error(f"{MATERIALS}.{name}", f"must be a table, got {table!r}")
             with self.refusals(f"{MATERIALS}.{name}"):
                 Material.of_table(table)
 
