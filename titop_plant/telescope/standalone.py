@@ -31,10 +31,8 @@ def standalone(path: str | Path | None = None, names: Sequence[str] = ()) -> str
 
     Examples
     --------
-    >>> print(standalone(names=["attitude_control"]), end="")
-    [attitude_control]
-    bandwidth = 0.06             # rad/s, paper
-    damping = 0.7                # paper
+    >>> print(*standalone(names=["attitude_control"]).split())
+    [attitude_control] bandwidth = 0.06 # rad/s, paper damping = 0.7 # paper
     """
     if path is None:
         blocks = _blocks(read_text(REFERENCE))
