@@ -4,7 +4,7 @@ A library of linear algebra adds up in the order that its processor likes, with 
 its last bits differ between computers and between shapes. Here each row is added up from left to right, and every
 product and every sum is rounded::
 
-    y_i = (((M_i0 z_0) + M_i1 z_1) + M_i2 z_2) + ...
+    y_i = (((0 + M_i0 z_0) + M_i1 z_1) + M_i2 z_2) + ...
 
 Compiled code that does the same (in C: two statements, or ``-ffp-contract=off``) has the same bits.
 """
