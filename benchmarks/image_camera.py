@@ -70,7 +70,7 @@ def main() -> None:
 
 def parameter_file(folder: Path, kind: str) -> str:
     file = folder / f"{kind}.toml"
-    file.write_text(f'[sensors]\ncamera = "{kind}"\n', "utf-8")
+    file.write_text(f'base = "reference"\n[sensors]\ncamera = "{kind}"\n', "utf-8")
     return str(file)
 
 
