@@ -27,7 +27,7 @@ parser.add_argument("--design", action="store_true", help="design controllers fo
 parser.add_argument("--output", type=Path)
 asked = parser.parse_args()
 
-own = load_toml(read_text(asked.parameters), asked.parameters) if asked.parameters else {}
+own = load_toml(read_text(asked.parameters), asked.parameters) if asked.parameters else {"base": "reference"}
 with tempfile.TemporaryDirectory() as scratch:
     print("magnitude  frames/s  without angles  APE [arcsec]  RPE [mas]     MTF  Strehl")
     for rate in map(float, asked.rates.split(",")):
@@ -38,7 +38,7 @@ with tempfile.TemporaryDirectory() as scratch:
             changed = {"sensors": {**own.get("sensors", {}), "camera": "image", "camera_rate": rate}}
             changed["camera"] = {**own.get("camera", {}), **star}
             file, bag = folder / "telescope.toml", folder / "bag"
-            file.write_text(tomli_w.dumps({"base": "reference", **own, **changed}), "utf-8")
+            file.write_text(tomli_w.dumps({**own, **changed}), "utf-8")
             settings = {"parameters": file, "duration": asked.duration}
             if asked.design:
                 design_all(load_telescope(file), folder / "designs", DesignOptions(short=True))
