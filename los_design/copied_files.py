@@ -32,18 +32,17 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
     text, contents = read_text(path), dict[str, bytes]()
     tables = load_toml(text, path)
 
-    def placed(file: Path) -> str:
-        content = content_of(file)
-        names = (f"{BESIDE}/{number}{file.name}" for number in chain([""], map("{}-".format, count(2))))
+    def placed(file: str, content: bytes) -> str:
+        names = (f"{BESIDE}/{number}{file}" for number in chain([""], map("{}-".format, count(2))))
         name = next(name for name in names if contents.get(name, content) == content)
         contents[name] = content
         return name
 
-    moved = map_files(tables, placed, path.parent)
+    moved = map_files(tables, lambda file: placed(file.name, content_of(file)), path.parent)
     if (base := tables.get(BASE, REFERENCE)) != REFERENCE:
         of_base, below = with_files_beside(path.parent / base)
-        moved[BASE] = f"{BESIDE}/{BASE}.toml"
-        contents |= {moved[BASE]: of_base.encode(), **{f"{BESIDE}/{name}": content for name, content in below.items()}}
+        moved[BASE] = placed(Path(base).name, of_base.encode())
+        contents |= {f"{BESIDE}/{name}": content for name, content in below.items()}
     return (tomli_w.dumps(moved) if contents else text), contents
 
 

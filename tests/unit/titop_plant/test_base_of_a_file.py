@@ -59,20 +59,23 @@ def test_a_chain_of_files_has_the_values_of_each(tmp_path: Path) -> None:
     """The nearest one that states a value has it; files are found beside the file that names them."""
     (tmp_path / "family").mkdir()
     write_modal_data(build_payload(load_telescope()), tmp_path / "family" / "payload.toml")
-    (tmp_path / "family" / "bus.toml").write_text(
+    (tmp_path / "family" / "base.toml").write_text(
         'base = "reference"\n[payload]\nmodal_data = "payload.toml"\n[isolator]\nmass = 2.0\n[uncertain]\n'
         '"isolator.stiffness" = 0.1\n[[sensor]]\nname = "gyro"\nkind = "rate_gyro"\n'
     )
+    write_modal_data(build_body(load_telescope()), tmp_path / "base.toml")  # the name of its base
     (tmp_path / "one.toml").write_text(
-        'base = "family/bus.toml"\n[isolator]\nmass = 2.5\n[fsm]\nmass = 0.06\n[uncertain]\n"isolator.damping" = 0.2\n'
+        'base = "family/base.toml"\n[body]\nmodal_data = "base.toml"\n[isolator]\nmass = 2.5\n[fsm]\nmass = 0.06\n'
+        '[uncertain]\n"isolator.damping" = 0.2\n'
     )
     telescope = load_telescope(tmp_path / "one.toml")
     assert (telescope.isolator.mass, telescope.fsm.mass, telescope.pma.stiffness) == (2.5, 0.06, 70.0)
     assert dict(telescope.spreads) == {"isolator.stiffness": 0.1, "isolator.damping": 0.2}
     assert [row.name for row in telescope.placed_sensors] == ["gyro"]
     assert differences(tmp_path / "one.toml") == [
-        f"isolator.mass = 2.5, {tmp_path}/family/bus.toml 2",
-        f"fsm.mass = 0.06, {tmp_path}/family/bus.toml 0.05",
+        f"body.modal_data = {tmp_path}/base.toml, {tmp_path}/family/base.toml ",
+        f"isolator.mass = 2.5, {tmp_path}/family/base.toml 2",
+        f"fsm.mass = 0.06, {tmp_path}/family/base.toml 0.05",
         "uncertain.isolator.damping = 0.2, added",
     ]
     text, beside = with_files_beside(tmp_path / "one.toml")
@@ -81,7 +84,8 @@ def test_a_chain_of_files_has_the_values_of_each(tmp_path: Path) -> None:
         (tmp_path / "copy" / name).write_bytes(content)
     copied = load_telescope(tmp_path / "copy" / "copy.toml")
     assert copied.parameters_hash == telescope.parameters_hash
-    assert Path(copied.modal_file("payload")).is_relative_to(tmp_path / "copy")
+    for name in ("body", "payload"):
+        assert Path(copied.modal_file(name)).is_relative_to(tmp_path / "copy")
 
 
 @pytest.mark.parametrize(
