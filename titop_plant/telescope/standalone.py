@@ -36,7 +36,8 @@ def standalone(path: str | Path | None = None, names: Sequence[str] = ()) -> str
     """
     if path is None:
         blocks = _blocks(read_text(REFERENCE))
-        return "".join(text for name, text in blocks if name in _known(names, [name for name, _ in blocks]))
+        kept = _known(names, [name for name, _ in blocks])
+        return "".join(text for name, text in blocks if name in kept)
     import tomli_w
 
     tables = map_files(load_telescope(path).to_mapping(), lambda file: str(file.absolute()))
