@@ -10,7 +10,7 @@ from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.files.structured_text import load_toml, read_text
 from titop_plant.telescope.named_files import map_files
-from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE
+from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE_NAME
 
 BESIDE = "telescope_files"
 """Folder of copies of these files beside a copy of the parameter file."""
@@ -39,7 +39,7 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
         return name
 
     moved = map_files(tables, lambda file: placed(file.name, content_of(file)), path.parent)
-    if (base := tables.get(BASE, REFERENCE)) != REFERENCE:
+    if (base := tables.get(BASE, REFERENCE_NAME)) != REFERENCE_NAME:
         of_base, below = with_files_beside(path.parent / base)
         moved[BASE] = placed(Path(base).name, of_base.encode())
         contents |= {f"{BESIDE}/{name}": content for name, content in below.items()}

@@ -14,7 +14,7 @@ from los_design.copied_files import with_files_beside
 from los_design.files import CONTROLLERS, ROUNDS, TELESCOPE
 from los_design.synthesis.store import shipped
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE
+from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE_NAME
 from titop_plant.telescope.tables.uncertain import UNCERTAIN
 from titop_plant.telescope.telescope import Telescope
 
@@ -78,7 +78,7 @@ def store_telescope(folder: Path, parameters: Path | None, uncertain: Sequence[s
         raise InputError(f"--output must be a folder without designs of another telescope, got {folder}")
     if uncertain and loaded.factors:
         raise InputError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
-    text, beside = (f'{BASE} = "{REFERENCE}"\n', {}) if parameters is None else with_files_beside(parameters)
+    text, beside = (f'{BASE} = "{REFERENCE_NAME}"\n', {}) if parameters is None else with_files_beside(parameters)
     if uncertain:
         table = "".join(f"{name} = {spread!r}\n" for name, spread in telescope.spreads.items())
         text = f"{text}\n[{UNCERTAIN}]\n{table}"

@@ -18,8 +18,7 @@ from titop_plant.telescope.guide_camera import with_guide_camera
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS, MountedBody
 from titop_plant.telescope.plant_file import FILE, PLANT, take_plant
 from titop_plant.telescope.requirements import take_limits, with_limits
-from titop_plant.telescope.tables.parameter_check import BASE, ParameterFile
-from titop_plant.telescope.tables.parameter_check import REFERENCE as REFERENCE_NAME
+from titop_plant.telescope.tables.parameter_check import BASE, REFERENCE_NAME, ParameterFile
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_entries
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
 

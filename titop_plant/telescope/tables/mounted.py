@@ -31,7 +31,7 @@ from titop_plant.telescope.sections import (
     WheelKind,
     WheelTable,
 )
-from titop_plant.telescope.tables.parameter_check import REFERENCE, ParameterFile, without_alternatives
+from titop_plant.telescope.tables.parameter_check import REFERENCE_NAME, ParameterFile, without_alternatives
 from titop_plant.telescope.tables.placed_devices import DEVICES, check_devices
 
 Table = dict[str, Any]
@@ -188,7 +188,7 @@ def _model(
     if like in known:
         return {key: value for key, value in known[like].items() if key not in ("name", "parameters")}
     of_base = _kind(base, ARRAYS) if kind == ARRAYS else {}
-    choices = [*known, *([REFERENCE] if of_base else [])]
+    choices = [*known, *([REFERENCE_NAME] if of_base else [])]
     if like not in choices:
         raise file.error(f"{name}.like", f"must be one of {', '.join(choices) or 'the bodies before it'}, got {like!r}")
     values = {key: value for key, value in of_base.items() if not key.startswith("dcm_")}

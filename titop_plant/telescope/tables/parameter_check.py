@@ -25,7 +25,7 @@ MATERIALS, REQUIREMENT = "materials", "requirement"
 FURTHER = ("appendage", "sensor", "actuator", "uncertain", "disturbance", "plant")
 """Tables that a file may have beside those of `TABLES`."""
 
-BASE, REFERENCE = "base", "reference"
+BASE, REFERENCE_NAME = "base", "reference"
 """Key at the head of a file: what it builds on, the reference or another parameter file by its name."""
 
 REPLACE = "replace"
@@ -115,8 +115,8 @@ class ParameterFile:
                 lacks += [f"{name}.{key}" for kind in kinds for key in kind.missing(table) if key not in LIMITS]
         if lacks:
             raise InputError(
-                f'{self.path}: must have a base, or all that a telescope needs: {BASE} = "{REFERENCE}" takes from the '
-                f"reference what los-testbed plant rows writes, got no {', '.join(lacks)}"
+                f'{self.path}: must have a base, or all that a telescope needs: {BASE} = "{REFERENCE_NAME}" takes from '
+                f"the reference what los-testbed plant rows writes, got no {', '.join(lacks)}"
             )
 
     def check_tables(self, tables: Mapping[str, Any]) -> None:
