@@ -156,7 +156,7 @@ def test_the_model_of_the_loop_holds_their_samples(start: str, tmp_path: Path) -
         ('kind = "rate_gyro"\nplace = "M1"', "'sensor[0].place' must be one of bus, got 'M1'"),
         (
             'kind = "rate_gyro"\nrate = 30.0',
-            "'sensor[0].rate' must divide 1000 Hz (50, 40, 25, ...) and ",
+            "'sensor[0].rate' must divide 1000 Hz (50, 40, 25, ...), got 30.0 Hz",
         ),
         ('kind = "star_tracker"\nposition = [1.0, 0.0, 0.0]', "'sensor[0].position' must be absent for a star_tracker"),
         ('kind = "line_of_sight"\naxes = [[1.0, 0.0, 0.0]]', "'sensor[0].axes' must be absent for a line_of_sight"),

@@ -23,7 +23,7 @@ no prediction.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,10 +41,10 @@ from pointing_analysis.files.settings import (
     setting,
     settings_class,
 )
-from titop_plant.sensors import TICKS_PER_SECOND, Sensor, SensorMount, divided_ticks, whole_ticks
+from titop_plant.sensors import TICKS_PER_SECOND, Sensor, SensorMount, divided_ticks
 from titop_plant.telescope.actuators import Actuator, ActuatorMount
 from titop_plant.telescope.places import REFERENCE_POINT
-from titop_plant.telescope.sections import Matrix, OscillatorTable, Vector
+from titop_plant.telescope.sections import Matrix, OscillatorTable, Vector, refuse_other_rates
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -96,7 +96,7 @@ class SensorTable(DeviceTable):
 
     kind: str = setting(ACCELEROMETER, "kind", choices=tuple(SENSOR_KINDS))
     axes: Matrix | None = setting(None, "unit vectors along which it measures", length=(ANY, 3), absent="x, y, z")
-    rate: float = setting(float(TICKS_PER_SECOND), "samples per second", "Hz")
+    rate: float = setting(float(TICKS_PER_SECOND), "samples per second", "Hz", 1.0)
     noise: float | None = setting(None, "noise", "", 0.0, absent="that of [sensors], or 0")
     bias: float = setting(0.0, "bias")
     random_walk: float = setting(0.0, "random walk of the bias, over the root of a second", "", 0.0)
@@ -113,9 +113,7 @@ class SensorTable(DeviceTable):
         if not (self.place or self.of_kind.source):
             raise Refused("", "has no 'place'")
         _refuse_other_vectors("axes", self.axes or ())
-        if not self.rate >= 1.0 or whole_ticks(self.rate) is None:
-            expected = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...) and be 1 Hz at least"
-            raise Refused("rate", f"{expected}, got {self.rate!r} Hz")
+        refuse_other_rates("rate", self.rate)
 
     @property
     def of_kind(self) -> SensorKind:
@@ -150,12 +148,11 @@ class ActuatorTable(DeviceTable):
                 raise Refused("", "has no 'authority'")
 
 
-def _refuse_other_vectors(key: str, axes: Iterable[Vector]) -> None:
+def _refuse_other_vectors(key: str, axes: Sequence[Vector]) -> None:
     """Refuse more than three axes, and those that are no unit vectors."""
-    listed = tuple(axes)
-    if len(listed) > 3:
-        raise Refused(key, f"must be one to three unit vectors, got {len(listed)}")
-    for axis in listed:
+    if len(axes) > 3:
+        raise Refused(key, f"must be one to three unit vectors, got {len(axes)}")
+    for axis in axes:
         length = math.sqrt(sum(entry**2 for entry in axis))
         if abs(length - 1.0) > UNIT_WITHIN:
             raise Refused(key, f"must be a unit vector, got {list(axis)} of length {length:.4g}")

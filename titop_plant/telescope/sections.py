@@ -46,6 +46,12 @@ PMA_AZIMUTHS = 3
 """Azimuths of the proof-mass actuators, two at each: a command holds six forces."""
 
 
+def refuse_other_rates(key: str, rate: float) -> None:
+    """Refuse a rate of samples [Hz] that does not divide that of the ticks."""
+    if whole_ticks(rate) is None:
+        raise Refused(key, f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...), got {rate!r} Hz")
+
+
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Material(CheckedTable):
@@ -490,9 +496,7 @@ class SensorsTable(CheckedTable):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if whole_ticks(self.camera_rate) is None:
-            expected = f"must divide {TICKS_PER_SECOND} Hz (50, 40, 25, ...)"
-            raise Refused("camera_rate", f"{expected}, got {self.camera_rate!r} Hz")
+        refuse_other_rates("camera_rate", self.camera_rate)
 
 
 @settings_class
