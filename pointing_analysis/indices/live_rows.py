@@ -62,11 +62,14 @@ def _filled(x: FloatArray, settings: LiveRowSettings) -> BoolArray:
     It is looked for in rows all over the record. In a signal that is coarsely rounded, or repeats itself, other values
     come again as well.
     """
-    some = x[:: max(len(x) // settings.sampled, 1)]
+    some = np.asarray(x[:: max(len(x) // settings.sampled, 1)])
     values, counts = np.unique(some[np.isfinite(some)], return_counts=True)
     if len(values) < settings.fewest:
         return np.zeros(len(x), bool)
-    other, value = values[np.argsort(counts)[-2:]]
+    by_count = np.argsort(counts)
+    if counts[by_count[-1]] == counts[by_count[-2]]:
+        return np.zeros(len(x), bool)  # as in all rows of a signal that is not rounded
+    other, value = values[by_count[-2:]]
     filled, steps, typical = np.asarray(x == value), np.abs(np.diff(x)), typical_step(x)
     into = steps[filled[1:] & ~filled[:-1]]
     again = np.asarray(x == other)

@@ -58,9 +58,10 @@ def _jump(values: FloatArray, at_top: BoolArray) -> float:
 
 
 def _normals(e: FloatArray, rounding: float, settings: LiveRowSettings) -> FloatArray:
-    """Outer normals (k, 2) of the long edges of the convex hull of a record (n, 2), but for those along its axes.
+    """Outer normals (k, 2) of the long edges with many rows of the convex hull of a record (n, 2).
 
-    Edges that differ by the rounding of the values are one. There are none of values in a line.
+    Those along its axes are left out, edges that differ by the rounding of the values are one. There are none of values
+    in a line.
     """
     hull: FloatArray = np.empty((0, 2))
     for part in parts(len(e)):
@@ -79,12 +80,13 @@ def _normals(e: FloatArray, rounding: float, settings: LiveRowSettings) -> Float
             on_edge = hull[outwards >= outwards.max() - rounding]
             whole = on_edge[np.argmax(on_edge @ along)] - on_edge[np.argmin(on_edge @ along)]
         normals.append(np.array([whole[1], -whole[0]]) / np.hypot(*whole))
-    tilted = [
-        normal
-        for normal in np.unique(np.round(np.reshape(normals, (-1, 2)), 12), axis=0)
-        if np.abs(normal).min() > settings.rounding
-    ]
-    return np.array(tilted) if tilted else np.empty((0, 2))
+    known: FloatArray = np.unique(np.round(np.reshape(normals, (-1, 2)), 12), axis=0)
+    known = known[np.abs(known).min(axis=1) > settings.rounding]
+    # Most edges have their two corners alone, as some of the rows show
+    stride = max(len(e) // (settings.stretches * settings.sampled), 1)
+    tops = np.max(hull @ known.T, axis=0, initial=-math.inf)
+    on_edges = np.count_nonzero(e[::stride] @ known.T >= tops - 2.0 * rounding, axis=0)
+    return np.asarray(known[on_edges * stride > settings.margin])
 
 
 def _at_top(values: FloatArray, settings: LiveRowSettings, missed: float = 0.0) -> BoolArray:
