@@ -10,7 +10,7 @@ import numpy as np
 from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.formatting.number_text import digits, percent
 from pointing_analysis.indices.held_rows import Hold, hold_of, samples_behind
-from pointing_analysis.indices.live_rows import coarse_quantum, interpolated_rows, stuck_rows
+from pointing_analysis.indices.live_rows import coarse_quantum, filled_rows, interpolated_rows, stuck_rows
 from pointing_analysis.indices.metrics import AXES
 from pointing_analysis.indices.row_signs import SETTINGS, LiveRowSettings
 from pointing_analysis.indices.saturation import saturated_rows
@@ -93,10 +93,16 @@ def seen_samples(
         remarks.append(f"{shares[0][0]}: requirements on one axis are judged by its samples, those on both are not")
         at_rest = np.array(hold) > 1.0  # an axis that is held is not stuck
         moving = by_parts(lambda part: np.where(at_rest, 0.0, part), rows)
-    nothing: dict[str, BoolArray] = {"saturated": saturated_rows(rows), "stuck": stuck_rows(moving)}
-    nothing["stuck"] &= ~nothing["saturated"]
-    if not shares:
-        nothing["interpolated"] = interpolated_rows(moving) & ~(nothing["saturated"] | nothing["stuck"])
+    nothing: dict[str, BoolArray] = {
+        "saturated": saturated_rows(rows),
+        "filled with one value": filled_rows(moving),
+        "stuck": stuck_rows(moving),
+        **({} if shares else {"interpolated": interpolated_rows(moving)}),
+    }
+    counted = np.zeros(len(rows), bool)  # each row for its first reason
+    for which in nothing.values():
+        which &= ~counted
+        counted |= which
     for column, name in enumerate(AXES):
         if judged[column] and _is_constant(rows[:, column]):
             remarks.append(f"{name} has the same value in all samples")

@@ -13,7 +13,7 @@ from scipy.signal import lfilter, resample
 
 from pointing_analysis.arrays import BoolArray, FloatArray
 from pointing_analysis.indices.held_rows import Hold, hold_of, samples_behind
-from pointing_analysis.indices.live_rows import interpolated_rows, stuck_rows
+from pointing_analysis.indices.live_rows import filled_rows, interpolated_rows, stuck_rows
 from pointing_analysis.indices.saturation import saturated_rows
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
@@ -554,5 +554,7 @@ def test_rows_that_were_filled_with_a_value_are_missing(share: float) -> None:
     motion, rng = white(20.0), np.random.default_rng(3)
     for filled in (rng.random(N) < share, np.hypot(*motion.T) > np.quantile(np.hypot(*motion.T), 1.0 - share)):
         record = np.where(filled[:, None], 0.0, motion)
-        assert np.array_equal(stuck_rows(record) | (np.arange(N) < 1), filled | (np.arange(N) < 1))
-    assert not stuck_rows(np.round(motion, 1)).any() and not stuck_rows(np.round(tone(0.37, 900.0), 1)).any()
+        assert np.array_equal(filled_rows(record), filled)
+        verdict = judge_series(TIME, record, unit="mas", requirements=[APE.replace("1000", "60")]).verdicts[0]
+        assert verdict.status != "compliant" and (share < 0.01 or "filled with one value" in verdict.note)
+    assert not filled_rows(np.round(motion, 1)).any() and not filled_rows(np.round(tone(0.37, 900.0), 1)).any()
