@@ -200,6 +200,11 @@ def envelope(time: FloatArray, values: FloatArray, points: int = 700) -> tuple[F
     return np.repeat(t, 2), np.column_stack([low, high]).ravel()
 
 
+def _is_any(values: FloatArray) -> bool:
+    """Whether any value is not zero."""
+    return any(np.any(values[part]) for part in parts(len(values)))
+
+
 def _greatest(values: FloatArray) -> float:
     """Largest value, NaN left out."""
     return float(np.nanmax([np.fmax.reduce(values[part]) for part in parts(len(values))]))
@@ -349,7 +354,7 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
 
 def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:
     """Commands of mirror and proof-mass actuators as a share of their authority; none where all of them are zero."""
-    shown = [(v, [n for n in authority if n in v.run and np.any(v.run[n].values)]) for v in views]
+    shown = [(v, [n for n in authority if n in v.run and _is_any(v.run[n].values)]) for v in views]
     shown = [(v, names) for v, names in shown if names]
     if not shown:
         return None
