@@ -27,7 +27,9 @@ the samples of one period.
 cluster of the record is not the largest one: at 95 % confidence at most 3 of m clusters are larger than any of the m
 that were seen, and those may be several times as large. For compliance a multiple of the largest cluster is added to
 the exceedances, more of it where there are few (`ClusterSettings`). A cluster is what a block of the record has beyond
-the largest number that independent samples with the correlation of the values would have there.
+the largest number that independent samples with the correlation of the values would have there. Clusters are counted
+at further limits, too: above the limit a few large ones are lost among the exceedances of scattered noise, or each of
+them has only a few samples.
 
 **Missing samples** are, for compliance, exceedances at their places: lost in clumps, they weigh as a burst does.
 
@@ -46,6 +48,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np  # scipy where it computes: see pointing_analysis.indices.confidence
 from numpy.typing import ArrayLike
@@ -85,14 +88,19 @@ class ClusterSettings(AlgorithmSettings):
     largest : how many times the largest cluster of the record is added
     few : clusters below which it is added more often, in inverse proportion to their number
     fewest : blocks of a record, the longest in which a cluster is sought
+    compared : lengths of blocks and limits, together, at which one is sought: by chance none has one
     beyond : factor above that of the correlated values from which exceedances come in clusters
+    between : factor between the numbers of exceedances of the further limits above which clusters are sought, and
+        how many times as many exceedances as the limit the lowest of them has at most
     usual : quantiles between which values are usual: their correlation is not that of the clusters
     """
 
     largest: float = 10.0
     few: float = 20.0
     fewest: int = 8
+    compared: int = 32
     beyond: float = 2.0
+    between: int = 8
     usual: tuple[float, float] = (0.1, 0.9)
 
 
@@ -212,15 +220,34 @@ class IndependentSamples:
         above = sum(int(np.count_nonzero(sign * x[part] >= sign * limit)) for part in parts(n))
         few = above < self.settings.blocks.typical < n
         seen = [self._exceedances(x, sign, sign * limit, certain=few)]
-        if few:
-            seen.append(self._exceedances(x, sign, _ranked(x, sign, self.settings.blocks.typical)))
+        ranked = self._below if lower else self._above
+        if few and ranked:
+            seen.append(ranked[self.settings.blocks.typical])
         number = self._number(n, seen)
-        unseen = max(one.largest * max(1.0, clusters.few / one.clusters) for one in seen)
+        lowest = clusters.between * max(above, self.settings.blocks.typical)
+        near = [one for rank, one in ranked.items() if rank <= lowest]
+        unseen = max(one.largest * max(1.0, clusters.few / one.clusters) for one in [*seen, *near])
         with_missing = number
         if n < len(self.values):
             lost = [self._exceedances(self.values, sign, sign * limit, certain=True)]
             with_missing = min(number, self._number(len(self.values), lost))
         return EffectiveSamples(number, with_missing, clusters.largest * unseen)
+
+    @cached_property
+    def _above(self) -> dict[int, _Exceedances]:
+        return self._ranked(1.0)
+
+    @cached_property
+    def _below(self) -> dict[int, _Exceedances]:
+        return self._ranked(-1.0)
+
+    def _ranked(self, sign: float) -> dict[int, _Exceedances]:
+        """Exceedances of the limits that `typical` values exceed, and `between` times as many each."""
+        x, rank, ranked = present(self.values), self.settings.blocks.typical, {}
+        while rank < len(x):
+            ranked[rank] = self._exceedances(x, sign, _largest(x, sign, rank))
+            rank *= self.settings.clusters.between
+        return ranked
 
     def _number(self, n: int, seen: Sequence[_Exceedances]) -> float:
         return max(min([self.most, *(n / one.factor for one in seen if one.factor)]), 1.0)
@@ -237,9 +264,9 @@ class IndependentSamples:
         variance = share * (1.0 - share)
         factor = sums.factor(variance, n / self.correlated, certain=certain)
         clusters = share * n / factor if factor > self.settings.clusters.beyond * self.explained else math.inf
-        return _Exceedances(
-            factor, sums.largest_cluster(variance, self.explained, self.settings.clusters.fewest), clusters
-        )
+        seek = self.settings.clusters
+        largest = sums.largest_cluster(variance, self.explained, seek.fewest, seek.compared)
+        return _Exceedances(factor, largest, clusters)
 
 
 @dataclass(frozen=True)
@@ -323,14 +350,20 @@ class BlockSums:
         counts = (blocks >= (self.settings.sure if sure is None else sure)) | beyond
         return float((factor * (1.0 if certain else inflation(free, self.settings.tail)))[counts].max(initial=0.0))
 
-    def largest_cluster(self, variance: float, explained: float, fewest: int) -> float:
+    def largest_cluster(self, variance: float, explained: float, fewest: int, compared: int = 1) -> float:
         """Samples of the largest cluster: beyond the largest sum that is expected of correlated samples.
 
         The expected one is that of a normal distribution with the correction for its skewness (Cornish and Fisher).
-        `fewest` are the blocks of the longest length in which one is sought.
+
+        Parameters
+        ----------
+        variance : of an independent sample
+        explained : factor by which the correlation of the values makes the sums of blocks scatter more
+        fewest : blocks of the longest length in which a cluster is sought
+        compared : largest sums of which the largest is asked
         """
         chosen = self.blocks >= fewest
-        z = np.sqrt(2.0 * np.log(self.blocks[chosen]))
+        z = np.sqrt(2.0 * np.log(compared * self.blocks[chosen]))
         expected = z * np.sqrt(explained * variance * self.samples[chosen]) + explained * ((z**2 - 1.0) / 6.0 + 1.0)
         return float(np.max(self.largest[chosen] - expected, initial=0.0))
 
@@ -421,8 +454,8 @@ def period(values: FloatArray, size: float, same: float = 1e-6, compared: int = 
     return n
 
 
-def _ranked(values: FloatArray, sign: float, rank: int) -> float:
-    """The largest value but so many, signed."""
+def _largest(values: FloatArray, sign: float, rank: int) -> float:
+    """The least of the largest values, so many of them, signed."""
     top: FloatArray = np.empty(0)
     for part in parts(len(values)):
         top = np.concatenate([top, sign * values[part]])

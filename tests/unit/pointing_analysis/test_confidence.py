@@ -310,6 +310,16 @@ def test_a_larger_cluster_than_those_of_the_record_may_come() -> None:
     assert IndependentSamples.of(x).above(5.0).unseen > 8.0 * 120.0
 
 
+def test_few_clusters_are_seen_beside_scattered_exceedances() -> None:
+    """Two bursts above a limit that a tenth of the noise exceeds too, and bursts that reach above it now and then."""
+    x = noise(20_000)
+    assert IndependentSamples.of(x).above(1.28).unseen == 0.0
+    x[4000:4100] += 5.0
+    x[14_000:14_050] += 5.0
+    assert IndependentSamples.of(x).above(1.28).unseen > 20.0 / 2.0 * 10.0 * 50.0
+    assert IndependentSamples.of(x).above(6.5).unseen > 20.0 / 2.0 * 10.0 * 50.0
+
+
 def test_a_persistent_motion_has_the_mean_of_few_samples() -> None:
     """Fractional noise: the power of its blocks is 2 H - 1; white and first-order noise have none in the long run."""
     from scipy.signal import lfilter
