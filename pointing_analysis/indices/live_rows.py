@@ -2,7 +2,7 @@
 
 - **stuck**: a row that repeats the one before it. In a signal that is not quantised this does not happen by chance; in
   a quantised one it does, for a geometrically distributed number of rows, or between values one quantum apart. A motion
-  without noise comes to rest: where it began, at zero without a jump, elsewhere without a jump of the velocity.
+  without noise comes to rest: where it began, else without a jump, at zero or of the velocity, before or after it.
 - **filled**: a row with a value that comes again and again, alone, where no other one does: what a program writes for
   a sample that it does not have.
 - **interpolated** at irregular places: rows on a line, or on a polynomial of third order, through their neighbours, to
@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from pointing_analysis.arrays import BoolArray, FloatArray
+from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.indices.exceedances import period
 from pointing_analysis.indices.row_signs import (
     SETTINGS,
@@ -130,10 +130,28 @@ def _explained_repeats(x: FloatArray, repeated: BoolArray, settings: LiveRowSett
     # The steps of a motion without noise change less from row to row than those of noise, by 1.4 or 1.7 of themselves
     changes = np.abs(np.diff(x[starts], n=2)[:PART])
     change = float(np.nanmedian(changes)) if np.isfinite(changes).any() else 0.0
-    allowed = settings.turned * np.where(x[starts] == 0.0, typical, change)
     begun = (x[starts] == x[0]) & (lengths[0] > settings.margin)  # a motion that begins at rest comes back to it
-    rests = (change <= settings.smooth * typical) & (begun | ~(into > allowed))
+    jumps = _jumps(x, starts, lengths, change, settings) & ~((x[starts] == 0.0) & ~(edges > settings.turned * typical))
+    rests = (change <= settings.smooth * typical) & (begun | ~jumps)
     return np.asarray(np.repeat((lengths - 1 <= longest) | (edges <= still) | rests, lengths))
+
+
+def _jumps(x: FloatArray, starts: IntArray, lengths: IntArray, usual: float, settings: LiveRowSettings) -> BoolArray:
+    """Before or after which runs of equal values the velocity is not small beside its changes nearby.
+
+    Where these are not known, beside the `usual` ones of the record.
+    """
+    steps = np.append(np.diff(x), np.nan)  # from each row to the next one
+    changes = np.append(np.diff(steps), np.nan)
+    near, ends = np.arange(settings.near), starts + lengths - 1
+    jumps = np.zeros(len(starts), bool)
+    for into, rows in ((starts - 1, starts[:, None] - 3 - near), (ends, ends[:, None] + 1 + near)):
+        inside = (rows >= 0) & (rows < len(x))
+        nearby = np.fmax.reduce(np.where(inside, np.abs(changes[np.where(inside, rows, -1)]), np.nan), axis=1)
+        turns = lengths == 2  # two rows beside an extreme value
+        nearby = np.where(np.isnan(nearby) | turns, settings.turned * np.fmax(nearby, usual), nearby)
+        jumps |= (into >= 0) & (np.abs(steps[into]) > nearby)
+    return jumps
 
 
 def _is_rough(values: FloatArray, quantum: float, settings: LiveRowSettings) -> bool:

@@ -50,6 +50,7 @@ class LiveRowSettings(AlgorithmSettings):
     at_rows : share of interpolated samples that are a whole number of rows apart, if they are at rows
     long : rows of a sample from which a corner may be seen a row late
     certain : standard errors beyond which more values at the largest level are no chance
+    near : changes of the velocity before, and after, a rest beside which it is small
     short, even, stretches : most rows of a run, and variance of their number in equal stretches over its mean, in a
         record that was brought to another rate by lines or cubic splines (1 at random), and fewest stretches
     sampled : rows of a record in which a value is looked for that comes again and again
@@ -90,6 +91,7 @@ class LiveRowSettings(AlgorithmSettings):
     at_rows: float = 0.95
     long: int = 8
     certain: float = 4.0
+    near: int = 1
     short: int = 3
     even: float = 0.1
     stretches: int = 16

@@ -558,3 +558,39 @@ def test_rows_that_were_filled_with_a_value_are_missing(share: float) -> None:
         verdict = judge_series(TIME, record, unit="mas", requirements=[APE.replace("1000", "60")]).verdicts[0]
         assert verdict.status != "compliant" and (share < 0.01 or "filled with one value" in verdict.note)
     assert not filled_rows(np.round(motion, 1)).any() and not filled_rows(np.round(tone(0.37, 900.0), 1)).any()
+
+
+def low_pass(bandwidth: float, seed: int) -> FloatArray:
+    """Noise (N, 2) of a bandwidth [Hz], sampled at 1 kHz."""
+    from scipy.signal import butter, lfilter
+
+    b, a = butter(2, bandwidth / 500.0)
+    return np.asarray(lfilter(b, a, np.random.default_rng(seed).standard_normal((N, 2)), axis=0))
+
+
+@pytest.mark.parametrize("bandwidth", [5.0, 20.0, 60.0, 150.0])
+@pytest.mark.parametrize(("freezes", "rows"), [(1, 900), (1, 5000), (3, 300), (12, 100)])
+def test_a_sensor_that_freezes_in_a_smooth_motion_is_stuck(bandwidth: float, freezes: int, rows: int) -> None:
+    """It goes on from the last value without a jump, but not without one of the velocity, and leaves with a jump."""
+    for seed in range(5):
+        e = low_pass(bandwidth, seed)
+        frozen = np.zeros(N, bool)
+        for start in np.linspace(6000, N - 6000, freezes).astype(int):
+            e[start : start + rows] = e[start]
+            frozen[start + 1 : start + rows] = True
+        assert stuck_rows(e).sum() == pytest.approx(frozen.sum(), rel=0.1), seed
+
+
+def test_a_motion_between_positions_at_rest_is_not_stuck() -> None:
+    """Slews of different lengths: an acceleration that is constant, and one that ends smoothly."""
+    rng = np.random.default_rng(0)
+    for profile in (lambda u: u**2 * (3.0 - 2.0 * u), lambda u: u**3 * (10.0 - 15.0 * u + 6.0 * u**2)):
+        for _ in range(20):
+            position, parts = np.zeros(2), list[FloatArray]()
+            for _ in range(int(rng.integers(2, 6))):
+                target = rng.standard_normal(2)
+                u = np.linspace(0.0, 1.0, int(rng.integers(50, 800)))
+                parts.append(position + np.outer(profile(u), target - position))
+                parts.append(np.tile(target, (int(rng.integers(10, 900)), 1)))
+                position = target
+            assert not stuck_rows(np.concatenate(parts)).any()
