@@ -117,17 +117,12 @@ def _series_of(table: Table, los: str | None, unit: str | None, rate: float | No
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
     stated_rate, problems = table.rate((x, y)), list(table.left_out)
+    unused = _others(table, x, y) if when is None else ""
     if when is not None and (lost := _lost_digits(when, columns[when])):
         if rate is None:
             raise InputError(f"{lost}; --rate HERTZ reads the rows in their order")
-        gap, row = _gap_between(columns[when], rate, TIME_UNITS.get(unit_of_time or table.unit(when), 1.0))
-        if gap > 0.0:
-            raise InputError(
-                f"{table.path}: rows of {when} must follow each other at {rate:g} Hz, got {gap:.4g} s without rows "
-                f"after row {row} (--time none reads them all the same)"
-            )
+        _refuse_other_times(table, when, rate, unit_of_time or table.unit(when))
         when, problems = None, [*problems, f"{lost}: rows read at {rate:g} Hz in their order"]
-    unused = _others(table, x, y) if when is None else ""
     if when is None and stated_rate is not None:
         if rate is not None and not same_rate(rate, stated_rate):
             raise InputError(f"rate must be {stated_rate:.9g} Hz, stated in the file for {x}, got {rate:.9g}")
@@ -226,19 +221,29 @@ def _lost_digits(name: str, column: Column) -> str:
     )
 
 
-def _gap_between(column: Column, rate: float, unit: float) -> tuple[float, int]:
-    """Longest time [s] that rows with equal time stamps do not fill at a rate, and the row before it; 0 for none."""
+def _refuse_other_times(table: Table, when: str, rate: float, unit: str) -> None:
+    """Refuse rows of a rate that do not fill the time between equal time stamps, or all of it."""
+    column = table.columns[when]
     if column.dtype.kind not in "fiu":
-        return 0.0, 0
+        return
     times, first = np.unique(column.astype(float), return_index=True)
-    rows, steps = np.diff(first), np.diff(times) * unit
-    if len(steps) < 3 or (rows <= 0).any() or not 0.9 < float(np.median(steps * rate / rows)) < 1.1:
-        return 0.0, 0  # out of order, or in an unknown unit
+    rows, steps = np.diff(first), np.diff(times) * TIME_UNITS.get(unit, 1.0)
+    if len(steps) < 3 or (rows <= 0).any():
+        return  # out of order
+    digit, span, count = float(np.median(steps)), float(steps.sum()), int(rows.sum())
+    ratio = float(np.median(steps / rows)) * rate
+    if not unit and not 1.0 / 30.0 < ratio < 30.0:
+        return  # in another unit
     left = steps - rows / rate
     longest = int(np.argmax(left))
-    if left[longest] <= 0.5 * float(np.median(steps)):
-        return 0.0, 0
-    return float(left[longest]), int(first[longest + 1])
+    must = f"rows of {when} must follow each other at {rate:g} Hz"
+    anyway = "(--time none reads them all the same)"
+    if 0.9 < ratio < 1.1 and left[longest] > 0.5 * digit:
+        raise InputError(
+            f"{table.path}: {must}, got {left[longest]:.4g} s without rows after row {first[longest + 1]} {anyway}"
+        )
+    if abs(span - count / rate) > max(1.5 * digit, OTHER_RATE * span):
+        raise InputError(f"{table.path}: {must}, got {count} rows in {span:.6g} s {anyway}")
 
 
 def _asked_time(table: Table, time: str) -> tuple[str, str]:

@@ -586,9 +586,9 @@ def test_a_motion_between_positions_at_rest_is_not_stuck() -> None:
     rng = np.random.default_rng(0)
     for profile in (lambda u: u**2 * (3.0 - 2.0 * u), lambda u: u**3 * (10.0 - 15.0 * u + 6.0 * u**2)):
         for _ in range(20):
-            position, parts = np.zeros(2), list[FloatArray]()
+            parts, position = list[FloatArray](), np.asarray(rng.standard_normal(2))
             for _ in range(int(rng.integers(2, 6))):
-                target = rng.standard_normal(2)
+                target = np.asarray(rng.standard_normal(2))
                 u = np.linspace(0.0, 1.0, int(rng.integers(50, 800)))
                 parts.append(position + np.outer(profile(u), target - position))
                 parts.append(np.tile(target, (int(rng.integers(10, 900)), 1)))

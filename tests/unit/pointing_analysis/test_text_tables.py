@@ -281,6 +281,24 @@ def test_a_gap_between_times_without_digits_is_no_part_of_the_rate(tmp_path: Pat
     assert len(open_los(path, rate=1000.0, time="none")["truth/los"]) == 3000
 
 
+def test_rows_between_times_without_digits_fill_the_time_at_the_rate(tmp_path: Path) -> None:
+    """Of 60 000 rows 3000 were lost at random: 57 s at 1 kHz, "samples lost 0"."""
+    kept = np.flatnonzero(np.random.default_rng(0).random(60_000) > 0.05)
+    for name, where in (("lost", kept), ("whole", np.arange(60_000))):
+        written(
+            tmp_path / f"{name}.csv",
+            "time,x_mas,y_mas\n" + "\n".join(f"{k // 10 / 100},{k % 7},{k % 5}" for k in where),
+        )
+    with pytest.raises(InputError, match=r"follow each other at 1000 Hz, got 57\d+ rows in 59\.9"):
+        open_los(tmp_path / "lost.csv", rate=1000.0)
+    with pytest.raises(InputError, match=r"follow each other at 2000 Hz, got 59\d+ rows in 5\d.\d+ s"):
+        open_los(tmp_path / "whole.csv", rate=2000.0)
+    whole = open_los(tmp_path / "whole.csv", rate=1000.0)
+    assert len(whole["truth/los"]) == 60_000 and not any(
+        "no time column" in text for text in whole["truth/los"].problems
+    )
+
+
 def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
     """Units may be left out of a row of units, but not all of them."""
     table = read_text(written(tmp_path / "a.csv", "time,x_mas,y_mas\n1,1,1\n2,3,4\n3,4,5\n"))
