@@ -294,9 +294,7 @@ def test_rows_between_times_without_digits_fill_the_time_at_the_rate(tmp_path: P
     with pytest.raises(InputError, match=r"follow each other at 2000 Hz, got 59\d+ rows in 5\d.\d+ s"):
         open_los(tmp_path / "whole.csv", rate=2000.0)
     whole = open_los(tmp_path / "whole.csv", rate=1000.0)
-    assert len(whole["truth/los"]) == 60_000 and not any(
-        "no time column" in text for text in whole["truth/los"].problems
-    )
+    assert len(whole["truth/los"]) == 60_000 and not any("no time column" in text for text in whole.problems)
 
 
 def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
