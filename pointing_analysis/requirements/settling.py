@@ -6,7 +6,8 @@ left, the run starts up. A tone of the disturbance may build up more slowly than
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
 half of the record, or a tone still changes, the requirement is not judged: a longer run, or a start in the steady
 state, decides. Judged all the same are a falling level that is within its limit with its start-up, and a rising one
-that exceeds it with its quiet beginning: a fault late in a run is no start-up.
+that exceeds it with its quiet beginning: a fault late in a run is no start-up, nor is a level that is higher for a
+while only.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class SettlingSettings(AlgorithmSettings):
     left : part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude
     significant : standard errors at which an exponential, or a change of a tone, is one
     shortest, longest, decays : time constants that are tried, parts of the record, and their number
+    first : part of a start-up, at its begin, in which at least this part of the level of a decay is seen
     shortest_record : in a shorter one no start-up is measured [s]
     brief : part of the judged record within which a start-up may end, also where the usual one is half of the run
     segments : parts of the record, in each of which the amplitude of a tone is found
@@ -53,6 +55,7 @@ class SettlingSettings(AlgorithmSettings):
     shortest: float = 1.0 / 60
     longest: float = 3.0
     decays: int = 33
+    first: float = 0.25
     shortest_record: float = 4.0
     brief: float = 0.1
     segments: int = 8
@@ -100,8 +103,8 @@ def judge_settled(
         if not rises and math.isfinite(seconds) and (usual.status == "compliant" or usual.within_limit):
             return Settled(usual)  # a falling level is within the limit with its start-up, too
         known = f"until about {seconds:.0f} of" if math.isfinite(seconds) else "through"
-        how = "rises" if rises else "falls"
-        why = f"not settled: its level {how} {known} {whole:g} s (a longer run, or analyse --transient SECONDS)"
+        how = f"rises {known}" if rises else f"falls {known}" if math.isfinite(seconds) else "changes within"
+        why = f"not settled: its level {how} {whole:g} s (a longer run, or analyse --transient SECONDS)"
         return Settled(not_judged(requirement, why))
     if seconds <= series.start:
         return Settled(judge(requirement, [run], None))
@@ -163,7 +166,8 @@ def is_settled(
 def decay(squares: FloatArray, seconds: float, settings: SettlingSettings = SETTINGS) -> float:
     """Seconds until an exponential in a level is below a part of what is left of it; 0 where there is none.
 
-    Infinite for a level that rises through the whole record: how far, it does not tell.
+    Infinite for a level that rises through the whole record: how far, it does not tell. Also for one that is higher for
+    a while and not so at the begin: an event is no start-up.
 
     Parameters
     ----------
@@ -184,16 +188,19 @@ def decay(squares: FloatArray, seconds: float, settings: SettlingSettings = SETT
     time = (np.arange(settings.blocks) + 0.5) * seconds / settings.blocks
     time_constants = np.geomspace(settings.shortest, settings.longest, settings.decays)
     best = min((_fit(blocks, time, tau * seconds) for tau in time_constants), key=lambda fit: fit[0])
-    _, tau, size, error = best
-    left = float(blocks[-settings.blocks // 4 :].mean())
+    _, tau, constant, size, error = best
+    left, fit = float(blocks[-settings.blocks // 4 :].mean()), constant + size * np.exp(-time / tau)
     if abs(size) <= settings.significant * error or abs(size) <= settings.left * left:
         return 0.0
     seconds_to_settle = max(0.0, tau * math.log(abs(size) / (settings.left * left)))
+    first = slice(max(math.ceil(settings.first * seconds_to_settle / seconds * settings.blocks), 2))
+    if seconds_to_settle and size > 0.0 and blocks[first].mean() - left < settings.first * (fit[first].mean() - left):
+        return math.inf
     return seconds_to_settle if size > 0.0 or seconds_to_settle < 0.5 * seconds else math.inf
 
 
-def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float, float, float]:
-    """Sum of squares that a constant and an exponential leave, time constant, size of the exponential, its error."""
+def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float, float, float, float]:
+    """Sum of squares that a constant and an exponential leave, time constant, both sizes, error of the second one."""
     columns = np.column_stack([np.ones(len(time)), np.exp(-time / tau)])
     inverse = linalg.inv(columns.T @ columns)
     size = inverse @ columns.T @ blocks
@@ -201,7 +208,7 @@ def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float
     total = float(rest @ rest)
     alike = min(max(float(rest[1:] @ rest[:-1]) / total, 0.0), 0.95) if total else 0.0
     variance = total / (len(blocks) - 3) * inverse[1, 1] * (1.0 + alike) / (1.0 - alike)
-    return total, tau, float(size[1]), math.sqrt(variance)
+    return total, tau, float(size[0]), float(size[1]), math.sqrt(variance)
 
 
 def _tone_changes(

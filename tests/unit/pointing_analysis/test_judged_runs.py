@@ -273,6 +273,21 @@ def test_a_fault_late_in_a_run_is_no_start_up(tmp_path: Path, begin: float) -> N
     assert "start-up" not in judge_settled(far, run).verdict.note
 
 
+@pytest.mark.parametrize(("begin", "end"), [(5.0, 12.0), (12.0, 25.0), (8.0, 15.0)])
+def test_what_is_worse_for_a_while_is_no_start_up(tmp_path: Path, begin: float, end: float) -> None:
+    """An observer that failed from 12 to 25 s: 24 s were "measured start-up and excluded"."""
+    t = DT * np.arange(60_000)
+    values = noise(60.0, 5) * np.where((t >= begin) & (t < end), 10.0, 1.0)[:, None]
+    run = bag(tmp_path / "a", 100.0 * values, start_up=MEASURED)
+    limit = parse("prob(|APE| < 500 mas) >= 0.9 at 95 % confidence")
+    for requirement in (limit, parse("prob(rms RPE(20 ms) < 500 mas) >= 0.9 at 95 % confidence")):
+        found = judge_settled(requirement, run)
+        assert found.verdict.status in ("not judged", "not compliant", "not enough data") and not found.remark
+    decays = 100.0 * noise(60.0, 5) * (1.0 + 9.0 * np.exp(-t / 4.0))[:, None]
+    started = judge_settled(limit, bag(tmp_path / "b", decays, start_up=MEASURED))
+    assert started.verdict.status == "compliant" and "measured start-up and excluded" in started.remark
+
+
 @pytest.mark.parametrize("lost", [["truth/los"], ["truth/los", "isolator/accel"]])
 def test_the_end_of_a_run_is_that_of_its_report_whatever_was_recorded(tmp_path: Path, lost: list[str]) -> None:
     """The quiet 12 s of 20 s are recorded; what is missing counts as above the limit."""
