@@ -150,6 +150,9 @@ def arrivals(logged: IntArray, stamps: IntArray = NO_STAMPS, settings: ArrivalSe
 
     events = [Event(kind, since(i), size / NANO) for i, (kind, size) in jumps.items()]
     if regular:
+        stepped = any(kind == "clock step" for kind, _ in jumps.values())
+        if stamped and not stepped and _where(steps, lambda part: part < 0).size:
+            steps = _steps(np.sort(stamps))  # messages that changed places are not missing
         for i, (kind, _) in jumps.items():
             if kind == "clock step":  # the clock that did not step counts what is missing: the shorter of the two
                 both = [step for step in (steps[i], logged[i + 1] - logged[i]) if step > -settings.step * NANO]

@@ -410,5 +410,7 @@ def test_messages_that_changed_places_in_the_file_are_not_missing(swapped: int) 
         places[[100 + 20 * k, 103 + 20 * k]] = places[[103 + 20 * k, 100 + 20 * k]]
     found = arrivals((stamps + 300_000)[places], stamps[places])
     assert (found.lost, found.events) == (0, ())
+    overtaken = arrivals(stamps + 300_000, stamps[places])  # and was recorded in the other order
+    assert (overtaken.lost, overtaken.events) == (0, ())
     jumped = stamps + 300_000 - np.where(np.arange(2000) >= 1000, 50_000_000, 0)
     assert [event.kind for event in arrivals(jumped, stamps).events] == ["clock step"]

@@ -94,6 +94,18 @@ def without_statistics(recorded, path):
     return path
 
 
+def without_a_sample(recorded, path):
+    """Of the line of sight, which no controller reads."""
+    run = Run.open(recorded)
+    signals = {name: (run[name].stamp, run[name].values) for name in run.topics}
+    signals["truth/los"] = tuple(np.delete(part, 1500, axis=0) for part in signals["truth/los"])
+    given = {k: v if isinstance(v, str) else json.dumps(v) for k, v in run.parameters.items()}
+    files = {name: ("application/json", data) for name, data in run.attachments.items()}
+    with BagWriter(path, {"los_testbed": given}, files) as bag:
+        write_signals(bag, signals)
+    return path
+
+
 def of_another_plan(recorded, path):
     shutil.copytree(recorded, path)
     with_metadata(path, statistics=json.dumps({"plant": {"ticks": "3000", "planned_ticks": "4000"}}))
@@ -108,6 +120,7 @@ def of_another_plan(recorded, path):
             "ended by its plan, after 4000 ticks, but the messages cover 2000",
         ),
         (without_statistics, "whole, and does not say what was planned"),
+        (without_a_sample, "1 sample of truth/los missing"),
         (of_another_plan, "the run ended early: after 3000 of 4000 ticks"),
     ],
 )

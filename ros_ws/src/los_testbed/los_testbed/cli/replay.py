@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from lftkit.errors import InputError
+from lftkit.support.counted_nouns import counted
 from lftkit.support.progress import Progress
 from los_testbed.cli.options.options import option
 from los_testbed.config.run_config import RunConfig
@@ -95,7 +96,7 @@ def replay(
     else:
         content = _through(console, run, (k_fsm, k_pma, loop, ports_in_order), output, transient)
         if content["as_recorded"] and content["identical"]:
-            content["complete"] = _is_complete(console, bag, content["ticks"], chunk_limit(max_chunk))
+            content["complete"] = _is_complete(console, bag, run, content["ticks"], chunk_limit(max_chunk))
     if json_:
         print_json({**content, "contradictions": list(run.contradictions)})
     for text in run.contradictions:
@@ -129,20 +130,21 @@ def _through(
     return {**content, "output": None if output is None else str(output)}
 
 
-def _is_complete(console: Console, bag: Path, replayed: int, max_chunk: int) -> bool:
-    """Whether a bag is whole and its run of as many ticks as were replayed; a line says it, or why not."""
+def _is_complete(console: Console, bag: Path, run: Run, replayed: int, max_chunk: int) -> bool:
+    """Whether a bag is whole, without a lost sample, its run of as many ticks as were replayed; a line says it."""
     from los_testbed.bags.check import check_bag as verify
+    from pointing_analysis.requirements.recording_state import recording_state
 
     verification = verify(bag, max_chunk)
-    missing = verification.title
-    if not verification.code and verification.ticks == replayed:
-        missing = ""
-    elif not verification.code and verification.ticks is not None:
-        missing = f"{replayed} of the {verification.ticks} ticks of its plan were replayed"
-    elif missing == "whole":
-        missing = "whole, and does not say what was planned"
-    say(console, f"the bag is not shown to be complete: {missing}" if missing else "the bag is complete")
-    return not missing
+    reasons, title = list[str](), verification.title
+    if verification.code or verification.ticks is None:
+        reasons.append("whole, and does not say what was planned" if title == "whole" else title)
+    elif verification.ticks != replayed:
+        reasons.append(f"{replayed} of the {verification.ticks} ticks of its plan were replayed")
+    if lost := recording_state(run)[0]:
+        reasons.append(f"{counted(sum(lost.values()), 'sample')} of {', '.join(lost)} missing")
+    say(console, f"the bag is not shown to be complete: {'; '.join(reasons)}" if reasons else "the bag is complete")
+    return not reasons
 
 
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None, timeout: float) -> dict[str, Any]:
